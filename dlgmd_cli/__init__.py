@@ -1,0 +1,3 @@
+"""Locust-inspired collision detection on video: the D-LGMD model as a command and a library."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,117 @@
+"""What every model looks like from outside, and where to find one by name."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.params import DlgmdParameters, Parameters
+
+FloatImage = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Copies of a model's layers at one frame, each (H, W) float32; None before it is defined.
+
+    `p` is the photoreceptors' output, `s` the summation layer, `g` the grouping layer after its
+    threshold and saturation: what the membrane potential sums.
+    """
+
+    p: FloatImage | None = None
+    s: FloatImage | None = None
+    g: FloatImage | None = None
+
+
+@dataclass(frozen=True)
+class Response:
+    """A model's answer to one frame; NaN marks what is not defined yet.
+
+    Attributes
+    ----------
+    p_sum, s_sum : float
+        Sums of the photoreceptor and the summation layer, in units of luminance.
+    mp : float
+        Raw membrane potential K, Eq. (13).
+    ffi : float
+        Feed-forward inhibition, Eq. (12).
+    t_de : float
+        Threshold of the grouping layer, Eq. (11).
+    layers : Layers or None
+        The layers, when `step` was asked for them.
+    """
+
+    p_sum: float
+    s_sum: float
+    mp: float
+    ffi: float
+    t_de: float
+    layers: Layers | None = None
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the model had a full history, so that `mp` and `s_sum` are defined."""
+        return not math.isnan(self.mp)
+
+    @property
+    def attenuation_db(self) -> float:
+        """Attenuation 10 lg(ΣS/ΣP) in dB: -inf where ΣS = 0, NaN where it is undefined."""
+        if not self.p_sum > 0.0 or math.isnan(self.s_sum):
+            return math.nan
+        return 10.0 * math.log10(self.s_sum / self.p_sum) if self.s_sum > 0.0 else -math.inf
+
+
+class Model(Protocol):
+    """A looming detector that is fed one frame at a time and keeps constant memory."""
+
+    @property
+    def name(self) -> str:
+        """The name behind `--model`."""
+        ...
+
+    @property
+    def first_valid_frame(self) -> int:
+        """Index of the first frame with a full history, counting from 0 at `reset`."""
+        ...
+
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        ...
+
+    def step(self, luminance: FloatImage, *, layers: bool = False) -> Response:
+        """Take the next frame, (H, W) float32 in 0..1, and answer to it."""
+        ...
+
+
+def _lazily(module: str, attribute: str) -> Callable[[Any], Model]:
+    """A factory that imports its module on first use: OpenCV takes a tenth of a second."""
+
+    def create(params: Any) -> Model:
+        model: Model = getattr(import_module(module), attribute)(params)
+        return model
+
+    return create
+
+
+MODELS: dict[str, tuple[type[Parameters], Callable[[Any], Model]]] = {
+    "dlgmd": (DlgmdParameters, _lazily("dlgmd_cli.models.dlgmd", "DLGMD")),
+}
+
+
+def parameters_of(name: str) -> type[Parameters]:
+    """The parameter class of the model called `name`; raises ParameterError if there is none."""
+    if name not in MODELS:
+        raise ParameterError("", f"there is no model {name!r}", f"Choose from {', '.join(MODELS)}.")
+    return MODELS[name][0]
+
+
+def create_model(name: str, params: Parameters) -> Model:
+    """The model called `name` with `params` of its own class; raises ParameterError."""
+    if not isinstance(params, parameters_of(name)):
+        raise ParameterError("", f"{type(params).__name__} are not the parameters of {name!r}")
+    return MODELS[name][1](params)

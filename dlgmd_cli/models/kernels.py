@@ -1,0 +1,158 @@
+"""The D-LGMD's connections: Gaussian strengths, radial latency, and one kernel for each delay."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import ParameterError
+
+FloatKernel = npt.NDArray[np.float64]
+
+# Latency up to the first edge acts at once, up to the second one frame later, beyond it two.
+BAND_EDGES_FRAMES = (1.0, 1.8999)
+
+
+def _radius_squared(radius_px: int) -> FloatKernel:
+    """x² + y² at every tap, (2r + 1, 2r + 1), in px²."""
+    if radius_px < 0:
+        raise ParameterError("", f"radius {radius_px} px is negative")
+    axis = np.arange(-radius_px, radius_px + 1, dtype=np.float64) ** 2
+    return axis[:, None] + axis[None, :]
+
+
+def gaussian(radius_px: int, sigma_px: float) -> FloatKernel:
+    """Strength of a connection at each tap of the kernel.
+
+    Parameters
+    ----------
+    radius_px : int
+        Kernel radius r.
+    sigma_px : float
+        Standard deviation, in px.
+
+    Returns
+    -------
+    ndarray, shape (2r + 1, 2r + 1), float64
+        exp(-(x² + y²) / 2σ²) / (σ√(2π)), [Zhao2023] Eq. (4).
+
+    Raises
+    ------
+    ParameterError
+        If the radius is negative or sigma is not above zero.
+
+    Notes
+    -----
+    The amplitude is that of the one-dimensional Gaussian, as in the authors' released code: with
+    unit mass the model would not select for speed at all.
+    """
+    if not sigma_px > 0.0:
+        raise ParameterError("", f"sigma = {sigma_px:g} px is not above 0")
+    exponent = -_radius_squared(radius_px) / (2.0 * sigma_px**2)
+    strength: FloatKernel = np.exp(exponent) / (sigma_px * np.sqrt(2.0 * np.pi))
+    return strength
+
+
+def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatKernel:
+    """Latency of inhibition at each tap of the kernel.
+
+    Parameters
+    ----------
+    radius_px : int
+        Kernel radius r.
+    alpha, beta : float
+        Shift (frames) and saturation (1/frames) of the curve.
+    lam : float
+        Spread of the curve (1/px), λ in the paper.
+
+    Returns
+    -------
+    ndarray, shape (2r + 1, 2r + 1), float64
+        α + 1 / (β + exp(-λ²(x² + y²))) in frames, least at the centre, [Zhao2023] Eq. (5).
+
+    Raises
+    ------
+    ParameterError
+        If the radius is negative, or beta is: the latency would not be finite everywhere.
+    """
+    if beta < 0.0:
+        raise ParameterError("", f"beta = {beta:g} is below 0")
+    latency: FloatKernel = alpha + 1.0 / (beta + np.exp(-(lam**2) * _radius_squared(radius_px)))
+    return latency
+
+
+@dataclass(frozen=True)
+class Connections:
+    """Everything that reaches one cell of the S layer.
+
+    Attributes
+    ----------
+    latency : ndarray, shape (2r + 1, 2r + 1)
+        τ, in frames.
+    excitation : ndarray, same shape
+        K_E, from P(t).
+    inhibition : dict of int to ndarray
+        Delay d in frames -> K_d, from P(t - d), for the delays that occur in the latency map.
+    """
+
+    latency: FloatKernel
+    excitation: FloatKernel
+    inhibition: dict[int, FloatKernel]
+
+    @property
+    def max_delay_frames(self) -> int:
+        """The oldest P that is looked at."""
+        return max(self.inhibition, default=0)
+
+    def signed(self) -> dict[int, FloatKernel]:
+        """Delay -> the kernel that S adds up: excitation positive, inhibition negative."""
+        by_delay = {delay: -kernel for delay, kernel in self.inhibition.items()}
+        by_delay[0] = self.excitation + by_delay.get(0, 0.0)
+        return by_delay
+
+
+def connect(
+    *,
+    radius_px: int,
+    sigma_e_px: float,
+    sigma_i_px: float,
+    strength: float,
+    alpha: float,
+    beta: float,
+    lam: float,
+    interpolate: bool,
+) -> Connections:
+    """Derive the kernels of every delay, [Zhao2023] Eqs. (2) to (7).
+
+    Parameters
+    ----------
+    radius_px, sigma_e_px, sigma_i_px : int, float, float
+        Radius and widths of the Gaussians.
+    strength : float
+        Strength a of inhibition.
+    alpha, beta, lam : float
+        Shape of the latency, see `latency_map`.
+    interpolate : bool
+        True takes the printed equations literally: excitation everywhere, and inhibition at a
+        fractional latency from the two neighbouring frames. False follows the authors' released
+        code: latency in three bands, excitation only where inhibition does not come first.
+
+    Raises
+    ------
+    ParameterError
+        As `gaussian` and `latency_map` do.
+    """
+    excite = gaussian(radius_px, sigma_e_px)
+    inhibit = strength * gaussian(radius_px, sigma_i_px)
+    latency = latency_map(radius_px, alpha, beta, lam)
+    if interpolate:
+        oldest = int(np.ceil(latency.max()))
+        weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in range(oldest + 1)}
+    else:
+        near, far = BAND_EDGES_FRAMES
+        # Inhibition without latency is netted into excitation, and so has no kernel of its own.
+        excite = np.where(latency < near, np.maximum(excite - inhibit, 0.0), excite)
+        excite[latency > near] = 0.0
+        weights = {1: (latency >= near) & (latency < far), 2: latency >= far}
+    inhibition = {delay: inhibit * weight for delay, weight in weights.items() if weight.any()}
+    return Connections(latency, excite, inhibition)
