@@ -1,6 +1,11 @@
 """What can go wrong, said in one line: what, why, and how to mend it."""
 
 
+def printable(text: str) -> str:
+    """`text` on one line, with what a terminal would act on shown as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class DlgmdError(Exception):
     """Base of every error that a user can cause or mend.
 

@@ -2,9 +2,9 @@
 
 import math
 import numbers
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from typing import Any, TypeVar
 
 from dlgmd_cli.errors import ParameterError
@@ -17,14 +17,13 @@ ParametersT = TypeVar("ParametersT", bound="Parameters")
 
 @dataclass(frozen=True)
 class Spec:
-    """What one key means and which values it takes; an open bound excludes its limit."""
+    """What one key means and which values it takes."""
 
     symbol: str
     unit: str
     meaning: str
     low: float = -math.inf
     high: float = math.inf
-    low_open: bool = False
     choices: tuple[str, ...] = ()
 
     @property
@@ -34,7 +33,7 @@ class Spec:
             return ", ".join(self.choices)
         if math.isinf(self.low) and math.isinf(self.high):
             return "true, false"
-        return f"{'above ' if self.low_open else ''}{self.low:g} to {self.high:g}"
+        return f"{self.low:g} to {self.high:g}"
 
 
 def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
@@ -42,7 +41,14 @@ def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> A
 
 
 class Parameters:
-    """A frozen set of named, checked values; subclasses are dataclasses of `_key` fields."""
+    """A frozen set of named, checked values; subclasses are dataclasses of `_key` fields.
+
+    Every model's membrane potential is read out alike, by these three.
+    """
+
+    t_mp: float
+    n_sp: int
+    kappa: float
 
     def __post_init__(self) -> None:
         for key, value in self.to_dict().items():
@@ -74,8 +80,8 @@ class Parameters:
         known = cls.specs()
         for key in values:
             if key not in known:
-                near = get_close_matches(str(key)[:100], known, n=1)
-                hint = f"Did you mean '{near[0]}'? " if near else ""
+                near = nearest(str(key)[:100], known)
+                hint = f"Did you mean '{near}'? " if near else ""
                 raise ParameterError(
                     "", f"unknown parameter {str(key)[:100]!r}", f"{hint}See 'dlgmd sets show 9'."
                 )
@@ -89,9 +95,9 @@ class Parameters:
         """Return `value` in the key's own type, or say what is wrong with it."""
         spec, default = self.specs()[key], self.defaults()[key]
         if isinstance(default, str):
-            if value not in spec.choices:
+            if not isinstance(value, str) or value not in spec.choices:
                 raise _wrong(key, value, f"is not one of {spec.allowed}")
-            return value
+            return str(value)
         if isinstance(default, bool):
             if not isinstance(value, bool):
                 raise _wrong(key, value, "is not true or false")
@@ -103,9 +109,10 @@ class Parameters:
             raise _wrong(key, value, "is not a finite number")
         if isinstance(default, int) and not isinstance(value, numbers.Integral):
             raise _wrong(key, value, "is not a whole number")
-        if number < spec.low or (spec.low_open and number == spec.low):
-            bound = "above" if spec.low_open else "at least"
-            raise _wrong(key, value, f"is not {bound} {spec.low:g}")
+        if number < spec.low:
+            is_positive = number <= 0.0 < spec.low and isinstance(default, float)
+            bound = "above 0" if is_positive else f"at least {spec.low:g}"
+            raise _wrong(key, value, f"is not {bound}")
         if number > spec.high:
             raise _wrong(key, value, f"is more than {spec.high:g}")
         return type(default)(value)
@@ -118,24 +125,20 @@ class DlgmdParameters(Parameters):
     alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
     beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
     lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
-    sigma_e: float = _key(
-        1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0, high=100, low_open=True
-    )
-    sigma_i: float = _key(
-        5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0, high=100, low_open=True
-    )
+    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0.01, high=100)
+    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
     r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
     a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=0, high=100, low_open=True)
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=0.001, high=100)
     ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
     m: float = _key(
-        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0, high=100, low_open=True
+        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100
     )
     t_mp: float = _key(0.4, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
     n_sp: int = _key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
     kappa: float = _key(
-        0.003, "κ", "–", "mean excitation at which mp_abs is 1/2", low=0, high=100, low_open=True
+        0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
     )
     formulation: str = _key(
         "default", "–", "–", "how latency meets whole frames", choices=FORMULATIONS
@@ -151,6 +154,13 @@ class DlgmdParameters(Parameters):
                 f"({nearest:.3g} frames at the centre)",
                 "Inhibition cannot come before its cause; raise alpha.",
             )
+        if self.alpha > MAX_LATENCY_FRAMES - 1.0 / (self.beta + 1.0):
+            raise ParameterError(
+                "",
+                f"alpha = {self.alpha:g} makes the latency longer than {MAX_LATENCY_FRAMES:g} "
+                "frames everywhere",
+                "Lower alpha.",
+            )
         reach = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
         if reach <= 0.0 or self.alpha + 1.0 / reach > MAX_LATENCY_FRAMES:
             raise ParameterError(
@@ -159,6 +169,20 @@ class DlgmdParameters(Parameters):
                 f"longer than {MAX_LATENCY_FRAMES:g} frames",
                 "Raise beta or lower lam.",
             )
+
+
+# The models that `--model` takes, with the parameters of each.
+PARAMETERS: dict[str, type[Parameters]] = {"dlgmd": DlgmdParameters}
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The word of `known` that is most like `word`, the first of equals, or None."""
+    known = list(known)
+    word = word.lower()
+    close = get_close_matches(word, known, n=len(known))
+    return max(
+        close, key=lambda k: (SequenceMatcher(None, k, word).ratio(), -known.index(k)), default=None
+    )
 
 
 def _finite_or_none(value: Any) -> float | None:
@@ -171,7 +195,12 @@ def _finite_or_none(value: Any) -> float | None:
 
 def _wrong(key: str, value: Any, why: str) -> ParameterError:
     """An error that shows the value, briefly: a nested value could print without end."""
-    shown = "a list or mapping" if isinstance(value, list | dict | set | tuple) else str(value)[:40]
     if isinstance(value, str):
-        shown = repr(value[:40])
+        shown = repr(str(value[:40]))
+    elif isinstance(value, int) and abs(value) > 10**30:
+        shown = "a huge number"
+    elif hasattr(value, "__len__"):
+        shown = "a list or mapping"
+    else:
+        shown = str(value)[:40]
     return ParameterError("", f"{key} = {shown} {why}")

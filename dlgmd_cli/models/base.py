@@ -1,16 +1,15 @@
 """What every model looks like from outside, and where to find one by name."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import DlgmdParameters, Parameters
+from dlgmd_cli.params import PARAMETERS, Parameters
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -88,30 +87,21 @@ class Model(Protocol):
         ...
 
 
-def _lazily(module: str, attribute: str) -> Callable[[Any], Model]:
-    """A factory that imports its module on first use: OpenCV takes a tenth of a second."""
-
-    def create(params: Any) -> Model:
-        model: Model = getattr(import_module(module), attribute)(params)
-        return model
-
-    return create
+# Imported on first use: OpenCV takes a tenth of a second.
+MODELS = {"dlgmd": ("dlgmd_cli.models.dlgmd", "DLGMD")}
 
 
-MODELS: dict[str, tuple[type[Parameters], Callable[[Any], Model]]] = {
-    "dlgmd": (DlgmdParameters, _lazily("dlgmd_cli.models.dlgmd", "DLGMD")),
-}
+def create_model(params: Parameters) -> Model:
+    """The model that `params` are parameters of.
 
-
-def parameters_of(name: str) -> type[Parameters]:
-    """The parameter class of the model called `name`; raises ParameterError if there is none."""
-    if name not in MODELS:
-        raise ParameterError("", f"there is no model {name!r}", f"Choose from {', '.join(MODELS)}.")
-    return MODELS[name][0]
-
-
-def create_model(name: str, params: Parameters) -> Model:
-    """The model called `name` with `params` of its own class; raises ParameterError."""
-    if not isinstance(params, parameters_of(name)):
-        raise ParameterError("", f"{type(params).__name__} are not the parameters of {name!r}")
-    return MODELS[name][1](params)
+    Raises
+    ------
+    ParameterError
+        If there is none.
+    """
+    for name, kind in PARAMETERS.items():
+        if type(params) is kind:
+            module, attribute = MODELS[name]
+            model: Model = getattr(import_module(module), attribute)(params)
+            return model
+    raise ParameterError("", f"no model takes {type(params).__name__}")

@@ -8,7 +8,7 @@ import numpy as np
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import FloatImage, Layers, Response
-from dlgmd_cli.models.filters import sum_4x4
+from dlgmd_cli.models.filters import empty_image, sum_4x4
 from dlgmd_cli.models.kernels import Connections, connect, gaussian
 from dlgmd_cli.models.plan import Term, plan
 from dlgmd_cli.params import DlgmdParameters
@@ -115,11 +115,11 @@ class DLGMD:
             )
         if self._shape is None:
             self._shape = (luminance.shape[0], luminance.shape[1])
-            self._previous = np.empty(self._shape, np.float32)
+            self._previous = empty_image(self._shape)
             depth = self.connections.max_delay_frames + 1
-            self._history = [np.empty(self._shape, np.float32) for _ in range(depth)]
+            self._history = [empty_image(self._shape) for _ in range(depth)]
             self._s, self._g, self._part, self._difference = (
-                np.empty(self._shape, np.float32) for _ in range(4)
+                empty_image(self._shape) for _ in range(4)
             )
         elif luminance.shape != self._shape:
             raise FrameError(

@@ -116,7 +116,7 @@ def _cut_gaussian(kernel: FloatKernel, gaussian: FloatKernel, half: int) -> Cost
     inside = slice(radius - half, radius + half + 1)
     square = np.zeros_like(kernel)
     square[inside, inside] = gaussian[inside, inside]
-    used = (np.abs(kernel) > 0.0) & (square > 0.0)
+    used = (np.abs(kernel) > 0.0) & (square > NEGLIGIBLE * square.max())
     if not used.any():
         return Costed((), np.inf)
     scale = np.median(kernel[used] / square[used])

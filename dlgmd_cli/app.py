@@ -1,0 +1,65 @@
+"""The `dlgmd` command: global options, and commands that are loaded when they are called."""
+
+import os
+from importlib import import_module
+from typing import Any
+
+import click
+
+from dlgmd_cli import __version__
+from dlgmd_cli.commands._console import Settings, errors_as_one_line
+from dlgmd_cli.params import nearest
+
+COMMANDS = ("run", "kernels", "sets", "synth")
+
+
+class LazyGroup(click.Group):
+    """Commands by name, each imported from its own module when it is needed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names, in the order of the README."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command, or None."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"dlgmd_cli.commands.{cmd_name}"), cmd_name)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, with a guess at what was meant."""
+        name = click.utils.make_str(args[0])
+        near = nearest(name, COMMANDS)
+        if near and name not in COMMANDS:
+            ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; whatever it raises becomes one line and an exit code."""
+        with errors_as_one_line():
+            return super().invoke(ctx)
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Example: dlgmd run flight.mp4 --set 9",
+)
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@click.version_option(__version__, prog_name="dlgmd")
+@click.pass_context
+def cli(ctx: click.Context, quiet: bool, debug: bool) -> None:
+    """Watch a drone's video the way a locust's collision-detecting neuron does (D-LGMD)."""
+    ctx.obj = Settings(quiet=quiet, debug=debug)
+
+
+def main() -> None:
+    """Entry point of the `dlgmd` command."""
+    # OpenCV and FFmpeg would report damage line by line, beside our own warning.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    cli(prog_name="dlgmd")

@@ -1,0 +1,143 @@
+"""What the user sees of a run: progress, messages, and errors as one line with an exit code."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+class Settings:
+    """The options that stand before the command."""
+
+    def __init__(self, quiet: bool = False, debug: bool = False) -> None:
+        self.quiet, self.debug = quiet, debug
+
+
+class Failed(click.ClickException):
+    """A library error on its way to one line on stderr."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code  # type: ignore[misc]
+
+
+def settings() -> Settings:
+    """The settings of the command line being run."""
+    found = click.get_current_context().find_object(Settings)
+    return found or Settings()
+
+
+class Command(click.Command):
+    """A command whose errors, the library's and bugs alike, end as one line and an exit code."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        with errors_as_one_line():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def errors_as_one_line() -> Iterator[None]:
+    """Turn what the library raises, bugs included, into click's own errors."""
+    try:
+        yield
+    except (click.ClickException, click.exceptions.Exit, click.Abort):
+        raise
+    except BrokenPipeError:  # the reader of stdout has gone; click ends quietly
+        raise
+    except KeyboardInterrupt:
+        say("Interrupted.")
+        raise click.exceptions.Exit(EXIT_INTERRUPTED) from None
+    except DlgmdError as error:
+        if settings().debug:
+            raise
+        message = printable(str(error))
+        if isinstance(error, ParameterError):
+            raise click.UsageError(message, click.get_current_context()) from None
+        code = EXIT_USAGE if isinstance(error, OutputExistsError) else EXIT_FAILED
+        raise Failed(message, code) from None
+    except MemoryError:
+        raise Failed(
+            "not enough memory. Process smaller frames with --scale.", EXIT_FAILED
+        ) from None
+    except Exception as error:
+        if settings().debug:
+            raise
+        raise Failed(
+            f"internal error ({type(error).__name__}). "
+            "Rerun with --debug and report the traceback.",
+            EXIT_FAILED,
+        ) from None
+
+
+def say(message: str) -> None:
+    """A message on stderr."""
+    click.echo(printable(message), err=True)
+
+
+def warn(message: str) -> None:
+    """A warning on stderr; never silenced."""
+    say(f"Warning: {message}.")
+
+
+def is_lively() -> bool:
+    """Whether stderr may show bars and colours."""
+    return sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+
+
+@contextmanager
+def progress(name: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A bar with frame/s and time left on stderr; yields what to call with the frames done."""
+    if settings().quiet or not is_lively():
+        yield lambda done: None
+        return
+    from rich import progress as bars
+    from rich.console import Console
+    from rich.text import Text
+
+    class Rate(bars.ProgressColumn):
+        """Frames per second, over the last seconds."""
+
+        def render(self, task: bars.Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.0f} frame/s" if speed else "– frame/s")
+
+    columns = (
+        bars.TextColumn("{task.description}", markup=False),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        Rate(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as display:
+        task = display.add_task(printable(name), total=total)
+
+        def advance(done: int) -> None:
+            # The total is only what the container announces.
+            display.update(task, completed=done, total=max(total, done) if total else None)
+
+        yield advance
+
+
+def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+    """A table on stdout, as wide as it needs to be where that is no terminal."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE, show_header=any(header), pad_edge=False)
+    for title in header:
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(markup=False, highlight=False, no_color=not sys.stdout.isatty() or None)
+    if not sys.stdout.isatty():
+        console.width = 200
+    console.print(table)

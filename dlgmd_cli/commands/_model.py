@@ -1,0 +1,87 @@
+"""The options that choose a model and its parameters, shared by every command that runs one."""
+
+from pathlib import Path
+
+import click
+
+from dlgmd_cli.commands._types import OptionGroup
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+
+DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
+
+model_options = OptionGroup(
+    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
+    click.option(
+        "--config",
+        type=click.Path(path_type=Path),
+        help="YAML file of parameters in place of a set; a run.yaml repeats its run.",
+    ),
+    click.option(
+        "--param",
+        "pairs",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Override one parameter; repeatable.",
+    ),
+    click.option(
+        "--model", type=click.Choice(list(PARAMETERS)), help=f"[default: {DEFAULT_MODEL}]"
+    ),
+    click.option(
+        "--formulation",
+        type=click.Choice(FORMULATIONS),
+        help="How latency meets whole frames.  [default: default]",
+    ),
+)
+
+
+class ModelChoice:
+    """The parameters that the options ask for, and the file that they started from.
+
+    Attributes
+    ----------
+    params : Parameters
+        Defaults < set or file < `--param` and `--formulation`.
+    model : str
+        Name of the model that they belong to.
+    label : str
+        What messages and figures call the choice: `set9`, or a file's stem.
+    origin : str
+        The file, as errors name it.
+    recorded_options : dict
+        Options of the run that wrote the file, if a run did.
+    """
+
+    def __init__(
+        self,
+        set_name: str | None,
+        config: Path | None,
+        pairs: tuple[str, ...],
+        model: str | None,
+        formulation: str | None,
+    ) -> None:
+        from dlgmd_cli import presets  # brings in yaml
+
+        if set_name is not None and config is not None:
+            raise click.UsageError("--set and --config exclude each other. Give one of them.")
+        name = set_name if set_name is not None else DEFAULT_SET
+        file = presets.load_preset(name) if config is None else presets.load_config(config)
+        self.label = f"set{name}" if config is None else config.stem
+        self.origin, self.recorded_options = file.name, file.options
+        self.model = model or file.model or DEFAULT_MODEL
+        if self.model not in PARAMETERS:
+            raise ParameterError(
+                file.name,
+                f"there is no model {self.model[:40]!r}",
+                f"Choose from {', '.join(PARAMETERS)}.",
+            )
+        overrides = presets.parse_overrides(pairs)
+        if formulation is not None:
+            overrides["formulation"] = formulation
+        self.params: Parameters = presets.merge(PARAMETERS[self.model], file, overrides)
+
+    def dlgmd_params(self) -> DlgmdParameters:
+        """The parameters, which must be the D-LGMD's."""
+        if not isinstance(self.params, DlgmdParameters):
+            raise click.UsageError(f"the model {self.model!r} has no such kernels.")
+        return self.params

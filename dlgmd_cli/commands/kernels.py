@@ -1,0 +1,79 @@
+"""`dlgmd kernels`: the model's connections as a figure and as CSV."""
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dlgmd_cli.commands._console import Command
+from dlgmd_cli.commands._model import ModelChoice, model_options
+from dlgmd_cli.commands._types import output_options
+
+if TYPE_CHECKING:
+    from dlgmd_cli.models.kernels import Connections
+
+
+@click.command(cls=Command, epilog="Example: dlgmd kernels --set 9 --format pdf")
+@model_options
+@output_options
+def kernels(
+    set_name: str | None,
+    config: Path | None,
+    pairs: tuple[str, ...],
+    model: str | None,
+    formulation: str | None,
+    out: Path,
+    formats: tuple[str, ...],
+    no_plots: bool,
+    overwrite: bool,
+) -> None:
+    """Write excitation, the inhibition of each delay, and latency: OUT/kernels-NAME.csv and plots.
+
+    The CSV has a row a tap: its place in px, its latency in frames, and its strengths.
+    """
+    choice = ModelChoice(set_name, config, pairs, model, formulation)
+    params = choice.dlgmd_params()
+    from dlgmd_cli.models.dlgmd import connections_of
+    from dlgmd_cli.results.files import appearing, refuse_existing
+
+    connections = connections_of(params)
+    stem = f"kernels-{choice.label}"
+    if params.formulation != "default":
+        stem += f"-{params.formulation}"
+    suffixes = ("csv", *(() if no_plots else formats))
+    paths = [out / f"{stem}.{suffix}" for suffix in suffixes]
+    for path in paths:
+        refuse_existing(path, overwrite=overwrite)
+    with appearing(*paths) as files:
+        _write_csv(files[0], connections)
+        if len(files) > 1:
+            from dlgmd_cli.plots.kernels import plot_kernels
+            from dlgmd_cli.plots.style import save_figure
+
+            figure = plot_kernels(
+                connections.excitation, connections.inhibition, connections.latency
+            )
+            for file in files[1:]:
+                save_figure(figure, file)
+    for path in paths:
+        click.echo(str(path))
+
+
+def _write_csv(path: Path, connections: "Connections") -> None:
+    from dlgmd_cli.results.tables import cell
+
+    radius = connections.latency.shape[0] // 2
+    delays = sorted(connections.inhibition)
+    with path.open("w", newline="", encoding="ascii") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ["x_px", "y_px", "latency_frames", "k_e", *(f"k_{delay}" for delay in delays)]
+        )
+        for y in range(-radius, radius + 1):
+            for x in range(-radius, radius + 1):
+                tap = (y + radius, x + radius)
+                strengths = [connections.excitation[tap]]
+                strengths += [connections.inhibition[delay][tap] for delay in delays]
+                numbers = [connections.latency[tap], *strengths]
+                writer.writerow([x, y, *(cell(number) for number in numbers)])

@@ -1,0 +1,183 @@
+"""`dlgmd run`: one video to its membrane potential, attenuation and spikes."""
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._model import ModelChoice, model_options
+from dlgmd_cli.commands._types import output_options
+from dlgmd_cli.errors import SourceError
+
+if TYPE_CHECKING:
+    from dlgmd_cli.models.base import Model
+    from dlgmd_cli.results.tables import Result
+    from dlgmd_cli.runs.single import Recording
+    from dlgmd_cli.sources.prepare import Source
+
+
+@click.command(
+    cls=Command,
+    epilog="Example: dlgmd run flight.mp4 --set 9 --scale 0.5 --start 00:00:10 --format pdf",
+)
+@click.argument("input_path", metavar="INPUT")
+@model_options
+@input_options
+@output_options
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+def run(
+    input_path: str,
+    set_name: str | None,
+    config: Path | None,
+    pairs: tuple[str, ...],
+    model: str | None,
+    formulation: str | None,
+    out: Path,
+    formats: tuple[str, ...],
+    no_plots: bool,
+    overwrite: bool,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Run the model over INPUT: a video, a folder of pictures, or a pattern such as 'f/%04d.png'.
+
+    Writes OUT/NAME/ with mp.csv, attenuation.csv and spikes.csv, a plot of each, and run.yaml,
+    which --config takes to repeat the run.
+    """
+    choice = ModelChoice(set_name, config, pairs, model, formulation)
+    options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
+    from dlgmd_cli.models.base import create_model
+    from dlgmd_cli.results.folder import ResultFolder
+    from dlgmd_cli.results.measures import summarise
+    from dlgmd_cli.runs.single import Recording, read_recording
+
+    detector, recording = create_model(choice.params), Recording()
+    with (
+        options.open(input_path) as source,
+        ResultFolder(out, source.info.name, overwrite=overwrite) as folder,
+    ):
+        complete = _compute(source, detector, recording)
+        if complete and recording.n_valid == 0:
+            raise _too_short(source, len(recording), choice.label, detector.first_valid_frame + 1)
+        result = read_recording(
+            recording, source.size_wh, choice.params, by_sequence=options.by_sequence
+        )
+        record = {
+            **_facts(source, len(recording)),
+            "model": choice.model,
+            **choice.params.to_dict(),
+            "options": options.to_record(),
+            "warnings": source.progress.warnings,
+            "complete": complete,
+            "summary": summarise(result),
+        }
+        folder.save(partial(_write, result, record, () if no_plots else formats))
+    _show(record, folder.target, as_json)
+    if not complete:
+        say(f"Interrupted. {folder.target} holds the {len(recording)} frames before it.")
+        raise click.exceptions.Exit(EXIT_INTERRUPTED)
+
+
+def _compute(source: "Source", detector: "Model", recording: "Recording") -> bool:
+    """Run the model over the source; False if Ctrl-C ended it, with what was computed kept."""
+    from dlgmd_cli.runs import single
+
+    try:
+        with progress(source.info.name, source.info.n_frames) as on_frame:
+            single.run(source, detector, recording, on_frame)
+    except KeyboardInterrupt:
+        if len(recording) == 0:
+            raise
+        return False
+    finally:
+        for warning in source.progress.warnings:
+            warn(f"{source.info.path}: {warning}")
+    return True
+
+
+def _too_short(source: "Source", n_frames: int, label: str, n_needed: int) -> SourceError:
+    if n_frames == 0:
+        return SourceError(
+            source.info.path,
+            "no frame lies between --start and --end",
+            f"Its last frame is at {source.progress.last_time_s:.3f} s.",
+        )
+    return SourceError(
+        source.info.path,
+        f"{n_frames} frame{'s' * (n_frames > 1)}, but {label} needs at least {n_needed}",
+        "Use a longer clip.",
+    )
+
+
+def _facts(source: "Source", n_processed: int) -> dict[str, Any]:
+    """What run.yaml says of the input and of what was made of it."""
+    info = source.info
+    return {
+        "input": {
+            "path": info.path,
+            "width": info.width,
+            "height": info.height,
+            "fps": info.fps,
+            "frames": source.progress.n_decoded,
+            "duration_s": source.progress.last_time_s + 1.0 / info.fps,
+        },
+        "processed": {
+            "width": source.size_wh[0],
+            "height": source.size_wh[1],
+            "frames": n_processed,
+        },
+    }
+
+
+def _write(
+    result: "Result", record: dict[str, Any], formats: tuple[str, ...], folder: Path
+) -> None:
+    """Fill `folder` with the files of a result."""
+    from dlgmd_cli.results.record import write_record
+    from dlgmd_cli.results.tables import write_tables
+
+    write_tables(folder, result)
+    if formats:
+        from dlgmd_cli.plots.style import save_figure
+        from dlgmd_cli.plots.traces import PLOTS
+
+        for name, plot in PLOTS.items():
+            figure = plot(result)
+            for suffix in formats:
+                save_figure(figure, folder / f"{name}.{suffix}")
+    write_record(folder, record)
+
+
+def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:
+    """The summary on stdout."""
+    summary, processed = record["summary"], record["processed"]
+    if as_json:
+        facts = {"result": str(target), "complete": record["complete"]}
+        click.echo(json.dumps({**facts, "frames": processed["frames"], **summary}))
+        return
+    shown = {key: value for key, value in summary.items() if value is not None}
+    peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s"
+    spikes = "{spikes}, the first at {first_spike_time_s:.3f} s"
+    collisions = (
+        "{collisions}, the first at frame {first_collision_frame}, {first_collision_time_s:.3f} s"
+    )
+    print_table(
+        ("", ""),
+        [
+            ("frames", "{frames} at {width}x{height}".format(**processed)),
+            ("peak MP", peak.format(**shown) if "mp_max" in shown else "none"),
+            ("spikes", spikes.format(**shown) if summary["spikes"] else "none"),
+            ("collisions", collisions.format(**shown) if summary["collisions"] else "none"),
+            (
+                "mean attenuation",
+                "{mean_attenuation_db:.2f} dB".format(**shown)
+                if "mean_attenuation_db" in shown
+                else "none",
+            ),
+        ],
+    )
+    click.echo(str(target))

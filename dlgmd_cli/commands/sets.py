@@ -1,0 +1,46 @@
+"""`dlgmd sets`: the paper's parameter sets, as a table or as YAML."""
+
+import click
+
+from dlgmd_cli.commands._console import Command, print_table
+from dlgmd_cli.params import DlgmdParameters
+
+_SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
+
+
+@click.group(invoke_without_command=True, epilog="Example: dlgmd sets show 9 > my.yaml")
+@click.pass_context
+def sets(ctx: click.Context) -> None:
+    """List the paper's parameter sets (Table II)."""
+    if ctx.invoked_subcommand is not None:
+        return
+    from dlgmd_cli.presets import load_set, preset_names
+
+    specs = DlgmdParameters.specs()
+    header = ("set", *(f"{key} ({specs[key].symbol}, {specs[key].unit})" for key in _SHOWN))
+    rows = []
+    for name in preset_names():
+        values = load_set(name).to_dict()
+        rows.append((name, *(f"{values[key]:g}" for key in _SHOWN)))
+    print_table(header, rows)
+
+
+@sets.command(
+    cls=Command,
+    epilog="Example: dlgmd sets show 9 > my.yaml; dlgmd run flight.mp4 --config my.yaml",
+)
+@click.argument("name", metavar="N")
+def show(name: str) -> None:
+    """Print set N with every parameter, as YAML that --config takes."""
+    import yaml
+
+    from dlgmd_cli.presets import load_set
+
+    params = load_set(name)
+    click.echo(f"# Set {name}; Table II of Zhao et al., IEEE TNNLS 34(5), 2023, and defaults.")
+    for key, value in params.to_dict().items():
+        spec = params.specs()[key]
+        line = yaml.safe_dump({key: value}).strip()
+        unit = "" if spec.unit == "–" else f" ({spec.unit})"
+        symbol = "" if spec.symbol == "–" else f"{spec.symbol}: "
+        click.echo(f"{line:<22} # {symbol}{spec.meaning}{unit}; {spec.allowed}")

@@ -1,0 +1,47 @@
+"""Single files that appear whole or not at all."""
+
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from dlgmd_cli.errors import OutputError, OutputExistsError
+
+
+def refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputExistsError if `path` may not be written over."""
+    if path.is_dir() or (path.exists() and not overwrite):
+        mend = "Choose another --out." if path.is_dir() else "Add --overwrite to replace it."
+        raise OutputExistsError(str(path), "it stands here already", mend)
+
+
+@contextmanager
+def appearing(*paths: Path) -> Iterator[tuple[Path, ...]]:
+    """Stand-ins to write instead of `paths`; renamed to them together at the end, or removed.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be written.
+    """
+    token = secrets.token_hex(8)
+    stand_ins = tuple(
+        path.with_name(f".dlgmd-{token}-{i}{path.suffix}") for i, path in enumerate(paths)
+    )
+    try:
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        yield stand_ins
+        for stand_in, path in zip(stand_ins, paths, strict=True):
+            stand_in.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(
+            str(paths[0]),
+            f"it cannot be written ({reason})",
+            "Free some space, or choose another --out.",
+        ) from None
+    finally:
+        for stand_in in stand_ins:
+            with suppress(OSError):
+                stand_in.unlink(missing_ok=True)

@@ -1,0 +1,73 @@
+"""The columns of every CSV of a result, in one place."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Series = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+TABLES = {
+    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq"),
+    "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
+    "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "collision"),
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a model said about a video; arrays of shape (n,), one entry a processed frame.
+
+    Attributes
+    ----------
+    frame : int array
+        Number of the frame in the input, from 0.
+    time_s : array
+        Time of the frame, in seconds.
+    p_sum, s_sum : array
+        Sums of the photoreceptor and the summation layer, in units of luminance.
+    attenuation_db : array
+        10 lg(ΣS/ΣP) in dB; -inf where nothing passes, NaN where undefined.
+    mp, mp_abs, mp_seq : array
+        Raw membrane potential and its two normalisations; NaN where undefined.
+    level : array
+        The normalised membrane potential that drives the spikes.
+    threshold : array
+        What it was held against.
+    spike, collision : bool array
+        Whether it spikes, and whether the spikes amount to a collision alarm.
+    """
+
+    frame: npt.NDArray[np.int64]
+    time_s: Series
+    p_sum: Series
+    s_sum: Series
+    attenuation_db: Series
+    mp: Series
+    mp_abs: Series
+    mp_seq: Series
+    level: Series
+    threshold: Series
+    spike: Flags
+    collision: Flags
+
+
+def cell(value: Any) -> str:
+    """A number as it stands in a CSV: reads back exactly as float32, empty where undefined."""
+    number = float(value)
+    return "" if math.isnan(number) else f"{number:.9g}"
+
+
+def write_tables(folder: Path, result: Result) -> None:
+    """Write every CSV of `result` into `folder`; OSError passes through."""
+    for name, columns in TABLES.items():
+        with (folder / name).open("w", newline="", encoding="ascii") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            series = [getattr(result, column) for column in columns]
+            writer.writerows([cell(value) for value in row] for row in zip(*series, strict=True))

@@ -1,0 +1,112 @@
+"""One input through one model."""
+
+from array import array
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.base import Model, Response
+from dlgmd_cli.models.readout import read_out
+from dlgmd_cli.params import Parameters
+from dlgmd_cli.results.tables import Result
+from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.sources.prepare import Source
+
+_COLUMNS = 6
+
+
+class Recording:
+    """Responses kept as plain numbers, 48 bytes a frame, so that an interrupt loses none."""
+
+    def __init__(self) -> None:
+        self._values = array("d")
+        self.n_valid = 0
+
+    def __len__(self) -> int:
+        return len(self._values) // _COLUMNS
+
+    def append(self, frame: Frame, response: Response) -> None:
+        """Add one frame's response."""
+        self.n_valid += response.is_valid
+        # One call, so that Ctrl-C finds the row whole or absent.
+        self._values.extend(
+            (
+                frame.index,
+                frame.time_s,
+                response.p_sum,
+                response.s_sum,
+                response.attenuation_db,
+                response.mp,
+            )
+        )
+
+    def columns(self) -> npt.NDArray[np.float64]:
+        """A copy, shape (6, n): frame, time_s, p_sum, s_sum, attenuation_db, mp."""
+        return np.array(self._values, dtype=np.float64).reshape(-1, _COLUMNS).T.copy()
+
+
+def run(
+    source: Source,
+    model: Model,
+    recording: Recording,
+    on_frame: Callable[[int], None] = lambda n_decoded: None,
+) -> None:
+    """Feed every frame of `source` to `model` and keep the responses.
+
+    Parameters
+    ----------
+    source : Source
+        Where the frames come from.
+    model : Model
+        Reset before the first frame.
+    recording : Recording
+        Takes the responses. Whatever ends the run, it holds those that were computed.
+    on_frame : callable, optional
+        Called after each frame with the number of frames decoded so far.
+    """
+    model.reset()
+    for frame in source:
+        recording.append(frame, model.step(frame.luminance))
+        on_frame(source.progress.n_decoded)
+
+
+def read_recording(
+    recording: Recording, size_wh: tuple[int, int], params: Parameters, *, by_sequence: bool
+) -> Result:
+    """Everything that follows from a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        At least one frame.
+    size_wh : (int, int)
+        Width and height of the processed frames, in px.
+    params : Parameters
+        The model's; `kappa`, `t_mp` and `n_sp` are used.
+    by_sequence : bool
+        Spikes follow the potential normalised by its own sequence, not the absolute one.
+    """
+    frame, time_s, p_sum, s_sum, attenuation_db, mp = recording.columns()
+    readout = read_out(
+        mp,
+        size_wh[0] * size_wh[1],
+        kappa=params.kappa,
+        threshold=params.t_mp,
+        n_sp=params.n_sp,
+        by_sequence=by_sequence,
+    )
+    return Result(
+        frame=frame.astype(np.int64),
+        time_s=time_s,
+        p_sum=p_sum,
+        s_sum=s_sum,
+        attenuation_db=attenuation_db,
+        mp=mp,
+        mp_abs=readout.mp_abs,
+        mp_seq=readout.mp_seq,
+        level=readout.level,
+        threshold=np.full_like(mp, params.t_mp),
+        spike=readout.spike,
+        collision=readout.collision,
+    )

@@ -1,0 +1,146 @@
+"""What every input looks like: numbered and timed pictures, and facts about their origin."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Image = npt.NDArray[Any]
+
+FALLBACK_FPS = 30.0
+MAX_PLAUSIBLE_FPS = 1000.0
+# Thirty years; where a stream has no start, OpenCV's timestamps are astronomic.
+MAX_PLAUSIBLE_TIME_S = 1e9
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """Facts about an input.
+
+    Attributes
+    ----------
+    path : str
+        Where it lies, absolute.
+    name : str
+        What its results are called: a file's stem, a folder's name.
+    width, height : int
+        Size of its pictures as they are shown, in px.
+    fps : float
+        Nominal frames per second.
+    n_frames : int or None
+        How many frames it is said to have: a hint for a progress bar, often wrong.
+    """
+
+    path: str
+    name: str
+    width: int
+    height: int
+    fps: float
+    n_frames: int | None
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded picture: uint8 or uint16, (H, W) or (H, W, channels) in BGR order."""
+
+    index: int
+    time_s: float
+    image: Image
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame as models take it: `luminance` is (H, W) float32 in 0..1."""
+
+    index: int
+    time_s: float
+    luminance: npt.NDArray[np.float32]
+
+
+class Verdict(Enum):
+    """What to do with a frame of which only the time is known yet."""
+
+    TAKE = "take"
+    SKIP = "skip"
+    STOP = "stop"
+
+
+Select = Callable[[float], Verdict]
+
+
+@dataclass
+class Progress:
+    """How far the reading came, kept up to date while it goes on."""
+
+    n_decoded: int = 0
+    last_time_s: float = math.nan
+    warnings: list[str] = field(default_factory=list)
+
+
+class Reader(Protocol):
+    """Pictures in order from one input; what spoils the reading ends it with a warning."""
+
+    info: SourceInfo
+    progress: Progress
+
+    def pictures(self, select: Select) -> Iterator[Picture]:
+        """Every picture that `select` takes; an `image` is valid until the next one."""
+        ...
+
+    def close(self) -> None:
+        """Free the input; may be called twice."""
+        ...
+
+
+class FrameClock:
+    """Strictly increasing times out of a decoder's timestamps, however poor.
+
+    Parameters
+    ----------
+    fps : float
+        Nominal rate, for frames that have no usable timestamp.
+    """
+
+    def __init__(self, fps: float) -> None:
+        self._interval = 1.0 / fps
+        self._fps = fps
+        self._last_good = self._last = -MAX_PLAUSIBLE_TIME_S
+        self._stale = 0
+        self.n_stamped = 0
+        self.n_repaired = 0
+
+    def time(self, index: int, stamp_s: float) -> float:
+        """Time of frame `index` in seconds, given its timestamp (NaN: none)."""
+        if self._last < stamp_s <= MAX_PLAUSIBLE_TIME_S:
+            self.n_stamped += index > 0
+            self._stale = 0
+            self._last_good = self._last = stamp_s
+            return stamp_s
+        self.n_repaired += 1
+        self._stale += 1
+        if self.n_stamped == 0:  # nothing but the first frame ever had one
+            time_s = index * self._interval
+        else:  # half an interval at first, so that the next good stamp is still ahead
+            time_s = self._last_good + (self._stale - 0.5) * self._interval
+        self._last = max(time_s, math.nextafter(self._last, math.inf))
+        return self._last
+
+    def report(self) -> str | None:
+        """One line on times that are not the decoder's own, or None."""
+        if self.n_repaired == 0:
+            return None
+        if self.n_stamped == 0:
+            return f"the stream has no timestamps; times are frame number / {self._fps:g} fps"
+        return (
+            f"{self.n_repaired} frames had no usable timestamp; "
+            f"their times follow from {self._fps:g} fps"
+        )
+
+
+def plausible_fps(fps: float) -> float | None:
+    """`fps` if it can be a frame rate, else None."""
+    return fps if math.isfinite(fps) and 0.0 < fps <= MAX_PLAUSIBLE_FPS else None

@@ -1,0 +1,68 @@
+"""Tiny clips that are written once, and a way to call the command."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
+
+
+def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
+    """A dark square that grows faster and faster on a bright, faintly textured ground."""
+    texture = np.random.default_rng(7).integers(200, 230, (height, width), dtype=np.uint8)
+    frames = []
+    for t in range(n_frames):
+        half = min(height, width) * 0.45 / (1 + 0.5 * (n_frames - 1 - t))
+        image = texture.copy()
+        rows = slice(max(0, round(height / 2 - half)), round(height / 2 + half))
+        columns = slice(max(0, round(width / 2 - half)), round(width / 2 + half))
+        image[rows, columns] = 20
+        frames.append(image)
+    return frames
+
+
+def write_video(path: Path, frames, fps=FPS, fourcc="MJPG") -> Path:
+    """Write grey frames as a video."""
+    height, width = frames[0].shape[:2]
+    code = cv2.VideoWriter_fourcc(*fourcc)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, fps, (width, height), True)
+    assert writer.isOpened()
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) if frame.ndim == 2 else frame)
+    writer.release()
+    return path
+
+
+@pytest.fixture(scope="session")
+def clips(tmp_path_factory) -> Path:
+    """`loom.avi` (MJPG), `loom.mp4` and `short.avi` (3 frames); not to be written to."""
+    folder = tmp_path_factory.mktemp("clips")
+    write_video(folder / "loom.avi", looming_frames())
+    write_video(folder / "loom.mp4", looming_frames(), fourcc="mp4v")
+    write_video(folder / "short.avi", looming_frames(3))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pictures(tmp_path_factory) -> Path:
+    """A folder of 12 PNG named 1.png … 12.png; not to be written to."""
+    folder = tmp_path_factory.mktemp("pictures")
+    for number, frame in enumerate(looming_frames(12), start=1):
+        cv2.imwrite(str(folder / f"{number}.png"), frame)
+    return folder
+
+
+@pytest.fixture
+def dlgmd(tmp_path, monkeypatch):
+    """Call the command in an empty folder: `dlgmd("run", "x.mp4")` -> click's result."""
+    from dlgmd_cli.app import cli
+
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        return CliRunner().invoke(cli, [str(a) for a in arguments], prog_name="dlgmd")
+
+    return call

@@ -1,0 +1,111 @@
+"""The command as a whole, and its small commands."""
+
+import csv
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+
+from dlgmd_cli import __version__, load_set
+from dlgmd_cli.app import COMMANDS, cli
+from dlgmd_cli.presets import load_config
+
+
+def test_every_command_has_help_with_an_example(dlgmd):
+    names = [[], *([name] for name in COMMANDS), ["sets", "show"]]
+    for name in names:
+        result = dlgmd(*name, "--help")
+        assert result.exit_code == 0
+        assert f"Example: dlgmd {' '.join(name)}".strip() in " ".join(result.stdout.split())
+    assert cli.list_commands(None) == list(COMMANDS)
+
+
+def test_version(dlgmd):
+    assert dlgmd("--version").stdout == f"dlgmd, version {__version__}\n"
+
+
+def test_a_command_that_is_not_there(dlgmd):
+    result = dlgmd("rum")
+    assert result.exit_code == 2 and "Did you mean 'run'?" in result.stderr
+    assert dlgmd("xyzzy").exit_code == 2
+
+
+def test_help_imports_nothing_heavy():
+    for arguments in (["--help"], ["run", "--help"], ["run"], ["run", "x", "--set"]):
+        program = (
+            "import sys\n"
+            "from dlgmd_cli.app import main\n"
+            f"sys.argv = ['dlgmd', *{arguments!r}]\n"
+            "try:\n    main()\n"
+            "except SystemExit: pass\n"
+            "print(sorted({'cv2', 'matplotlib', 'numpy', 'yaml'} & set(sys.modules)))\n"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.splitlines()[-1] == "[]", arguments
+
+
+def test_python_minus_m():
+    done = subprocess.run(
+        [sys.executable, "-m", "dlgmd_cli", "--version"], capture_output=True, text=True, check=True
+    )
+    assert __version__ in done.stdout
+
+
+def test_a_closed_stdout_is_no_traceback():
+    command = f'"{sys.executable}" -m dlgmd_cli sets | head -1'
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert "Traceback" not in done.stderr
+
+
+def test_sets_table(dlgmd):
+    result = dlgmd("sets")
+    assert result.exit_code == 0
+    rows = [line.split() for line in result.stdout.splitlines()]
+    (nine,) = [row for row in rows if row[:1] == ["9"]]
+    assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.0035"]
+
+
+@pytest.mark.parametrize("number", range(1, 10))
+def test_sets_show_is_a_config(dlgmd, tmp_path, number):
+    result = dlgmd("sets", "show", number)
+    assert result.exit_code == 0
+    (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
+    assert yaml.safe_load(result.stdout) == load_set(number).to_dict()
+    assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
+
+
+def test_sets_show_of_no_set(dlgmd):
+    result = dlgmd("sets", "show", 10)
+    assert result.exit_code == 2 and "there is no set 10. Choose 1 to 9" in result.stderr
+
+
+def test_kernels(dlgmd, tmp_path):
+    result = dlgmd("kernels", "--set", 9)
+    assert result.exit_code == 0
+    paths = [os.path.join("dlgmd-out", f"kernels-set9.{kind}") for kind in ("csv", "png")]
+    assert result.stdout.splitlines() == paths
+    with open(paths[0], newline="", encoding="ascii") as file:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    assert list(rows[0]) == ["x_px", "y_px", "latency_frames", "k_e", "k_1", "k_2"]
+    assert len(rows) == 13 * 13
+    (centre,) = [row for row in rows if row["x_px"] == row["y_px"] == 0]
+    gaussians = [
+        strength / (sigma * np.sqrt(2 * np.pi)) for strength, sigma in ((1, 1.5), (1.5, 5))
+    ]
+    assert centre["latency_frames"] == pytest.approx(-0.1 + 1 / 1.5)
+    assert centre["k_e"] == pytest.approx(gaussians[0] - gaussians[1])
+    assert dlgmd("kernels", "--set", 9).exit_code == 2
+    assert dlgmd("kernels", "--set", 9, "--overwrite", "--format", "svg").exit_code == 0
+
+
+def test_kernels_of_the_printed_equations(dlgmd):
+    result = dlgmd("kernels", "--set", 4, "--formulation", "equations", "--no-plots")
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-equations.csv")]
+    with open(result.stdout.strip(), encoding="ascii") as file:
+        assert file.readline() == "x_px,y_px,latency_frames,k_e,k_0,k_1,k_2\n"

@@ -1,0 +1,75 @@
+"""The README keeps its word: its table, its Python, its commands."""
+
+import math
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import pytest
+
+from dlgmd_cli.app import COMMANDS
+from dlgmd_cli.params import DlgmdParameters
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMAND_LINES = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+    for line in block.splitlines()
+]
+
+
+def test_two_commands_do_everything():
+    first, second = [line for line in COMMAND_LINES if line.startswith("python3 -m venv")]
+    assert first.split(" && ")[-1].startswith(".venv/bin/dlgmd run sample_videos/")
+    assert second.endswith("-m pytest")
+
+
+def test_every_command_has_an_example():
+    for name in COMMANDS:
+        assert any(line.startswith(f"dlgmd {name} ") for line in COMMAND_LINES), name
+
+
+@pytest.mark.parametrize("line", [c for c in COMMAND_LINES if c.startswith("dlgmd ")])
+def test_commands_run_as_written(dlgmd, clips, line):
+    Path("flight.mp4").write_bytes((clips / "loom.mp4").read_bytes())
+    arguments = shlex.split(line.split(" > ")[0])[1:]
+    result = dlgmd(*arguments)
+    assert result.exit_code == 0, result.output
+
+
+def test_table_of_parameters():
+    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", README, flags=re.MULTILINE))
+    specs, defaults = DlgmdParameters.specs(), DlgmdParameters.defaults()
+    assert list(rows) == list(specs)
+    for key, row in rows.items():
+        symbol, unit, default, allowed, meaning = (part.strip() for part in row.split("|"))
+        spec = specs[key]
+        assert (symbol, unit, allowed, meaning) == (
+            spec.symbol,
+            spec.unit,
+            spec.allowed,
+            spec.meaning,
+        )
+        shown = defaults[key]
+        if isinstance(shown, bool):
+            shown = str(shown).lower()
+        assert default == (shown if isinstance(shown, str) else f"{shown:g}")
+
+
+def test_python_runs_as_written(monkeypatch, tmp_path, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    monkeypatch.chdir(ROOT)
+    script = tmp_path / "readme.py"
+    script.write_text(code, encoding="utf-8")
+    runpy.run_path(str(script))
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 75
+    potential = [float(line.split()[1]) for line in printed]
+    assert math.isnan(potential[2]) and max(potential[3:30]) < 1.0 < max(potential[60:])
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target

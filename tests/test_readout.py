@@ -1,0 +1,68 @@
+"""Normalisation, spikes and collisions."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from dlgmd_cli.models.readout import (
+    collisions,
+    normalise_absolute,
+    normalise_sequence,
+    read_out,
+    spikes,
+)
+
+NAN = np.nan
+potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))
+
+
+def test_absolute_is_half_at_kappa():
+    mp = np.array([NAN, 0.0, 3.0, 9.0])
+    assert np.allclose(normalise_absolute(mp, 1000, 0.003), [NAN, 0, 0.5, 0.75], equal_nan=True)
+
+
+def test_absolute_does_not_depend_on_size():
+    assert normalise_absolute(np.array([5.0]), 100, 0.01) == normalise_absolute(
+        np.array([20.0]), 400, 0.01
+    )
+
+
+@given(potentials)
+def test_absolute_is_causal_and_bounded(mp):
+    whole = normalise_absolute(mp, 64, 0.003)
+    assert np.all((whole >= 0) & (whole <= 1))
+    assert np.array_equal(whole[: len(mp) // 2], normalise_absolute(mp[: len(mp) // 2], 64, 0.003))
+
+
+def test_sequence_spans_zero_to_one_over_valid_frames():
+    mp = np.array([NAN, NAN, 4.0, 2.0, 6.0])
+    assert np.array_equal(normalise_sequence(mp), [NAN, NAN, 0.5, 0.0, 1.0], equal_nan=True)
+
+
+def test_sequence_of_a_still_scene_is_undefined():
+    assert np.isnan(normalise_sequence(np.array([NAN, 0.0, 0.0]))).all()
+    assert np.isnan(normalise_sequence(np.array([NAN, NAN]))).all()
+
+
+def test_a_spike_is_at_or_above_the_threshold():
+    level = np.array([NAN, 0.39999, 0.4, 0.5])
+    assert spikes(level, 0.4).tolist() == [False, False, True, True]
+
+
+def test_collision_needs_n_sp_in_a_row():
+    spike = np.array([1, 0, 1, 1, 1, 0, 1, 1], bool)
+    assert collisions(spike, 1).tolist() == spike.tolist()
+    assert collisions(spike, 2).astype(int).tolist() == [0, 0, 0, 1, 1, 0, 0, 1]
+    assert collisions(spike, 3).astype(int).tolist() == [0, 0, 0, 0, 1, 0, 0, 0]
+
+
+def test_which_normalisation_drives_the_spikes():
+    mp = np.array([NAN, 0.0, 1.0, 2.0])
+    options = {"kappa": 1.0, "threshold": 0.9, "n_sp": 1}
+    by_sequence = read_out(mp, 1, by_sequence=True, **options)
+    absolute = read_out(mp, 1, by_sequence=False, **options)
+    assert by_sequence.spike.tolist() == [False, False, False, True]
+    assert not absolute.spike.any()
+    assert np.array_equal(by_sequence.level, by_sequence.mp_seq, equal_nan=True)
+    assert np.array_equal(absolute.level, absolute.mp_abs, equal_nan=True)
