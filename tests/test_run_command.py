@@ -325,6 +325,16 @@ def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
     assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
 
 
+def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path):
+    write_video(tmp_path / "still.avi", looming_frames(1) * 6)
+    result = dlgmd("run", "still.avi", "--no-plots")
+    assert result.exit_code == 0
+    assert "Warning: still.avi: no picture differs from the one before it" in result.stderr
+    rows = read(tmp_path / "dlgmd-out/still/attenuation.csv")
+    assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes
+    assert {row["s_sum"] for row in rows[3:]} == {"0"}
+
+
 def test_an_interrupt_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path):
     step = DLGMD.step
     seen = []

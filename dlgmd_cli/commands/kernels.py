@@ -28,9 +28,10 @@ def kernels(
     no_plots: bool,
     overwrite: bool,
 ) -> None:
-    """Write excitation, the inhibition of each delay, and latency: OUT/kernels-NAME.csv and plots.
+    """Write what a cell is connected to: excitation, inhibition, latency.
 
-    The CSV has a row a tap: its place in px, its latency in frames, and its strengths.
+    Makes OUT/kernels-NAME.csv and a figure. The CSV has a row a tap: its place in px, its latency
+    in frames, and its strengths.
     """
     choice = ModelChoice(set_name, config, pairs, model, formulation)
     params = choice.dlgmd_params()

@@ -43,7 +43,9 @@ def run(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Run the model over INPUT: a video, a folder of pictures, or a pattern such as 'f/%04d.png'.
+    """Run the model over a video: its membrane potential and spikes.
+
+    INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'.
 
     Writes OUT/NAME/ with mp.csv, attenuation.csv and spikes.csv, a plot of each, and run.yaml,
     which --config takes to repeat the run.
@@ -61,8 +63,13 @@ def run(
         ResultFolder(out, source.info.name, overwrite=overwrite) as folder,
     ):
         complete = _compute(source, detector, recording)
+        warnings = [*source.progress.warnings, *recording.doubts()]
+        for warning in warnings:
+            warn(f"{input_path}: {warning}")
         if complete and recording.n_valid == 0:
-            raise _too_short(source, len(recording), choice.label, detector.first_valid_frame + 1)
+            raise _too_short(
+                input_path, source, len(recording), choice.label, detector.first_valid_frame + 1
+            )
         result = read_recording(
             recording, source.size_wh, choice.params, by_sequence=options.by_sequence
         )
@@ -71,7 +78,7 @@ def run(
             "model": choice.model,
             **choice.params.to_dict(),
             "options": options.to_record(),
-            "warnings": source.progress.warnings,
+            "warnings": warnings,
             "complete": complete,
             "summary": summarise(result),
         }
@@ -93,21 +100,20 @@ def _compute(source: "Source", detector: "Model", recording: "Recording") -> boo
         if len(recording) == 0:
             raise
         return False
-    finally:
-        for warning in source.progress.warnings:
-            warn(f"{source.info.path}: {warning}")
     return True
 
 
-def _too_short(source: "Source", n_frames: int, label: str, n_needed: int) -> SourceError:
+def _too_short(
+    name: str, source: "Source", n_frames: int, label: str, n_needed: int
+) -> SourceError:
     if n_frames == 0:
         return SourceError(
-            source.info.path,
+            name,
             "no frame lies between --start and --end",
             f"Its last frame is at {source.progress.last_time_s:.3f} s.",
         )
     return SourceError(
-        source.info.path,
+        name,
         f"{n_frames} frame{'s' * (n_frames > 1)}, but {label} needs at least {n_needed}",
         "Use a longer clip.",
     )

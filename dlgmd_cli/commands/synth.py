@@ -92,9 +92,10 @@ def synth(
     lists: bool,
     **given: Any,
 ) -> None:
-    """Render SCENE with its ground truth: DIR/SCENE.mp4 and DIR/SCENE.csv.
+    """Render a stimulus with its ground truth.
 
-    The truth has a row a frame: time, angular size, its rate of change, and time to contact.
+    Makes DIR/SCENE.mp4 and DIR/SCENE.csv; 'dlgmd synth --list' has the scenes. The truth has a row
+    a frame: time, angular size, its rate of change, and time to contact.
     """
     from dlgmd_cli.stimuli.scenes import SCENES, find_scene
 

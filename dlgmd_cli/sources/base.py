@@ -15,6 +15,9 @@ FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
 # Thirty years; where a stream has no start, OpenCV's timestamps are astronomic.
 MAX_PLAUSIBLE_TIME_S = 1e9
+# A damaged packet fails one grab, the end of a stream all that follow. Pictures from before the
+# damage may still be inside the decoder's threads.
+GRABS_PAST_DAMAGE = 32
 
 
 @dataclass(frozen=True)

@@ -1,42 +1,25 @@
-"""The picture size inside the compressed stream, because OpenCV hides that it changes.
+"""What a packet of a compressed stream says about itself: picture size, and frames it shows."""
 
-OpenCV scales or garbles what follows a change to the size it saw first, and says nothing. The
-packets, which it hands out undecoded to a second capture, do tell.
-"""
-
-import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from typing import NamedTuple
-
-import cv2
 
 from dlgmd_cli.sources.h26x import Bits, Size, h264_sequence, hevc_size
 
 _MAX_SIDE_PX = 65535
-_MAX_PLAUSIBLE_TIME_S = 1e9
 _MAX_JPEG_SEGMENTS = 256
 _MAX_VPX_HEADER_BYTES = 32
 _MAX_MPEG4_HEADER_BYTES = 64
 _MAX_MPEG4_UNITS = 64
 _MAX_PLACEHOLDER_BYTES = 10
-# A packet that cannot be read fails one grab; the end of the stream fails all that follow.
-_GRABS_PAST_DAMAGE = 32
 # Only their key packets announce a size, so that the others need not be copied.
-_KEYED = {"h264", "hevc"}
+KEYED = {"h264", "hevc"}
 
 
-class _Header(NamedTuple):
-    """What a packet says: a size, and how many frames it shows (None: that is not clear)."""
+class Header(NamedTuple):
+    """What is in a packet: a size, and how many frames it shows (None: that is not clear)."""
 
     size: Size | None = None
     n_shown: int | None = 1
-
-
-class _Packet(NamedTuple):
-    """A packet's header, and its timestamp in seconds or NaN."""
-
-    header: _Header
-    stamp_s: float
 
 
 def coded_size(codec: str, packet: bytes) -> Size | None:
@@ -55,163 +38,40 @@ def coded_size(codec: str, packet: bytes) -> Size | None:
         Width and height in px after cropping; None where the packet announces none, cannot be
         parsed, or the codec is not known.
     """
-    return _header(_canonical(codec), packet).size
+    return read_header(canonical(codec), packet).size
 
 
-class ResolutionWatch:
-    """Tells when the coded size of a video changes, in step with another capture that decodes it.
-
-    A file that gives nothing to watch counts as one that never changes.
-
-    Parameters
-    ----------
-    path : str
-        A name that OpenCV can open; it is opened with the first question.
-    """
-
-    def __init__(self, path: str) -> None:
-        self._packets = _packets(path)
-        self._first: Size | None = None
-        self._changed: Size | None = None
-        self._n_frames = 0
-        self._n_shown = 0
-        self._reached_s = -math.inf
-
-    def size_of_next(self, stamp_s: float = math.nan) -> Size | None:
-        """Go on to the next decoded frame and tell whether it has another size than the first.
-
-        Parameters
-        ----------
-        stamp_s : float, optional
-            The frame's timestamp in seconds as the decoding capture gives it, NaN for none. It
-            keeps the two in step where packets do not lead to a frame.
-
-        Returns
-        -------
-        (int, int) or None
-            Width and height in px from the change on, else None.
-
-        Notes
-        -----
-        Frames shown before a change come from packets before it. So a frame has the size that was
-        announced last when as many packets as frames were read, and one as late as the frame.
-        """
-        self._n_frames += 1
-        while self._n_shown < self._n_frames or self._reached_s < stamp_s:
-            packet = None if self._changed else next(self._packets, None)
-            if packet is None:
-                break
-            size, n_shown = packet.header
-            self._n_shown += 1 if n_shown is None else n_shown
-            if math.isnan(packet.stamp_s):
-                stamp_s = math.nan
-            else:
-                self._reached_s = max(self._reached_s, packet.stamp_s)
-            if size is not None:
-                self._first = self._first or size
-                self._changed = size if size != self._first else None
-        return self._changed
-
-    def close(self) -> None:
-        """Free the file; may be called twice."""
-        self._packets.close()
-
-
-def count_packets(path: str) -> int | None:
-    """Number of frames that a video holds, whether they can be decoded or not.
-
-    Parameters
-    ----------
-    path : str
-        A name that OpenCV can open. The whole file is read, but not decoded.
-
-    Returns
-    -------
-    int or None
-        Packets that show a frame, counted from where decoding can begin; None where packets
-        cannot be had or are not one to a frame.
-    """
-    total = 0
-    for packet in _packets(path):
-        if packet.header.n_shown is None:
-            return None
-        total += packet.header.n_shown
-    return total or None
-
-
-def _packets(path: str) -> Generator[_Packet, None, None]:
-    """The packets of the video stream in the order of decoding, none where they cannot be had."""
-    # Asked for at once, not as a property later, it spares a decoder and its threads.
-    capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    try:
-        if capture.get(cv2.CAP_PROP_FORMAT) != -1:
-            return
-        fourcc = int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
-        codec = _canonical(fourcc.to_bytes(4, "little").decode("latin-1"))
-        if codec == "mp4v":  # some containers hold its header once, outside the packets
-            extra = _payload(capture, int(capture.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
-            yield _Packet(_Header(coded_size(codec, extra), 0), math.nan)
-        has_started = codec not in _KEYED
-        n_failed = 0
-        while n_failed < _GRABS_PAST_DAMAGE:
-            if not capture.grab():
-                n_failed += 1
-                continue
-            n_failed = 0
-            is_key = capture.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) != 0
-            has_started = has_started or is_key
-            if codec in _READERS and (is_key or codec not in _KEYED):
-                header = _header(codec, _payload(capture))
-            else:
-                header = _Header(n_shown=int(has_started))
-            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-            # OpenCV says 0 for "none", and something astronomic where a stream has no start.
-            has_stamp = 0.0 < abs(stamp_s) < _MAX_PLAUSIBLE_TIME_S
-            yield _Packet(header, stamp_s if has_stamp else math.nan)
-    finally:
-        capture.release()
-
-
-def _payload(capture: cv2.VideoCapture, index: int = 0) -> bytes:
-    """The packet grabbed last, or what else OpenCV keeps at `index`; empty if that fails."""
-    try:
-        is_there, data = capture.retrieve(None, index)
-    except cv2.error:
-        return b""
-    return data.tobytes() if is_there and data is not None else b""
-
-
-def _canonical(codec: str) -> str:
-    """The key of `_READERS` for a codec, or the name itself."""
+def canonical(codec: str) -> str:
+    """The key of `READERS` for a codec, or the name itself."""
     lower = codec.lower().rstrip()
     return _ALIASES.get(lower, lower)
 
 
-def _header(codec: str, packet: bytes) -> _Header:
+def read_header(codec: str, packet: bytes) -> Header:
     """What a packet says, which is nothing where it makes no sense."""
-    read = _READERS.get(codec)
+    read = READERS.get(codec)
     if read is None:
-        return _Header()
+        return Header()
     try:
         header = read(packet)
     except (ValueError, IndexError):
-        return _Header()
+        return Header()
     is_plausible = header.size is None or 0 < min(header.size) <= max(header.size) <= _MAX_SIDE_PX
-    return header if is_plausible else _Header(n_shown=header.n_shown)
+    return header if is_plausible else Header(n_shown=header.n_shown)
 
 
-def _h264(packet: bytes) -> _Header:
+def _h264(packet: bytes) -> Header:
     """The sequence header; where there are fields, one may be a packet of its own."""
     sequence = h264_sequence(packet)
-    return _Header(sequence[0], None if sequence[1] else 1) if sequence else _Header()
+    return Header(sequence[0], None if sequence[1] else 1) if sequence else Header()
 
 
-def _hevc(packet: bytes) -> _Header:
+def _hevc(packet: bytes) -> Header:
     """The sequence header."""
-    return _Header(hevc_size(packet))
+    return Header(hevc_size(packet))
 
 
-def _jpeg(packet: bytes) -> _Header:
+def _jpeg(packet: bytes) -> Header:
     """The first frame header; that of a thumbnail lies inside a segment and is passed over."""
     position = packet.index(b"\xff\xd8") + 2
     for _ in range(_MAX_JPEG_SEGMENTS):
@@ -221,30 +81,30 @@ def _jpeg(packet: bytes) -> _Header:
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             bits = Bits(packet[position + 5 : position + 9])
             height, width = bits.take(16), bits.take(16)
-            return _Header((width, height))
+            return Header((width, height))
         is_filling = marker == 0xFF
         position += 1 if is_filling else 2 + Bits(packet[position + 2 : position + 4]).take(16)
-    return _Header()
+    return Header()
 
 
-def _png(packet: bytes) -> _Header:
+def _png(packet: bytes) -> Header:
     """The header chunk, which always comes first."""
     if packet[:8] != b"\x89PNG\r\n\x1a\n" or packet[12:16] != b"IHDR":
-        return _Header()
+        return Header()
     bits = Bits(packet[16:24])
-    return _Header((bits.take(32), bits.take(32)))
+    return Header((bits.take(32), bits.take(32)))
 
 
-def _vp8(packet: bytes) -> _Header:
+def _vp8(packet: bytes) -> Header:
     """Frame tag and the size in key frames; others may be kept for reference, never shown."""
     n_shown = packet[0] >> 4 & 1
     if packet[0] & 1 or packet[3:6] != b"\x9d\x01\x2a":
-        return _Header(n_shown=n_shown)
+        return Header(n_shown=n_shown)
     width, height = (int.from_bytes(packet[i : i + 2], "little") & 0x3FFF for i in (6, 8))
-    return _Header((width, height), n_shown)
+    return Header((width, height), n_shown)
 
 
-def _vp9(packet: bytes) -> _Header:
+def _vp9(packet: bytes) -> Header:
     """The frames of a packet together: hidden ones share it with the shown one that follows."""
     last = packet[-1]
     n_frames, n_bytes = (last & 7) + 1, (last >> 3 & 3) + 1
@@ -256,33 +116,33 @@ def _vp9(packet: bytes) -> _Header:
         frame = _vp9_frame(packet[start : start + _MAX_VPX_HEADER_BYTES])
         size, n_shown = frame.size or size, n_shown + (frame.n_shown or 0)
         start += int.from_bytes(index[1 + i * n_bytes : 1 + (i + 1) * n_bytes], "little")
-    return _Header(size, n_shown)
+    return Header(size, n_shown)
 
 
-def _vp9_frame(frame: bytes) -> _Header:
+def _vp9_frame(frame: bytes) -> Header:
     """The header up to the size; besides key frames, any may announce one."""
     bits = Bits(frame[:_MAX_VPX_HEADER_BYTES])
     if bits.take(2) != 2:
-        return _Header()
+        return Header()
     profile = bits.take(1) | bits.take(1) << 1
     bits.take(1 if profile == 3 else 0)
     if bits.take(1):  # it only calls for an earlier frame to be shown
-        return _Header()
+        return Header()
     is_key = not bits.take(1)
     n_shown, is_resilient = bits.take(1), bits.take(1)
     is_intra = is_key or (not n_shown and bits.take(1) == 1)
     bits.take(0 if is_key or is_resilient else 2)
     if is_intra:
         if bits.take(24) != 0x498342:
-            return _Header()
+            return Header()
         if is_key or profile:
             _skip_vp9_colours(bits, profile)
         bits.take(0 if is_key else 8)
     else:
         bits.take(8 + 3 * 4)
         if any(bits.take(1) for _ in range(3)):  # as large as one of its references
-            return _Header(n_shown=n_shown)
-    return _Header((bits.take(16) + 1, bits.take(16) + 1), n_shown)
+            return Header(n_shown=n_shown)
+    return Header((bits.take(16) + 1, bits.take(16) + 1), n_shown)
 
 
 def _skip_vp9_colours(bits: Bits, profile: int) -> None:
@@ -295,15 +155,15 @@ def _skip_vp9_colours(bits: Bits, profile: int) -> None:
     bits.take(n_bits)
 
 
-def _mpeg4(packet: bytes) -> _Header:
+def _mpeg4(packet: bytes) -> Header:
     """The layer header, if one comes before the picture."""
     # One this short mostly stands in for a frame in the packet before, or for none at all.
     n_shown = None if len(packet) <= _MAX_PLACEHOLDER_BYTES else 1
     before, _, _ = packet.partition(b"\0\0\1\xb6")
     for unit in before.split(b"\0\0\1", _MAX_MPEG4_UNITS)[1:]:
         if unit and unit[0] >> 4 == 2:
-            return _Header(_mpeg4_size(Bits(unit[1:_MAX_MPEG4_HEADER_BYTES])), n_shown)
-    return _Header(n_shown=n_shown)
+            return Header(_mpeg4_size(Bits(unit[1:_MAX_MPEG4_HEADER_BYTES])), n_shown)
+    return Header(n_shown=n_shown)
 
 
 def _mpeg4_size(bits: Bits) -> Size | None:
@@ -329,7 +189,7 @@ def _mpeg4_size(bits: Bits) -> Size | None:
     return width, bits.take(13)
 
 
-_READERS: dict[str, Callable[[bytes], _Header]] = {
+READERS: dict[str, Callable[[bytes], Header]] = {
     "h264": _h264,
     "hevc": _hevc,
     "mjpg": _jpeg,

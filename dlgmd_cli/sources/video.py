@@ -1,6 +1,7 @@
 """Video files through OpenCV, read so that a damaged or unusual one still gives what it holds."""
 
 import math
+import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import cv2
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.sources.base import (
     FALLBACK_FPS,
+    GRABS_PAST_DAMAGE,
     FrameClock,
     Image,
     Picture,
@@ -19,11 +21,9 @@ from dlgmd_cli.sources.base import (
     Verdict,
     plausible_fps,
 )
-from dlgmd_cli.sources.coded_size import ResolutionWatch, count_packets
+from dlgmd_cli.sources.watch import ResolutionWatch, count_packets
 
 _DAMAGED = "the data are damaged here"
-# A damaged packet fails one grab; pictures before it may still be inside the decoder's threads.
-GRABS_PAST_DAMAGE = 32
 
 
 class VideoReader:
@@ -65,7 +65,7 @@ class VideoReader:
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         height, width = first.shape[:2]
         self.info = SourceInfo(
-            str(path.absolute()),
+            os.path.abspath(path),
             path.stem or path.name,
             width,
             height,
@@ -175,10 +175,25 @@ class VideoReader:
         n_frames, stated, fps = self.progress.n_decoded, self.info.n_frames, self.info.fps
         if stated is None or n_frames >= stated:
             return None
-        if self.progress.last_time_s + 1.5 / fps < stated / fps:
+        end_s, shown_s = stated / fps, self._shown_s()
+        if self.progress.last_time_s + 1.5 / fps < min(end_s, shown_s):
             return "the file is cut off or damaged"
+        if shown_s + 1.5 / fps < end_s:
+            return None
         lost = (count_packets(self._name) or 0) - n_frames
         return f"{lost} frames could not be decoded, damaged file" if lost > 0 else None
+
+    def _shown_s(self) -> float:
+        """How much of its frames an MP4 shows, in seconds: its edit list may hide some."""
+        assert self._capture is not None
+        file = Path(self._name)
+        with file.open("rb") as start:
+            is_mp4 = start.read(8)[4:] == b"ftyp"
+        # FFmpeg has the bit rate of an MP4 from its size and the length that it shows.
+        kbit_per_s = self._capture.get(cv2.CAP_PROP_BITRATE)
+        if not is_mp4 or kbit_per_s <= 0.0:
+            return math.inf
+        return 8e-3 * file.stat().st_size / kbit_per_s
 
     def _fault_line(self) -> str | None:
         """The warning for a reading that did not go as it should."""
@@ -187,7 +202,7 @@ class VideoReader:
         n_frames, stated = self.progress.n_decoded, self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
-        return f"{self._fault}; {n_frames}{of_stated} frames were decoded and used, up to {until}"
+        return f"{self._fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"
 
     def close(self) -> None:
         """Free the file; may be called twice."""
