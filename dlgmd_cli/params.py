@@ -129,7 +129,7 @@ class DlgmdParameters(Parameters):
     sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
     r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
     a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=0.001, high=100)
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=1e-12, high=100)
     ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
     m: float = _key(

@@ -18,20 +18,22 @@ from dlgmd_cli.params import FORMULATIONS, DlgmdParameters, nearest
 
 # key -> lowest, whether that is excluded, highest
 BOUNDS = {
-    "alpha": (-10, False, 64),
-    "beta": (0, False, 100),
-    "lam": (0, False, 10),
-    "sigma_e": (0, True, 100),
-    "sigma_i": (0, True, 100),
-    "r": (1, False, 32),
-    "a": (0, False, 100),
-    "k": (0, True, 100),
-    "t0": (0, False, 100),
-    "m": (0, True, 100),
-    "t_mp": (0, False, 1),
-    "n_sp": (1, False, 1000),
-    "kappa": (0, True, 100),
+    "alpha": (-10, 64),
+    "beta": (0, 100),
+    "lam": (0, 10),
+    "sigma_e": (0.01, 100),
+    "sigma_i": (0.01, 100),
+    "r": (1, 32),
+    "a": (0, 100),
+    "k": (1e-12, 100),
+    "t0": (0, 100),
+    "m": (0.001, 100),
+    "t_mp": (0, 1),
+    "n_sp": (1, 1000),
+    "kappa": (1e-9, 100),
 }
+# Fractions that must be positive; the limit only keeps float32 from overflowing.
+POSITIVE = ("sigma_e", "sigma_i", "k", "m", "kappa")
 WHOLE = ("r", "n_sp")
 FRACTIONAL = [key for key in BOUNDS if key not in WHOLE]
 # What the other keys must be for a limit to be causal and short enough.
@@ -115,19 +117,20 @@ def test_what_is_said_about_a_wrong_value(values, line):
 
 @pytest.mark.parametrize("key", BOUNDS)
 def test_bounds(key):
-    low, open_below, high = BOUNDS[key]
+    low, high = BOUNDS[key]
     step = 1 if key in WHOLE else 1e-3
-    wording = "above" if open_below else "at least"
-    assert complaint(**{key: low - step}) == f"{key} = {low - step} is not {wording} {low}."
     assert complaint(**{key: high + step}) == f"{key} = {high + step} is more than {high}."
-    if open_below:
-        assert complaint(**{key: low}) == f"{key} = {low} is not above {low}."
+    if key in POSITIVE:
+        assert complaint(**{key: 0}) == f"{key} = 0 is not above 0."
+        assert complaint(**{key: -1.5}) == f"{key} = -1.5 is not above 0."
+        assert complaint(**{key: low / 2}) == f"{key} = {low / 2} is not at least {low:g}."
+    else:
+        assert complaint(**{key: low - step}) == f"{key} = {low - step} is not at least {low}."
 
 
 @pytest.mark.parametrize("key", [key for key in BOUNDS if key != "alpha"])
 def test_limits_are_inside(key):
-    low, open_below, high = BOUNDS[key]
-    for limit in ([low + 1e-3] if open_below else [low]) + [high]:
+    for limit in BOUNDS[key]:
         values = {key: limit} | COMPANIONS.get((key, limit), {})
         assert getattr(DlgmdParameters(**values), key) == limit
 
@@ -288,7 +291,7 @@ def test_parameters_and_their_errors_cross_processes():
 
 def test_allowed_values_in_words():
     allowed = {key: spec.allowed for key, spec in DlgmdParameters.specs().items()}
-    assert allowed["sigma_e"] == "above 0 to 100"
+    assert allowed["sigma_e"] == "0.01 to 100"
     assert allowed["alpha"] == "-10 to 64"
     assert allowed["n_sp"] == "1 to 1000"
     assert allowed["ffi_gd"] == "true, false"
@@ -299,7 +302,7 @@ def test_allowed_values_in_words():
     st.fixed_dictionaries(
         {},
         optional={
-            "sigma_e": st.floats(1e-3, 100.0),
+            "sigma_e": st.floats(0.01, 100.0),
             "r": st.integers(1, 32),
             "a": st.floats(0.0, 100.0),
             "t_mp": st.floats(0.0, 1.0),
@@ -341,6 +344,5 @@ def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
     assert type(actual) is type(DlgmdParameters.defaults()[key])
     assert actual == (float(value) if isinstance(value, fractions.Fraction) else value)
     if key in BOUNDS:
-        low, open_below, high = BOUNDS[key]
+        low, high = BOUNDS[key]
         assert low <= actual <= high
-        assert not (open_below and actual == low)

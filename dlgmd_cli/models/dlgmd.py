@@ -183,7 +183,7 @@ def connections_of(params: DlgmdParameters) -> Connections:
 def _just_below(threshold: float) -> float:
     """The largest float32 below `threshold`: OpenCV keeps what is greater, Eq. (10) what is ≥."""
     nearest = np.float32(threshold)
-    if nearest >= threshold:
+    if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
         nearest = np.nextafter(nearest, np.float32(-math.inf))
     return float(nearest)
 
