@@ -123,6 +123,14 @@ def test_unusual_parameters(unusual, formulation):
 
 
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+def test_without_a_threshold_g_still_saturates(formulation):
+    params = slow.table_2(2, formulation=formulation, ffi_gd=False)
+    answers = slow.run(CLIPS["looming 10x13"], **params)
+    assert any(one.g is not None and one.g_raw.max() > 1.0 for one in answers)
+    check(CLIPS["looming 10x13"], params)
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 def test_the_clips_reach_every_branch(formulation):
     # Agreement means little where nothing is thresholded, capped or saturated.
     below = above = saturated = capped = uncapped = rectified = False

@@ -11,6 +11,7 @@ from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.models.readout import read_out
 from dlgmd_cli.params import Parameters
 from dlgmd_cli.results.tables import Result
+from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
 from dlgmd_cli.sources.base import Frame
 from dlgmd_cli.sources.prepare import Source
 
@@ -75,12 +76,14 @@ def run(
     recording : Recording
         Takes the responses. Whatever ends the run, it holds those that were computed.
     on_frame : callable, optional
-        Called after each frame with the number of frames decoded so far.
+        Called after each frame with the number of frames of the input that are done.
     """
     model.reset()
-    for frame in source:
-        recording.append(frame, model.step(frame.luminance))
-        on_frame(source.progress.n_decoded)
+    # The decoder has threads of its own; OpenCV's would only be in its way.
+    with opencv_threads(1), ReadAhead(source) as frames:
+        for frame in frames:
+            recording.append(frame, model.step(frame.luminance))
+            on_frame(frame.index + 1)
 
 
 def read_recording(
