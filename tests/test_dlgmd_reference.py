@@ -29,6 +29,7 @@ UNUSUAL = {
     "wide": {"sigma_e": 30.0, "sigma_i": 60.0, "r": 3, "a": 0.2},
     "narrow": {"sigma_e": 0.1, "sigma_i": 0.2, "r": 3},
     "late": {"alpha": 3.0},
+    "late, no inhibition": {"alpha": 3.0, "a": 0.0},
     "at once": {"alpha": -0.3, "beta": 0.9, "lam": 0.05},
     "whole frames": {"alpha": 1.0, "beta": 1.0, "lam": 0.0},
     "steep": {"lam": 3.0, "beta": 0.3},

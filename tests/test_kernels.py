@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import slow
 
@@ -51,6 +51,7 @@ def test_gaussian_is_not_normalised():
     assert gaussian(30, 5.0).sum() == pytest.approx(5.0 * math.sqrt(2 * math.pi), rel=1e-6)
 
 
+@settings(deadline=None)
 @given(radius_px=st.integers(0, 8), sigma=st.floats(0.05, 50.0))
 def test_gaussian_is_the_same_in_all_eight_directions(radius_px, sigma):
     kernel = gaussian(radius_px, sigma)
@@ -72,6 +73,7 @@ def test_latency_without_shape_is_one_frame_everywhere(number):
     assert (connections(number).latency == 1.0).all()
 
 
+@settings(deadline=None)
 @given(**SHAPES)
 def test_latency_never_falls_with_radius(radius_px, alpha, beta, lam):
     latency = latency_map(radius_px, alpha, beta, lam)
@@ -178,6 +180,7 @@ def test_interpolation_splits_between_two_frames():
     assert found.max_delay_frames == 3
 
 
+@settings(deadline=None)
 @given(**SHAPES, strength=st.floats(0.1, 10.0))
 def test_interpolation_loses_no_inhibition(radius_px, alpha, beta, lam, strength):
     centre = alpha + 1.0 / (beta + 1.0)

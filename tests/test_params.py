@@ -9,7 +9,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import slow
 
@@ -298,6 +298,7 @@ def test_allowed_values_in_words():
     assert allowed["formulation"] == ", ".join(FORMULATIONS)
 
 
+@settings(deadline=None)
 @given(
     st.fixed_dictionaries(
         {},
@@ -333,6 +334,7 @@ anything = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(key=st.sampled_from([*BOUNDS, "ffi_gd", "formulation"]), value=anything)
 def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
     try:

@@ -26,6 +26,8 @@ _TYPES: dict[str, click.ParamType] = {
 }
 
 input_options = OptionGroup(
+    "given",
+    dict,
     click.option(
         "--scale",
         type=_TYPES["scale"],

@@ -10,30 +10,6 @@ from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Paramete
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
 
-model_options = OptionGroup(
-    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
-    click.option(
-        "--config",
-        type=click.Path(path_type=Path),
-        help="YAML file of parameters in place of a set; a run.yaml repeats its run.",
-    ),
-    click.option(
-        "--param",
-        "pairs",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Override one parameter; repeatable.",
-    ),
-    click.option(
-        "--model", type=click.Choice(list(PARAMETERS)), help=f"[default: {DEFAULT_MODEL}]"
-    ),
-    click.option(
-        "--formulation",
-        type=click.Choice(FORMULATIONS),
-        help="How latency meets whole frames.  [default: default]",
-    ),
-)
-
 
 class ModelChoice:
     """The parameters that the options ask for, and the file that they started from.
@@ -85,3 +61,30 @@ class ModelChoice:
         if not isinstance(self.params, DlgmdParameters):
             raise click.UsageError(f"the model {self.model!r} has no such kernels.")
         return self.params
+
+
+model_options = OptionGroup(
+    "choice",
+    ModelChoice,
+    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
+    click.option(
+        "--config",
+        type=click.Path(path_type=Path),
+        help="YAML file of parameters in place of a set; a run.yaml repeats its run.",
+    ),
+    click.option(
+        "--param",
+        "pairs",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Override one parameter; repeatable.",
+    ),
+    click.option(
+        "--model", type=click.Choice(list(PARAMETERS)), help=f"[default: {DEFAULT_MODEL}]"
+    ),
+    click.option(
+        "--formulation",
+        type=click.Choice(FORMULATIONS),
+        help="How latency meets whole frames.  [default: default]",
+    ),
+)

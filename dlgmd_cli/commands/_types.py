@@ -3,12 +3,12 @@
 import math
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
-
-CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 
 class Size(click.ParamType):
@@ -58,19 +58,70 @@ class FiniteRange(click.FloatRange):
 
 
 class OptionGroup:
-    """Several options as one decorator."""
+    """Several options as one decorator, which hands their values to the command as one argument.
 
-    def __init__(self, *options: Callable[[Any], Any]) -> None:
-        self._options = options
+    Parameters
+    ----------
+    argument : str
+        Name of the command's argument.
+    collect : callable
+        Makes its value from the options' values, by name.
+    options : click.option decorators
+        In the order of the help.
+    """
 
-    def __call__(self, command: CommandT) -> CommandT:
-        """Add the options to `command`, in the order given."""
+    def __init__(
+        self,
+        argument: str,
+        collect: Callable[..., Any],
+        *options: Callable[[Any], Any],
+    ) -> None:
+        self._argument, self._collect, self._options = argument, collect, options
+
+    def __call__(self, command: Callable[..., Any]) -> Callable[..., Any]:
+        """Add the options to `command`."""
+        names = [parameter.name for parameter in self._parameters()]
+
+        @wraps(command)
+        def collecting(*arguments: Any, **values: Any) -> Any:
+            own = {name: values.pop(name) for name in names}
+            values[self._argument] = self._collect(**own)
+            return command(*arguments, **values)
+
         for option in reversed(self._options):
-            command = option(command)
-        return command
+            option(collecting)
+        return collecting
+
+    def _parameters(self) -> list[click.Parameter]:
+        """The options as click has them."""
+
+        def bare() -> None: ...
+
+        for option in self._options:
+            option(bare)
+        parameters: list[click.Parameter] = bare.__click_params__  # type: ignore[attr-defined]
+        return parameters
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where results go, and the formats of their plots; none for no plots."""
+
+    out: Path
+    formats: tuple[str, ...]
+    overwrite: bool
+
+    @classmethod
+    def from_options(
+        cls, out: Path, formats: tuple[str, ...], no_plots: bool, overwrite: bool
+    ) -> "Output":
+        """What the options ask for, each format once."""
+        return cls(out, () if no_plots else tuple(dict.fromkeys(formats)), overwrite)
 
 
 output_options = OptionGroup(
+    "output",
+    Output.from_options,
     click.option(
         "--out",
         type=click.Path(path_type=Path),

@@ -8,7 +8,7 @@ import click
 
 from dlgmd_cli.commands._console import Command
 from dlgmd_cli.commands._model import ModelChoice, model_options
-from dlgmd_cli.commands._types import output_options
+from dlgmd_cli.commands._types import Output, output_options
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.kernels import Connections
@@ -17,23 +17,12 @@ if TYPE_CHECKING:
 @click.command(cls=Command, epilog="Example: dlgmd kernels --set 9 --format pdf")
 @model_options
 @output_options
-def kernels(
-    set_name: str | None,
-    config: Path | None,
-    pairs: tuple[str, ...],
-    model: str | None,
-    formulation: str | None,
-    out: Path,
-    formats: tuple[str, ...],
-    no_plots: bool,
-    overwrite: bool,
-) -> None:
+def kernels(choice: ModelChoice, output: Output) -> None:
     """Write what a cell is connected to: excitation, inhibition, latency.
 
     Makes OUT/kernels-NAME.csv and a figure. The CSV has a row a tap: its place in px, its latency
     in frames, and its strengths.
     """
-    choice = ModelChoice(set_name, config, pairs, model, formulation)
     params = choice.dlgmd_params()
     from dlgmd_cli.models.dlgmd import connections_of
     from dlgmd_cli.results.files import appearing, refuse_existing
@@ -42,10 +31,10 @@ def kernels(
     stem = f"kernels-{choice.label}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"
-    suffixes = ("csv", *(() if no_plots else formats))
-    paths = [out / f"{stem}.{suffix}" for suffix in suffixes]
+    suffixes = ("csv", *output.formats)
+    paths = [output.out / f"{stem}.{suffix}" for suffix in suffixes]
     for path in paths:
-        refuse_existing(path, overwrite=overwrite)
+        refuse_existing(path, overwrite=output.overwrite)
     with appearing(*paths) as files:
         _write_csv(files[0], connections)
         if len(files) > 1:

@@ -10,7 +10,7 @@ import click
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._model import ModelChoice, model_options
-from dlgmd_cli.commands._types import output_options
+from dlgmd_cli.commands._types import Output, output_options
 from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
@@ -31,17 +31,10 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def run(
     input_path: str,
-    set_name: str | None,
-    config: Path | None,
-    pairs: tuple[str, ...],
-    model: str | None,
-    formulation: str | None,
-    out: Path,
-    formats: tuple[str, ...],
-    no_plots: bool,
-    overwrite: bool,
+    choice: ModelChoice,
+    given: dict[str, Any],
+    output: Output,
     as_json: bool,
-    **given: Any,
 ) -> None:
     """Run the model over a video: its membrane potential and spikes.
 
@@ -50,7 +43,6 @@ def run(
     Writes OUT/NAME/ with mp.csv, attenuation.csv and spikes.csv, a plot of each, and run.yaml,
     which --config takes to repeat the run.
     """
-    choice = ModelChoice(set_name, config, pairs, model, formulation)
     options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.results.folder import ResultFolder
@@ -60,7 +52,7 @@ def run(
     detector, recording = create_model(choice.params), Recording()
     with (
         options.open(input_path) as source,
-        ResultFolder(out, source.info.name, overwrite=overwrite) as folder,
+        ResultFolder(output.out, source.info.name, overwrite=output.overwrite) as folder,
     ):
         complete = _compute(source, detector, recording)
         warnings = [*source.progress.warnings, *recording.doubts()]
@@ -82,7 +74,7 @@ def run(
             "complete": complete,
             "summary": summarise(result),
         }
-        folder.save(partial(_write, result, record, () if no_plots else formats))
+        folder.save(partial(_write, result, record, output.formats))
     _show(record, folder.target, as_json)
     if not complete:
         say(f"Interrupted. {folder.target} holds the {len(recording)} frames before it.")

@@ -9,6 +9,8 @@ from dlgmd_cli.commands._console import Command, print_table, say, settings
 from dlgmd_cli.commands._types import OptionGroup, Size
 
 scene_options = OptionGroup(
+    "given",
+    dict,
     click.option("--size", type=Size(), help="Size of the frames, even.  [default: 480x270]"),
     click.option("--fps", type=float, metavar="F", help="Frames per second.  [default: 30]"),
     click.option(
@@ -90,7 +92,7 @@ def synth(
     lossless: bool,
     overwrite: bool,
     lists: bool,
-    **given: Any,
+    given: dict[str, Any],
 ) -> None:
     """Render a stimulus with its ground truth.
 

@@ -13,7 +13,7 @@ from dlgmd_cli.sources.base import Frame, Image, Progress, Reader, Select, Sourc
 
 # The paper's best size: a quarter of 1080p.
 DEFAULT_WIDTH = 480
-MAX_SIDE = 16384
+MAX_SIDE = 8192
 _GREY = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
 
 
