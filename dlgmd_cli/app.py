@@ -1,6 +1,8 @@
 """The `dlgmd` command: global options, and commands that are loaded when they are called."""
 
+import io
 import os
+import sys
 from importlib import import_module
 from typing import Any
 
@@ -62,4 +64,8 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, beside our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # Not every terminal's encoding has the letters of file names and of the model's symbols.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     cli(prog_name="dlgmd")

@@ -5,7 +5,7 @@ import numbers
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import SequenceMatcher, get_close_matches
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 
@@ -31,7 +31,7 @@ class Spec:
         """The allowed values in words, for tables and help."""
         if self.choices:
             return ", ".join(self.choices)
-        if math.isinf(self.low) and math.isinf(self.high):
+        if self.low == -math.inf:  # the one kind of key without a range
             return "true, false"
         return f"{self.low:g} to {self.high:g}"
 
@@ -45,6 +45,8 @@ class Parameters:
 
     Every model's membrane potential is read out alike, by these three.
     """
+
+    model: ClassVar[str] = ""
 
     t_mp: float
     n_sp: int
@@ -122,6 +124,8 @@ class Parameters:
 class DlgmdParameters(Parameters):
     """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
 
+    model: ClassVar[str] = "dlgmd"
+
     alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
     beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
     lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
@@ -172,7 +176,7 @@ class DlgmdParameters(Parameters):
 
 
 # The models that `--model` takes, with the parameters of each.
-PARAMETERS: dict[str, type[Parameters]] = {"dlgmd": DlgmdParameters}
+PARAMETERS: dict[str, type[Parameters]] = {kind.model: kind for kind in (DlgmdParameters,)}
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

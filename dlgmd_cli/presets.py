@@ -27,9 +27,15 @@ class Config:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that reads 1e-3 as a number and does not let a key stand twice."""
+    """Safe YAML in which a number is what it looks like: 1e-3 is one, 1:30 and 007 are none."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's own way
+        first: [pair for pair in pairs if pair[0].rpartition(":")[2] in ("bool", "null")]
+        for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A dict, in which no key may stand twice."""
         seen = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
@@ -40,11 +46,17 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
+for _tag, _pattern, _first in (
+    ("int", r"[-+]?(0|[1-9]\d*|0x[0-9a-fA-F]+)", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+):
+    _Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first)
+    )
 
 
 def presets_dir() -> Path:
@@ -56,7 +68,10 @@ def presets_dir() -> Path:
 
 def preset_names() -> list[str]:
     """The names that `--set` takes, in order."""
-    return sorted(path.stem.removeprefix("set") for path in presets_dir().glob("set*.yaml"))
+    return sorted(
+        (path.stem.removeprefix("set") for path in presets_dir().glob("set*.yaml")),
+        key=lambda name: (len(name), name),
+    )
 
 
 def load_preset(name: str | int) -> Config:
@@ -64,9 +79,7 @@ def load_preset(name: str | int) -> Config:
     names = preset_names()
     if str(name) not in names:
         raise ParameterError(
-            "Invalid value for '--set'",
-            f"there is no set {str(name)[:40]}",
-            f"Choose {names[0]} to {names[-1]}, or give a file with --config.",
+            "", f"there is no set {str(name)[:40]}", f"Choose {names[0]} to {names[-1]}."
         )
     return load_config(presets_dir() / f"set{name}.yaml")
 
@@ -101,7 +114,9 @@ def load_config(path: Path) -> Config:
         raise ParameterError(name, "it is empty", "Give at least one 'key: value'.")
     if not isinstance(document, dict):
         raise ParameterError(
-            name, f"it holds a {type(document).__name__}, not 'key: value' lines", _SHOW_HINT
+            name,
+            f"it holds {_KINDS.get(type(document), 'one value')}, not 'key: value' lines",
+            _SHOW_HINT,
         )
     for key in document:
         if not isinstance(key, str):
@@ -116,6 +131,8 @@ def load_config(path: Path) -> Config:
     return Config(name, model, values, options or {})
 
 
+_KINDS: dict[type, str] = {list: "a list", str: "mere text"}
+_PLAIN = "Only plain numbers, true, false and names are read."
 _SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
 
@@ -140,15 +157,18 @@ def _read(path: Path) -> str:
 
 
 def _parse(name: str, text: str) -> Any:
+    """The document in `text`; tags and references, which no configuration needs, are refused."""
     try:
+        for event in yaml.parse(text, Loader=_Loader):
+            tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None)
+            if tag is not None or anchor is not None:
+                what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
+                raise ParameterError(name, f"{what[:200]} is not allowed", _PLAIN)
         return yaml.load(text, Loader=_Loader)
     except yaml.constructor.ConstructorError as error:
         problem = (error.problem or "it cannot be built").splitlines()[0][:200]
-        problem = problem.replace("could not determine a constructor for the tag", "no such tag as")
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ParameterError(
-            name, f"{problem}{line}", "Only plain numbers, true, false and names are read."
-        ) from None
+        raise ParameterError(name, f"{problem}{line}", _PLAIN) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f" in line {mark.line + 1}" if mark else ""

@@ -79,6 +79,38 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, number):
     assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
 
 
+@pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])
+def test_an_encoding_without_greek_is_no_error(arguments):
+    done = subprocess.run(
+        [sys.executable, "-m", "dlgmd_cli", *arguments],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "cp1252"},
+    )
+    assert done.returncode == 0 and done.stderr == b""
+
+
+def test_tables_fit_80_columns():
+    done = subprocess.run(
+        [sys.executable, "-m", "dlgmd_cli", "sets"],
+        capture_output=True,
+        encoding="utf-8",
+        env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+        check=True,
+    )
+    table = [line for line in done.stdout.splitlines() if not line.startswith("Keys")]
+    assert max(map(len, table)) <= 80
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_a_full_stdout_is_one_line():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "dlgmd_cli", "sets"], stdout=full, stderr=subprocess.PIPE
+        )
+    assert done.returncode == 1 and done.stderr.count(b"\n") == 1
+    assert b"the output cannot be written" in done.stderr
+
+
 def test_sets_show_of_no_set(dlgmd):
     result = dlgmd("sets", "show", 10)
     assert result.exit_code == 2 and "there is no set 10. Choose 1 to 9" in result.stderr

@@ -14,6 +14,8 @@ import yaml
 from conftest import FPS, N_FRAMES, looming_frames, write_video
 
 from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli.plots.traces import PLOTS as PLOTS_BY_NAME
+from dlgmd_cli.results import tables
 
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
@@ -230,6 +232,7 @@ USAGE = [
     (["--scale", "nan"], "--scale"),
     (["--size", "0x5"], "size 0x5"),
     (["--size", "wide"], "'wide' is not WIDTHxHEIGHT"),
+    (["--set", "1", "--param", "lam=0.7"], "makes the latency longer than 64 frames"),
     (["--scale", 0.5, "--size", "4x4"], "--scale and --size exclude each other"),
     (["--fps", -1], "--fps"),
     (["--fps", "nan"], "--fps"),
@@ -259,6 +262,7 @@ def test_usage_names_the_command(dlgmd, clips):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
+        ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
         ({"pace": 1}, "unknown option 'pace' under 'options'"),
         ({"size": "big"}, "size = 'big' under 'options' is not valid"),
         ({"scale": [1]}, "scale = a list or mapping under 'options' is not valid"),
@@ -302,8 +306,31 @@ def test_too_short(dlgmd, clips):
 def test_a_span_without_frames(dlgmd, clips):
     result = dlgmd("run", clips / "loom.avi", "--start", 100)
     assert result.exit_code == 1
-    assert "no frame lies between --start and --end" in result.stderr
-    assert "Its last frame is at 0.760 s." in result.stderr
+    assert (
+        "--start, --end and --fps leave fewer than the 4 frames that set9 needs. "
+        "Its last frame read is at 0.760 s." in result.stderr
+    )
+
+
+@pytest.mark.parametrize("options", [["--start", 0.7], ["--end", 0.05], ["--fps", 2]])
+def test_a_span_with_few_frames(dlgmd, clips, options):
+    result = dlgmd("run", clips / "loom.avi", *options)
+    assert result.exit_code == 1
+    assert "leave fewer than the 4 frames" in result.stderr and os.listdir(".") == []
+
+
+def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
+    write_video(tmp_path / "still.avi", looming_frames(1) * 6)
+    result = dlgmd("run", "still.avi", "--normalise", "sequence")
+    assert result.exit_code == 0 and "the membrane potential never changes" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["..avi", "...avi"])
+def test_a_name_of_dots_stays_inside_out(dlgmd, tmp_path, clips, name):
+    (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
+    assert dlgmd("run", name, "--no-plots").exit_code == 0
+    (result,) = os.listdir("dlgmd-out")
+    assert result.startswith("video.") and set(os.listdir(f"dlgmd-out/{result}")) == FILES
 
 
 def test_terminal_controls_in_a_name_are_not_printed(dlgmd, tmp_path, clips):
@@ -348,11 +375,49 @@ def test_an_interrupt_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_pat
     monkeypatch.setattr(DLGMD, "step", interrupted)
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130
-    assert "Interrupted." in result.stderr and "8 frames" in result.stderr
+    assert "Interrupted; writing what was computed." in result.stderr
+    assert "holds the 8 frames before the interrupt" in result.stderr
     folder = tmp_path / "dlgmd-out/loom"
     assert set(os.listdir(folder)) == FILES | PLOTS
     assert yaml.safe_load(open_text(folder / "run.yaml"))["complete"] is False
     assert len(read(folder / "mp.csv")) == 8
+
+
+def test_an_interrupt_of_the_plots_keeps_everything_else(dlgmd, clips, monkeypatch, tmp_path):
+    draw = PLOTS_BY_NAME["mp"]
+
+    def interrupted(result):
+        signal.raise_signal(signal.SIGINT)
+        return draw(result)
+
+    monkeypatch.setitem(PLOTS_BY_NAME, "mp", interrupted)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 130 and "Traceback" not in result.stderr
+    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES | {"mp.png"}
+    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is True
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_loses_nothing(dlgmd, clips, monkeypatch, tmp_path):
+    step, write = DLGMD.step, tables.write_tables
+    seen = []
+
+    def interrupted(self, luminance, **options):
+        seen.append(1)
+        if len(seen) == 9:
+            signal.raise_signal(signal.SIGINT)
+        return step(self, luminance, **options)
+
+    def interrupted_too(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        write(*arguments)
+
+    monkeypatch.setattr(DLGMD, "step", interrupted)
+    monkeypatch.setattr(tables, "write_tables", interrupted_too)
+    result = dlgmd("run", clips / "loom.avi", "--no-plots")
+    assert result.exit_code == 130
+    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES
+    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is False
 
 
 def test_an_interrupt_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch):

@@ -14,9 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.sources.base import FrameClock, Verdict
+from dlgmd_cli.sources.base import Verdict
 from dlgmd_cli.sources.open import open_source
 from dlgmd_cli.sources.prepare import Selection, processed_size, to_luminance
+from dlgmd_cli.sources.times import FrameClock, HoleWatch
 
 NAN = math.nan
 
@@ -193,6 +194,40 @@ def test_clock_always_increases(stamps):
     clock = FrameClock(30.0)
     times = [clock.time(i, s) for i, s in enumerate(stamps)]
     assert all(b > a for a, b in itertools.pairwise(times))
+
+
+def holes(intervals, fps=30.0):
+    """What is said of frames at these intervals, in frames."""
+    watch = HoleWatch(fps)
+    for index, time_s in enumerate(np.cumsum([0.0, *intervals]) / fps):
+        watch.add(index, time_s)
+    return watch.report()
+
+
+def test_a_hole_in_a_steady_stream_is_told():
+    assert "about 9 frames are missing after frame 30 (1.000 s)" in holes(
+        [1] * 30 + [10] + [1] * 30
+    )
+    ragged = holes([1] * 30 + [2, 7, 1, 2] + [1] * 30)
+    assert "about 8 frames are missing after frame 30" in ragged and "more" not in ragged
+    two = holes([1] * 30 + [4] + [1] * 30 + [5] + [1] * 30)
+    assert "about 7 frames are missing after frame 30 (1.000 s) and in 1 more place" in two
+
+
+@pytest.mark.parametrize(
+    "intervals",
+    [
+        [1] * 50,
+        [1] * 30 + [3] * 30,  # the rate changes
+        [1, 1, 1, 4] * 20,  # frames are dropped regularly
+        [1.0, 1.6, 0.7, 2.4, 0.5] * 12,  # a phone's jitter
+        [1] * 30 + [10],  # a ragged end
+        [1] * 30 + [2] + [1] * 30,  # one frame
+        [],
+    ],
+)
+def test_a_variable_rate_is_no_hole(intervals):
+    assert holes(intervals) is None
 
 
 # Videos

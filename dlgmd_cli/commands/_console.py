@@ -63,6 +63,9 @@ def errors_as_one_line() -> Iterator[None]:
             raise click.UsageError(message, click.get_current_context()) from None
         code = EXIT_USAGE if isinstance(error, OutputExistsError) else EXIT_FAILED
         raise Failed(message, code) from None
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise Failed(f"the output cannot be written ({reason}).", EXIT_FAILED) from None
     except MemoryError:
         raise Failed(
             "not enough memory. Process smaller frames with --scale.", EXIT_FAILED
@@ -132,6 +135,8 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
     from rich.console import Console
     from rich.table import Table
 
+    if sys.stdout is None:  # closed by the shell
+        return
     table = Table(box=box.SIMPLE, show_header=any(header), pad_edge=False)
     for title in header:
         table.add_column(title, overflow="fold")

@@ -10,6 +10,7 @@ from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
 
 if TYPE_CHECKING:
+    from dlgmd_cli.sources.base import SourceInfo
     from dlgmd_cli.sources.prepare import Source
 
 NORMALISATIONS = ("absolute", "sequence")
@@ -84,11 +85,21 @@ class InputChoice:
             If a recorded option is unknown or not valid.
         """
         values = {key: _recorded(key, value, origin) for key, value in recorded.items()}
+        try:
+            cls(**values)
+        except click.UsageError as error:
+            raise ParameterError(origin, f"options: {error.message.rstrip('.')}") from None
         explicit = {key: value for key, value in given.items() if value is not None}
         if explicit.keys() & {"scale", "size"}:
             values.pop("scale", None)
             values.pop("size", None)
         return cls(**{**values, **explicit})
+
+    def last_frame(self, info: "SourceInfo") -> int | None:
+        """The number of frames until the end asked for, as far as the input says."""
+        if info.n_frames is None or self.end is None:
+            return info.n_frames
+        return min(info.n_frames, math.ceil(self.end * info.fps))
 
     def to_record(self) -> dict[str, Any]:
         """What `from_options` takes back as `recorded`."""

@@ -1,12 +1,16 @@
 """The options that choose a model and its parameters, shared by every command that runs one."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+
+if TYPE_CHECKING:
+    from dlgmd_cli.presets import Config
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
 
@@ -41,7 +45,7 @@ class ModelChoice:
         if set_name is not None and config is not None:
             raise click.UsageError("--set and --config exclude each other. Give one of them.")
         name = set_name if set_name is not None else DEFAULT_SET
-        file = presets.load_preset(name) if config is None else presets.load_config(config)
+        file = _preset(name) if config is None else presets.load_config(config)
         self.label = f"set{name}" if config is None else config.stem
         self.origin, self.recorded_options = file.name, file.options
         self.model = model or file.model or DEFAULT_MODEL
@@ -61,6 +65,17 @@ class ModelChoice:
         if not isinstance(self.params, DlgmdParameters):
             raise click.UsageError(f"the model {self.model!r} has no such kernels.")
         return self.params
+
+
+def _preset(name: str) -> "Config":
+    """The paper's set, or the error of `--set`."""
+    from dlgmd_cli.presets import load_preset
+
+    try:
+        return load_preset(name)
+    except ParameterError as error:
+        mend = f"{error.mend.rstrip('.')}, or give a file with --config."
+        raise ParameterError("Invalid value for '--set'", error.why, mend) from None
 
 
 model_options = OptionGroup(

@@ -47,7 +47,7 @@ def kernels(choice: ModelChoice, output: Output) -> None:
             for file in files[1:]:
                 save_figure(figure, file)
     for path in paths:
-        click.echo(str(path))
+        click.echo(click.format_filename(path))
 
 
 def _write_csv(path: Path, connections: "Connections") -> None:

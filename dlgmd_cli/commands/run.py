@@ -9,9 +9,10 @@ import click
 
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
 from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice, model_options
 from dlgmd_cli.commands._types import Output, output_options
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import SourceError, printable
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -46,25 +47,27 @@ def run(
     options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.results.folder import ResultFolder
-    from dlgmd_cli.results.measures import summarise
+    from dlgmd_cli.results.measures import doubts, summarise
     from dlgmd_cli.runs.single import Recording, read_recording
 
     detector, recording = create_model(choice.params), Recording()
     with (
         options.open(input_path) as source,
         ResultFolder(output.out, source.info.name, overwrite=output.overwrite) as folder,
+        Interrupts() as interrupts,
     ):
-        complete = _compute(source, detector, recording)
-        warnings = [*source.progress.warnings, *recording.doubts()]
-        for warning in warnings:
-            warn(f"{input_path}: {warning}")
-        if complete and recording.n_valid == 0:
-            raise _too_short(
-                input_path, source, len(recording), choice.label, detector.first_valid_frame + 1
-            )
+        complete = _compute(source, detector, recording, options.last_frame(source.info))
+        interrupts.hold()
+        if not complete:
+            say("Interrupted; writing what was computed.")
         result = read_recording(
             recording, source.size_wh, choice.params, by_sequence=options.by_sequence
         )
+        warnings = [*source.progress.warnings, *doubts(result)]
+        for warning in warnings:
+            warn(f"{input_path}: {warning}")
+        if complete and recording.n_valid == 0:
+            raise _too_short(input_path, source, choice.label, options, detector.first_valid_frame)
         record = {
             **_facts(source, len(recording)),
             "model": choice.model,
@@ -74,19 +77,22 @@ def run(
             "complete": complete,
             "summary": summarise(result),
         }
-        folder.save(partial(_write, result, record, output.formats))
+        folder.save(partial(_write, result, record, output.formats, interrupts))
     _show(record, folder.target, as_json)
-    if not complete:
-        say(f"Interrupted. {folder.target} holds the {len(recording)} frames before it.")
+    if not complete or interrupts.count:
+        kept = "all" if complete else f"the {len(recording)}"
+        say(f"{printable(str(folder.target))} holds {kept} frames before the interrupt.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
 
 
-def _compute(source: "Source", detector: "Model", recording: "Recording") -> bool:
+def _compute(
+    source: "Source", detector: "Model", recording: "Recording", n_expected: int | None
+) -> bool:
     """Run the model over the source; False if Ctrl-C ended it, with what was computed kept."""
     from dlgmd_cli.runs import single
 
     try:
-        with progress(source.info.name, source.info.n_frames) as on_frame:
+        with progress(source.info.name, n_expected) as on_frame:
             single.run(source, detector, recording, on_frame)
     except KeyboardInterrupt:
         if len(recording) == 0:
@@ -96,17 +102,20 @@ def _compute(source: "Source", detector: "Model", recording: "Recording") -> boo
 
 
 def _too_short(
-    name: str, source: "Source", n_frames: int, label: str, n_needed: int
+    name: str, source: "Source", label: str, options: InputChoice, first_valid: int
 ) -> SourceError:
-    if n_frames == 0:
+    """The error for an input that ends before the model can answer."""
+    n_read = source.progress.n_decoded
+    if options.start or options.end is not None or options.fps is not None:
         return SourceError(
             name,
-            "no frame lies between --start and --end",
-            f"Its last frame is at {source.progress.last_time_s:.3f} s.",
+            f"--start, --end and --fps leave fewer than the {first_valid + 1} frames that "
+            f"{label} needs",
+            f"Its last frame read is at {source.progress.last_time_s:.3f} s.",
         )
     return SourceError(
         name,
-        f"{n_frames} frame{'s' * (n_frames > 1)}, but {label} needs at least {n_needed}",
+        f"{n_read} frame{'s' * (n_read > 1)}, but {label} needs at least {first_valid + 1}",
         "Use a longer clip.",
     )
 
@@ -132,18 +141,25 @@ def _facts(source: "Source", n_processed: int) -> dict[str, Any]:
 
 
 def _write(
-    result: "Result", record: dict[str, Any], formats: tuple[str, ...], folder: Path
+    result: "Result",
+    record: dict[str, Any],
+    formats: tuple[str, ...],
+    interrupts: Interrupts,
+    folder: Path,
 ) -> None:
-    """Fill `folder` with the files of a result."""
+    """Fill `folder` with the files of a result; a Ctrl-C meanwhile only spares the plots."""
     from dlgmd_cli.results.record import write_record
     from dlgmd_cli.results.tables import write_tables
 
     write_tables(folder, result)
+    allowed = interrupts.count
     if formats:
         from dlgmd_cli.plots.style import save_figure
         from dlgmd_cli.plots.traces import PLOTS
 
         for name, plot in PLOTS.items():
+            if interrupts.count > allowed:
+                break
             figure = plot(result)
             for suffix in formats:
                 save_figure(figure, folder / f"{name}.{suffix}")
@@ -167,7 +183,7 @@ def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:
         ("", ""),
         [
             ("frames", "{frames} at {width}x{height}".format(**processed)),
-            ("peak MP", peak.format(**shown) if "mp_max" in shown else "none"),
+            ("peak MP", peak.format(**shown) if summary["mp_max"] else "none"),
             ("spikes", spikes.format(**shown) if summary["spikes"] else "none"),
             ("collisions", collisions.format(**shown) if summary["collisions"] else "none"),
             (
@@ -178,4 +194,4 @@ def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:
             ),
         ],
     )
-    click.echo(str(target))
+    click.echo(click.format_filename(target))

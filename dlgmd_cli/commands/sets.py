@@ -17,12 +17,14 @@ def sets(ctx: click.Context) -> None:
     from dlgmd_cli.presets import load_set, preset_names
 
     specs = DlgmdParameters.specs()
-    header = ("set", *(f"{key} ({specs[key].symbol}, {specs[key].unit})" for key in _SHOWN))
+    header = ("set", *(specs[key].symbol for key in _SHOWN))
     rows = []
     for name in preset_names():
         values = load_set(name).to_dict()
         rows.append((name, *(f"{values[key]:g}" for key in _SHOWN)))
     print_table(header, rows)
+    keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
+    click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
 
 
 @sets.command(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import PARAMETERS, Parameters
+from dlgmd_cli.params import Parameters
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -99,9 +99,8 @@ def create_model(params: Parameters) -> Model:
     ParameterError
         If there is none.
     """
-    for name, kind in PARAMETERS.items():
-        if type(params) is kind:
-            module, attribute = MODELS[name]
-            model: Model = getattr(import_module(module), attribute)(params)
-            return model
-    raise ParameterError("", f"no model takes {type(params).__name__}")
+    if params.model not in MODELS:
+        raise ParameterError("", f"no model takes {type(params).__name__}")
+    module, attribute = MODELS[params.model]
+    model: Model = getattr(import_module(module), attribute)(params)
+    return model

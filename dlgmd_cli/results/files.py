@@ -39,7 +39,7 @@ def appearing(*paths: Path) -> Iterator[tuple[Path, ...]]:
         raise OutputError(
             str(paths[0]),
             f"it cannot be written ({reason})",
-            "Free some space, or choose another --out.",
+            "Choose another --out, or make room there.",
         ) from None
     finally:
         for stand_in in stand_ins:

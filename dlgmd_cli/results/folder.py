@@ -39,7 +39,7 @@ class ResultFolder:
     """
 
     def __init__(self, out: Path, name: str, *, overwrite: bool = False) -> None:
-        self.target = out / name
+        self.target = out / (name if name.strip(".") else f"video{name}")
         self.partial = out / f".dlgmd-{secrets.token_hex(8)}"
         self._old = out / f".dlgmd-{secrets.token_hex(8)}"
         self._made: list[Path] = []
@@ -118,7 +118,7 @@ class ResultFolder:
             self.target.rename(self._old)
         try:
             self.partial.rename(self.target)
-        except OSError:
+        except BaseException:
             if self._old.exists():
                 self._old.rename(self.target)
             raise
@@ -139,5 +139,5 @@ class ResultFolder:
         return OutputError(
             os.fspath(self.target),
             f"the result cannot be written ({reason})",
-            "Free some space, or choose another --out.",
+            "Choose another --out, or make room there.",
         )

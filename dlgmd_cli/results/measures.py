@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -39,6 +40,23 @@ def summarise(result: Result) -> dict[str, Any]:
         "first_collision_time_s": _at(result.time_s, _first(alarms)),
         "mean_attenuation_db": float(passing.mean()) if passing.size else None,
     }
+
+
+def doubts(result: Result) -> list[str]:
+    """What looks wrong about a result, a line each."""
+    lines = []
+    if result.p_sum.size > 1 and not np.nansum(result.p_sum) > 0.0:
+        lines.append(
+            "no picture differs from the one before it: a still scene, or interlaced video, "
+            f"which OpenCV {cv2.__version__} may not convert; if so, de-interlace it with "
+            "ffmpeg -vf yadif"
+        )
+    if np.isfinite(result.mp).any() and not np.isfinite(result.level).any():
+        lines.append(
+            "the membrane potential never changes, so that it cannot be normalised by its own "
+            "sequence; there are no spikes"
+        )
+    return lines
 
 
 def onsets(alarm: Flags) -> npt.NDArray[np.intp]:

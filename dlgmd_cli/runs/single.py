@@ -3,7 +3,6 @@
 from array import array
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,7 +14,7 @@ from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
 from dlgmd_cli.sources.base import Frame
 from dlgmd_cli.sources.prepare import Source
 
-_COLUMNS, _P_SUM = 6, 2
+_COLUMNS = 6
 
 
 class Recording:
@@ -42,17 +41,6 @@ class Recording:
                 response.mp,
             )
         )
-
-    def doubts(self) -> list[str]:
-        """What looks wrong about the responses, a line each."""
-        p_sum = self.columns()[_P_SUM]
-        if len(self) > 1 and not np.nansum(p_sum) > 0.0:
-            return [
-                "no picture differs from the one before it: a still scene, or interlaced video, "
-                f"which OpenCV {cv2.__version__} may not convert; if so, de-interlace it with "
-                "ffmpeg -vf yadif"
-            ]
-        return []
 
     def columns(self) -> npt.NDArray[np.float64]:
         """A copy, shape (6, n): frame, time_s, p_sum, s_sum, attenuation_db, mp."""

@@ -99,51 +99,6 @@ class Reader(Protocol):
         ...
 
 
-class FrameClock:
-    """Strictly increasing times out of a decoder's timestamps, however poor.
-
-    Parameters
-    ----------
-    fps : float
-        Nominal rate, for frames that have no usable timestamp.
-    """
-
-    def __init__(self, fps: float) -> None:
-        self._interval = 1.0 / fps
-        self._fps = fps
-        self._last_good = self._last = -MAX_PLAUSIBLE_TIME_S
-        self._stale = 0
-        self.n_stamped = 0
-        self.n_repaired = 0
-
-    def time(self, index: int, stamp_s: float) -> float:
-        """Time of frame `index` in seconds, given its timestamp (NaN: none)."""
-        if self._last < stamp_s <= MAX_PLAUSIBLE_TIME_S:
-            self.n_stamped += index > 0
-            self._stale = 0
-            self._last_good = self._last = stamp_s
-            return stamp_s
-        self.n_repaired += 1
-        self._stale += 1
-        if self.n_stamped == 0:  # nothing but the first frame ever had one
-            time_s = index * self._interval
-        else:  # half an interval at first, so that the next good stamp is still ahead
-            time_s = self._last_good + (self._stale - 0.5) * self._interval
-        self._last = max(time_s, math.nextafter(self._last, math.inf))
-        return self._last
-
-    def report(self) -> str | None:
-        """One line on times that are not the decoder's own, or None."""
-        if self.n_repaired == 0:
-            return None
-        if self.n_stamped == 0:
-            return f"the stream has no timestamps; times are frame number / {self._fps:g} fps"
-        return (
-            f"{self.n_repaired} frames had no usable timestamp; "
-            f"their times follow from {self._fps:g} fps"
-        )
-
-
 def plausible_fps(fps: float) -> float | None:
     """`fps` if it can be a frame rate, else None."""
     return fps if math.isfinite(fps) and 0.0 < fps <= MAX_PLAUSIBLE_FPS else None

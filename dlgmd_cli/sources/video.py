@@ -12,7 +12,6 @@ from dlgmd_cli.errors import SourceError
 from dlgmd_cli.sources.base import (
     FALLBACK_FPS,
     GRABS_PAST_DAMAGE,
-    FrameClock,
     Image,
     Picture,
     Progress,
@@ -21,6 +20,7 @@ from dlgmd_cli.sources.base import (
     Verdict,
     plausible_fps,
 )
+from dlgmd_cli.sources.times import FrameClock, HoleWatch
 from dlgmd_cli.sources.watch import ResolutionWatch, count_packets
 
 _DAMAGED = "the data are damaged here"
@@ -114,13 +114,14 @@ class VideoReader:
         The reading ends with a warning where the picture size changes (OpenCV would rescale what
         follows) and where damage leaves a gap; the pictures before it are whole.
         """
-        clock = FrameClock(self.info.fps)
+        clock, holes = FrameClock(self.info.fps), HoleWatch(self.info.fps)
         self.progress.n_decoded = 0
         self._fault = None
         image: Image | None = None
         for stamp_s in self._grabbed():
             index = self.progress.n_decoded
             time_s = clock.time(index, stamp_s)
+            holes.add(index, time_s)
             verdict = select(time_s)
             if verdict is Verdict.STOP:
                 break
@@ -134,7 +135,8 @@ class VideoReader:
                 yield Picture(index, time_s, image)
         else:
             self._fault = self._fault or self._shortfall()
-        self.progress.warnings += [line for line in (clock.report(), self._fault_line()) if line]
+        reports = (clock.report(), holes.report(), self._fault_line())
+        self.progress.warnings += [line for line in reports if line]
         self._release()
 
     def _grabbed(self) -> Iterator[float]:
@@ -177,7 +179,8 @@ class VideoReader:
             return None
         end_s, shown_s = stated / fps, self._shown_s()
         if self.progress.last_time_s + 1.5 / fps < min(end_s, shown_s):
-            return "the file is cut off or damaged"
+            # Some containers, AVI for one, number their frames anew behind a hole.
+            return "frames are missing, the file is cut off or damaged on the way"
         if shown_s + 1.5 / fps < end_s:
             return None
         lost = (count_packets(self._name) or 0) - n_frames

@@ -1,0 +1,45 @@
+"""Ctrl-C that loses nothing: it ends the computing, and never the writing."""
+
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any
+
+
+class Interrupts:
+    """Context manager that takes over SIGINT.
+
+    The first one raises KeyboardInterrupt, as ever, unless `hold` was called before; those after
+    it, and all after `hold`, are only counted.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._raises = True
+        self._before: Any = None
+        # Python lets only the main thread set handlers.
+        self._can_act = threading.current_thread() is threading.main_thread()
+
+    def hold(self) -> None:
+        """From now on, only count."""
+        self._raises = False
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        if self._raises:
+            self._raises = False
+            raise KeyboardInterrupt
+
+    def __enter__(self) -> "Interrupts":
+        if self._can_act:
+            self._before = signal.signal(signal.SIGINT, self._handle)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._can_act:
+            signal.signal(signal.SIGINT, self._before)
