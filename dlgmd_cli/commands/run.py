@@ -12,7 +12,7 @@ from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice, model_options
 from dlgmd_cli.commands._types import Output, output_options
-from dlgmd_cli.errors import SourceError, printable
+from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -80,8 +80,8 @@ def run(
         folder.save(partial(_write, result, record, output.formats, interrupts))
     _show(record, folder.target, as_json)
     if not complete or interrupts.count:
-        kept = "all" if complete else f"the {len(recording)}"
-        say(f"{printable(str(folder.target))} holds {kept} frames before the interrupt.")
+        kept = f"the {len(recording)} frames before it"
+        say(f"{folder.target} holds {'all frames, but not all plots' if complete else kept}.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
 
 

@@ -23,7 +23,7 @@ from dlgmd_cli.sources.base import (
 from dlgmd_cli.sources.times import FrameClock, HoleWatch
 from dlgmd_cli.sources.watch import ResolutionWatch, count_packets
 
-_DAMAGED = "the data are damaged here"
+_DAMAGED = "the file is damaged"
 
 
 class VideoReader:
@@ -161,7 +161,7 @@ class VideoReader:
                 return
             size = self._watch.size_of_next(stamp_s)
             if size is not None:
-                self._fault = f"the picture size changes to {size[0]}x{size[1]} here"
+                self._fault = f"the picture size changes to {size[0]}x{size[1]}"
                 return
             yield stamp_s
 
