@@ -1,17 +1,32 @@
 """What a model says over time: membrane potential, attenuation, spikes. Data in, Figure out."""
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import BLUE, COLUMN_WIDTH_IN, GREY, ORANGE, VERMILION, house_style
-from dlgmd_cli.results.tables import Flags, Result, Series
+from dlgmd_cli.plots.columns import AXES_WIDTH_IN, Columns
+from dlgmd_cli.plots.style import (
+    BLUE,
+    GREY,
+    LIGHT_BLUE,
+    ORANGE,
+    VERMILION,
+    add_axes,
+    house_style,
+    new_figure,
+)
+from dlgmd_cli.plots.time_axis import label_time
+from dlgmd_cli.results.tables import Result, Series
 
-_GOLDEN = 0.62
 # Less than a millionth of P passes: a few cells' rounding, which would flatten the rest.
 FLOOR_DB = -60.0
+# What the vertical axis spans at least, so that rounding does not look like an event.
+MIN_SPAN_DB = 5.0
+
+# More dots than this touch each other: their black rims would hide the rest.
+_MAX_RINGED = 200
+
+_LEFT_IN, _BOTTOM_IN = 0.55, 0.38
 
 
 def plot_mp(result: Result) -> Figure:
@@ -20,14 +35,24 @@ def plot_mp(result: Result) -> Figure:
     Parameters
     ----------
     result : Result
-        At least one frame; frames without a level leave a gap.
+        At least one frame; frames without a level leave a gap. Of a long result the line is the
+        highest level of every column of pixels, over a band down to the lowest.
     """
     with house_style():
-        figure = _figure()
-        axes = figure.subplots()
-        _draw_level(axes, result)
-        _draw_alarms(axes, result)
-        _label_time(axes, result)
+        figure, axes, columns = _single(result)
+        _draw_level(axes, columns, result)
+        _draw_spikes(axes, columns, result)
+        for number, (start, duration) in enumerate(columns.spans(result.collision)):
+            axes.axvspan(
+                start,
+                start + duration,
+                color=VERMILION,
+                alpha=0.25,
+                linewidth=0.8,
+                zorder=0,
+                label="collision" if number == 0 else None,
+            )
+        label_time(axes, columns, result)
         _legend_above(figure, axes)
     return figure
 
@@ -38,29 +63,30 @@ def plot_attenuation(result: Result) -> Figure:
     Parameters
     ----------
     result : Result
-        At least one frame.
+        At least one frame. A long result is thinned as in `plot_mp`.
     """
     with house_style():
-        figure = _figure()
-        axes = figure.subplots()
+        figure, axes, columns = _single(result)
         silent = result.attenuation_db < FLOOR_DB  # -inf too, but not NaN
         shown = np.where(silent, np.nan, result.attenuation_db)
-        _line(axes, result.time_s, shown, color=BLUE, label="attenuation")
+        _line(axes, columns, shown, label="attenuation")
         if silent.any():
+            marked = columns.time_s[columns.any(silent)]
             axes.plot(
-                result.time_s[silent],
-                np.full(silent.sum(), 0.03),
+                marked,
+                np.full(len(marked), 0.03),
                 "v",
                 color=VERMILION,
                 markersize=3,
                 transform=axes.get_xaxis_transform(),
                 label=f"nothing passes (< {FLOOR_DB:g} dB)",
             )
-        if np.isnan(shown).all():
-            axes.set_ylim(FLOOR_DB, 0)
+        elif np.isnan(shown).all():
+            too_few = np.isnan(result.s_sum).all()
+            _note(axes, "too few frames" if too_few else "no picture changes")
+        axes.set_ylim(_span_db(shown))
         axes.set_ylabel("Attenuation (dB)")
-        axes.margins(y=0.12)
-        _label_time(axes, result)
+        label_time(axes, columns, result)
         _legend_above(figure, axes)
     return figure
 
@@ -71,111 +97,124 @@ def plot_spikes(result: Result) -> Figure:
     Parameters
     ----------
     result : Result
-        At least one frame.
+        At least one frame. A long result is thinned as in `plot_mp`, and spikes too near each
+        other to be told apart are one bar.
     """
     with house_style():
-        figure = _figure(height=0.75)
-        raster, level = figure.subplots(
-            2, 1, sharex=True, gridspec_kw={"height_ratios": [1, 3], "hspace": 0.08}
-        )
-        rows = ((1, result.spike, BLUE), (0, result.collision, VERMILION))
-        for row, flags, color in rows:
-            raster.vlines(result.time_s[flags], row - 0.35, row + 0.35, color=color, linewidth=0.8)
+        columns = Columns(result.time_s)
+        figure = new_figure(2.6)
+        raster = add_axes(figure, (_LEFT_IN, 1.75, AXES_WIDTH_IN, 0.44))
+        level = add_axes(figure, (_LEFT_IN, _BOTTOM_IN, AXES_WIDTH_IN, 1.3))
+        for row, flags, color in ((1, result.spike, BLUE), (0, result.collision, VERMILION)):
+            low, high = row - 0.35, row + 0.35
+            if columns.grouped:
+                raster.broken_barh(
+                    columns.spans(flags), (low, high - low), color=color, linewidth=0.3
+                )
+            else:
+                raster.vlines(result.time_s[flags], low, high, color=color, linewidth=0.8)
+        raster.set_xlim(columns.view)
         raster.set_yticks([1, 0], ["spikes", "collision"])
         raster.set_ylim(-0.6, 1.6)
-        raster.tick_params(axis="x", labelbottom=False, length=0)
+        raster.set_xticks([])
         raster.spines["bottom"].set_visible(False)
-        _draw_level(level, result, spikes=False)
-        _label_time(level, result, frames_on=raster)
-        figure.align_ylabels([level])
+        level.spines["top"].set_visible(False)
+        _draw_level(level, columns, result)
+        label_time(level, columns, result, frames_on=raster)
     return figure
 
 
-def _figure(height: float = _GOLDEN) -> Figure:
-    return Figure(figsize=(COLUMN_WIDTH_IN, COLUMN_WIDTH_IN * height), layout="constrained")
+def _single(result: Result) -> tuple[Figure, Axes, Columns]:
+    """A figure of one panel, with room for the frame numbers and a legend above it."""
+    figure = new_figure(2.17)
+    axes = add_axes(figure, (_LEFT_IN, _BOTTOM_IN, AXES_WIDTH_IN, 1.25))
+    return figure, axes, Columns(result.time_s)
 
 
-def _line(axes: Axes, time_s: Series, values: Series, *, color: str, label: str) -> None:
+def _line(axes: Axes, columns: Columns, values: Series, *, label: str) -> None:
     """A line that breaks at NaN, with a dot where a single value would draw nothing."""
-    axes.plot(time_s, values, color=color, label=label)
-    known = ~np.isnan(values)
+    highest = columns.highest(values)
+    known = ~np.isnan(highest)
+    if not known.any():
+        return
     before, after = np.concatenate(([False], known[:-1])), np.concatenate((known[1:], [False]))
     alone = known & ~before & ~after
-    axes.plot(time_s[alone], values[alone], ".", color=color, markersize=3)
+    if columns.grouped:
+        lowest = columns.lowest(values)
+        axes.fill_between(columns.time_s, lowest, highest, color=LIGHT_BLUE, linewidth=0)
+        axes.vlines(
+            columns.time_s[alone], lowest[alone], highest[alone], color=LIGHT_BLUE, linewidth=0.4
+        )
+        label += " (max, range)"
+    width = 0.7 if columns.grouped else 1.0
+    axes.plot(columns.time_s, highest, color=BLUE, linewidth=width, label=label)
+    axes.plot(columns.time_s[alone], highest[alone], ".", color=BLUE, markersize=3)
 
 
-def _draw_level(axes: Axes, result: Result, *, spikes: bool = True) -> None:
+def _draw_level(axes: Axes, columns: Columns, result: Result) -> None:
     """The normalised membrane potential and its threshold."""
-    _line(axes, result.time_s, result.level, color=BLUE, label="MP")
+    _line(axes, columns, result.level, label="MP")
     threshold = float(result.threshold[0])
     axes.axhline(
         threshold, color=GREY, linestyle="--", linewidth=0.8, label=f"threshold {threshold:g}"
     )
-    if spikes and result.spike.any():
-        axes.plot(
-            result.time_s[result.spike],
-            result.level[result.spike],
-            "o",
-            color=ORANGE,
-            markeredgecolor="black",
-            markeredgewidth=0.3,
-            markersize=3,
-            label="spike",
-        )
+    if np.isnan(result.level).all():
+        too_few = np.isnan(result.mp).all()
+        _note(axes, "too few frames" if too_few else "the membrane potential never changes")
     axes.set_ylim(-0.03, 1.05)
     axes.set_ylabel("Normalised MP")
 
 
-def _draw_alarms(axes: Axes, result: Result) -> None:
-    """Shade every collision, from its first frame to its last."""
-    for number, (first, last) in enumerate(_stretches(result.collision)):
-        axes.axvspan(
-            result.time_s[first],
-            result.time_s[last],
-            color=VERMILION,
-            alpha=0.25,
-            linewidth=0.8,
-            label="collision" if number == 0 else None,
-        )
+def _draw_spikes(axes: Axes, columns: Columns, result: Result) -> None:
+    """A dot at every spike, or at the highest one of every column."""
+    spiking = columns.any(result.spike)
+    if not spiking.any():
+        return
+    levels = columns.highest(np.where(result.spike, result.level, np.nan))
+    crowded = np.count_nonzero(spiking) > _MAX_RINGED
+    axes.plot(
+        columns.time_s[spiking],
+        levels[spiking],
+        "o",
+        color=ORANGE,
+        markeredgecolor="black",
+        markeredgewidth=0 if crowded else 0.3,
+        markersize=2 if crowded else 3,
+        label="spike",
+    )
 
 
-def _stretches(flags: Flags) -> list[tuple[int, int]]:
-    """First and last row of every unbroken stretch."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+def _span_db(shown: Series) -> tuple[float, float]:
+    """Limits of the vertical axis, with room for the marks at the bottom."""
+    if np.isnan(shown).all():
+        return FLOOR_DB, 0.0
+    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+    half = max(high - low, MIN_SPAN_DB) / 2 * 1.24
+    return (low + high) / 2 - half, (low + high) / 2 + half
 
 
-def _label_time(axes: Axes, result: Result, frames_on: Axes | None = None) -> None:
-    """Seconds below, frame numbers above (on `frames_on`, if that is the upper panel)."""
-    time_s, frame = result.time_s, result.frame.astype(np.float64)
-    axes.set_xlabel("Time (s)")
-    if time_s[-1] > time_s[0]:
-        axes.set_xlim(time_s[0], time_s[-1])
-        top = (frames_on or axes).secondary_xaxis(
-            "top",
-            functions=(
-                lambda seconds: _along(seconds, time_s, frame),
-                lambda number: _along(number, frame, time_s),
-            ),
-        )
-        top.xaxis.set_major_locator(MaxNLocator(nbins=7, integer=True))
-        top.set_xlabel("Frame")
-    (frames_on or axes).spines["top"].set_visible(False)
-
-
-def _along(values: npt.ArrayLike, known: Series, matching: Series) -> npt.NDArray[np.float64]:
-    """Read `matching` at `values` of `known`, both increasing; straight on outside."""
-    values = np.asarray(values, dtype=np.float64)
-    inside = np.interp(values, known, matching)
-    slope = (matching[-1] - matching[0]) / (known[-1] - known[0])
-    below = matching[0] + (values - known[0]) * slope
-    above = matching[-1] + (values - known[-1]) * slope
-    return np.where(values < known[0], below, np.where(values > known[-1], above, inside))
+def _note(axes: Axes, why: str) -> None:
+    """Say why there is no line."""
+    axes.text(
+        0.5,
+        0.5,
+        f"undefined: {why}",
+        transform=axes.transAxes,
+        ha="center",
+        va="center",
+        color=GREY,
+        fontsize=7,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
+    )
 
 
 def _legend_above(figure: Figure, axes: Axes) -> None:
     """The legend over the frame axis, where it hides no data."""
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(
+            handles, labels, loc="upper center", ncols=4, borderaxespad=0.1, columnspacing=1.2
+        )
 
 
 # Every picture of a result: file name without suffix -> what draws it.
