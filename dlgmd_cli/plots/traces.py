@@ -178,7 +178,7 @@ def _draw_spikes(axes: Axes, columns: Columns, result: Result) -> None:
         "o",
         color=ORANGE,
         markeredgecolor="black",
-        markeredgewidth=0 if crowded else 0.3,
+        markeredgewidth=0 if crowded or columns.grouped else 0.3,
         markersize=2 if crowded else 3,
         label="spike",
     )
