@@ -95,7 +95,7 @@ class InputChoice:
             values.pop("size", None)
         return cls(**{**values, **explicit})
 
-    def last_frame(self, info: "SourceInfo") -> int | None:
+    def n_expected(self, info: "SourceInfo") -> int | None:
         """The number of frames until the end asked for, as far as the input says."""
         if info.n_frames is None or self.end is None:
             return info.n_frames

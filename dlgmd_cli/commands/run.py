@@ -56,7 +56,7 @@ def run(
         ResultFolder(output.out, source.info.name, overwrite=output.overwrite) as folder,
         Interrupts() as interrupts,
     ):
-        complete = _compute(source, detector, recording, options.last_frame(source.info))
+        complete = _compute(source, detector, recording, options.n_expected(source.info))
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")

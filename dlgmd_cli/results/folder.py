@@ -5,7 +5,6 @@ import secrets
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.tables import TABLES
@@ -86,12 +85,7 @@ class ResultFolder:
             folder.mkdir(exist_ok=True)
             self._made.append(folder)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._clean()
 
     def save(self, write: Callable[[Path], None]) -> None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -173,10 +172,5 @@ class Source:
     def __enter__(self) -> "Source":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
