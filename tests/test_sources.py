@@ -14,12 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.sources.base import Verdict
+from dlgmd_cli.sources.base import Frame, Verdict
 from dlgmd_cli.sources.open import open_source
-from dlgmd_cli.sources.prepare import Selection, processed_size, to_luminance
+from dlgmd_cli.sources.prepare import Selection, processed_size, to_grey
 from dlgmd_cli.sources.times import FrameClock, HoleWatch
 
 NAN = math.nan
+
+
+def to_luminance(image, size_wh, levels=None):
+    return Frame(0, 0.0, to_grey(image, size_wh, levels)).luminance
 
 
 @pytest.fixture(params=["avi", "mp4", "folder", "printf", "glob"])
@@ -153,6 +157,27 @@ def test_luminance_of_every_kind_of_picture(depth, channels):
 def test_luminance_is_exact_for_grey():
     grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
     assert np.array_equal(to_luminance(grey, (16, 16)), grey.astype(np.float32) / 255)
+
+
+@pytest.mark.parametrize(
+    ("depth", "levels", "expected"),
+    [
+        (np.uint8, None, [0.0, 16 / 255, 126 / 255, 1.0]),
+        (np.uint8, (16, 235), [0.0, 0.0, 128 / 255, 1.0]),
+        (np.uint16, (64, 940), [0.0, 0.0, 62 / 876, 191 / 876]),
+    ],
+)
+def test_levels_are_stretched_to_the_full_range(depth, levels, expected):
+    picture = np.array([[0, 16, 126, 255]], depth)
+    luminance = to_luminance(picture, (4, 1), levels)
+    assert luminance[0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(("depth", "kind"), [(np.uint8, np.uint8), (np.uint16, np.float32)])
+def test_grey_is_new_memory_of_the_kind_that_models_take(depth, kind):
+    for picture in (np.ones((4, 6), depth), np.ones((4, 6, 1), depth), np.ones((4, 6, 3), depth)):
+        grey = to_grey(picture, (6, 4))
+        assert grey.dtype == kind and not np.may_share_memory(grey, picture)
 
 
 def test_shrinking_averages_areas():

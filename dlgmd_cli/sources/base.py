@@ -48,20 +48,35 @@ class SourceInfo:
 
 @dataclass(frozen=True)
 class Picture:
-    """A decoded picture: uint8 or uint16, (H, W) or (H, W, channels) in BGR order."""
+    """A decoded picture: uint8 or uint16, (H, W) or (H, W, channels) in BGR order.
+
+    `levels` are the levels of black and white, where they are not the least and the greatest that
+    its type holds.
+    """
 
     index: int
     time_s: float
     image: Image
+    levels: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as models take it: `luminance` is (H, W) float32 in 0..1."""
+    """A frame as models take it.
+
+    `grey` is (H, W): uint8 levels of 0..255 where the input has 8 bits, else float32 in 0..1.
+    """
 
     index: int
     time_s: float
-    luminance: npt.NDArray[np.float32]
+    grey: Image
+
+    @property
+    def luminance(self) -> npt.NDArray[np.float32]:
+        """The same as float32 in 0..1, shape (H, W)."""
+        if self.grey.dtype != np.uint8:
+            return self.grey
+        return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
 
 class Verdict(Enum):

@@ -1,11 +1,11 @@
-"""From a decoded picture to what a model takes: chosen by time, grey, resized, 0 to 1."""
+"""From a decoded picture to what a model takes: chosen by time, grey, resized, full range."""
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.sources.base import Frame, Image, Progress, Reader, Select, SourceInfo, Verdict
@@ -99,8 +99,10 @@ class Selection:
         return select
 
 
-def to_luminance(image: Image, size_wh: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """Luminance (BT.601) of a picture at the size given.
+def to_grey(
+    image: Image, size_wh: tuple[int, int], levels: tuple[int, int] | None = None
+) -> Image:
+    """Grey levels (BT.601) of a picture at the size given.
 
     Parameters
     ----------
@@ -108,11 +110,14 @@ def to_luminance(image: Image, size_wh: tuple[int, int]) -> npt.NDArray[np.float
         Grey, BGR or BGRA.
     size_wh : (int, int)
         Width and height of the result, in px.
+    levels : (int, int), optional
+        The levels of black and white; what lies outside is cut off. Unless given, the least and
+        the greatest that the type holds.
 
     Returns
     -------
-    ndarray, shape (height, width), float32
-        Luminance in 0..1, newly allocated.
+    ndarray, shape (height, width)
+        Newly allocated: uint8 in 0..255 for a picture of 8 bits, else float32 in 0..1.
 
     Raises
     ------
@@ -121,6 +126,7 @@ def to_luminance(image: Image, size_wh: tuple[int, int]) -> npt.NDArray[np.float
     """
     if image.dtype not in (np.uint8, np.uint16):
         raise SourceError("picture", f"{image.dtype} pixels are not 8 or 16 bit", "Convert it.")
+    original = image
     if image.ndim == 3:
         channels = image.shape[2]
         if channels not in (1, *_GREY):
@@ -132,10 +138,20 @@ def to_luminance(image: Image, size_wh: tuple[int, int]) -> npt.NDArray[np.float
         image = cv2.resize(
             image, size_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         )
-    luminance: npt.NDArray[np.float32] = np.divide(
-        image, np.float32(np.iinfo(image.dtype).max), dtype=np.float32
-    )
-    return luminance
+    if image.dtype == np.uint16:
+        black, white = levels or (0, 65535)
+        luminance = (image - np.float32(black)) / np.float32(white - black)
+        return np.clip(luminance, 0.0, 1.0, out=luminance)
+    if levels is not None:
+        return cv2.LUT(image, _full_range(*levels))
+    return image.copy() if np.may_share_memory(image, original) else image
+
+
+@lru_cache(maxsize=8)
+def _full_range(black: int, white: int) -> Image:
+    """Table from levels of a limited range to 0..255."""
+    stretched = (np.arange(256) - black) * (255.0 / (white - black))
+    return np.clip(np.rint(stretched), 0, 255).astype(np.uint8)
 
 
 class Source:
@@ -162,8 +178,8 @@ class Source:
 
     def __iter__(self) -> Iterator[Frame]:
         for picture in self._reader.pictures(self._selection.begin()):
-            luminance = to_luminance(picture.image, self.size_wh)
-            yield Frame(picture.index, picture.time_s, luminance)
+            grey = to_grey(picture.image, self.size_wh, picture.levels)
+            yield Frame(picture.index, picture.time_s, grey)
 
     def close(self) -> None:
         """Free the input; may be called twice."""
