@@ -18,10 +18,11 @@ RECORD_KEYS = frozenset({"input", "processed", "versions", "warnings", "complete
 
 @dataclass(frozen=True)
 class Config:
-    """One file's say: the model, its parameters, and options of the run that made the file."""
+    """One file's say: the model, its parameters, and the run that made the file."""
 
     name: str
     model: str | None = None
+    engine: str | None = None
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -121,14 +122,15 @@ def load_config(path: Path) -> Config:
     for key in document:
         if not isinstance(key, str):
             raise ParameterError(name, f"unknown parameter {str(key)[:40]!r}", _SHOW_HINT)
-    model = document.pop("model", None)
-    if model is not None and not isinstance(model, str):
-        raise ParameterError(name, "model is not a name", _SHOW_HINT)
+    names = {key: document.pop(key, None) for key in ("model", "engine")}
+    for key, word in names.items():
+        if word is not None and not isinstance(word, str):
+            raise ParameterError(name, f"{key} is not a name", _SHOW_HINT)
     options = document.pop("options", None)
     if options is not None and not isinstance(options, dict):
         raise ParameterError(name, "options is not a mapping", _SHOW_HINT)
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
-    return Config(name, model, values, options or {})
+    return Config(name, **names, values=values, options=options or {})
 
 
 _KINDS: dict[type, str] = {list: "a list", str: "mere text"}

@@ -1,5 +1,6 @@
 """Tiny clips that are written once, and a way to call the command."""
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -34,6 +35,17 @@ def write_video(path: Path, frames, fps=FPS, fourcc="MJPG") -> Path:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) if frame.ndim == 2 else frame)
     writer.release()
     return path
+
+
+@pytest.fixture(scope="module", params=["opencv", "numba"])
+def each_engine(request):
+    """Every model of the module is computed by each engine in turn, whatever the frames' size."""
+    if request.param == "numba":
+        pytest.importorskip("numba", reason="the numba engine needs numba")
+    with pytest.MonkeyPatch.context() as patch:
+        least = 0 if request.param == "numba" else sys.maxsize
+        patch.setattr("dlgmd_cli.models.engines.WORTH_COMPILING_PX", least)
+        yield request.param
 
 
 @pytest.fixture(scope="session")

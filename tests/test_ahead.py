@@ -78,7 +78,7 @@ def test_run_gives_what_a_plain_loop_gives(clips):
     model, plain, ahead = DLGMD(), Recording(), Recording()
     with open_source(clips / "loom.avi") as source:
         for frame in source:
-            plain.append(frame, model.step(frame.luminance))
+            plain.append(frame, model.step(frame.grey))
     counts = []
     with open_source(clips / "loom.avi") as source:
         run(source, model, ahead, counts.append)

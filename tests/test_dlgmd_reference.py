@@ -12,6 +12,8 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.params import DlgmdParameters
 
+pytestmark = pytest.mark.usefixtures("each_engine")
+
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 SETS = sorted(slow.TABLE_2)
 # One rounding to float32, relative.

@@ -23,6 +23,7 @@ ONLY_IN = {
     "click": {"app", "commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
+    "numba": {"models"},
     "yaml": {"presets", "results", "commands"},
 }
 

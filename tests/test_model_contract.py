@@ -13,6 +13,8 @@ from dlgmd_cli.models.base import MODELS, Layers, Response, create_model
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.params import PARAMETERS, DlgmdParameters, Parameters
 
+pytestmark = pytest.mark.usefixtures("each_engine")
+
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 N_FRAMES = 9
 
@@ -199,7 +201,7 @@ class TestEveryModel:
     @pytest.mark.parametrize(
         ("frame", "shown"),
         [
-            (np.zeros((24, 30), np.uint8), "uint8 of shape (24, 30)"),
+            (np.zeros((24, 30), np.uint16), "uint16 of shape (24, 30)"),
             (np.zeros((24, 30), np.float64), "float64 of shape (24, 30)"),
             (np.zeros((24, 30), ">f4"), ">f4 of shape (24, 30)"),
             (np.zeros((24, 30, 3), np.float32), "float32 of shape (24, 30, 3)"),
@@ -213,7 +215,30 @@ class TestEveryModel:
         with pytest.raises(FrameError) as caught:
             create(case).step(frame)
         assert shown in str(caught.value)
-        assert "is not a float32 image (H, W)" in str(caught.value)
+        assert "is not a float32 or uint8 image (H, W)" in str(caught.value)
+
+    def test_grey_levels_stand_for_luminance(self, case):
+        levels = [np.rint(frame * 255).astype(np.uint8) for frame in moving()]
+        luminance = [level.astype(np.float32) / np.float32(255) for level in levels]
+        for one, other in zip(
+            run(case, levels, layers=True), run(case, luminance, layers=True), strict=True
+        ):
+            for name in SUMS:
+                assert getattr(one, name) == pytest.approx(
+                    getattr(other, name), rel=1e-5, abs=1e-6, nan_ok=True
+                )
+            for name in ("p", "s", "g"):
+                a, b = getattr(one.layers, name), getattr(other.layers, name)
+                assert (a is None) == (b is None)
+                if a is not None:
+                    assert a.dtype == np.float32
+                    np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
+
+    def test_a_change_of_type_is_refused(self, case):
+        model = create(case)
+        model.step(moving()[0])
+        with pytest.raises(FrameError, match=r"type uint8 is not that of .* float32"):
+            model.step(np.zeros((24, 30), np.uint8))
 
     @pytest.mark.parametrize("at", [1, 5])
     def test_a_change_of_size_is_refused(self, case, at):

@@ -132,7 +132,7 @@ def test_plan_of_any_symmetric_kernels_adds_up(data, radius, delays):
     check(kernels, [gaussian(radius, 1.0), gaussian(radius, 3.0)])
 
 
-@pytest.mark.parametrize("radius", [1, 2, 4, 5, 6])
+@pytest.mark.parametrize("radius", [1, 2, 4, 5])
 def test_kernels_without_structure_fall_back_to_taps(radius):
     rng = np.random.default_rng(radius)
     quarter = rng.random((radius + 1, radius + 1)) + 0.5

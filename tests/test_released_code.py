@@ -10,6 +10,8 @@ from reference_data import SEQUENCES, reference_dir, reference_frames, released_
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.params import DlgmdParameters
 
+pytestmark = pytest.mark.usefixtures("each_engine")
+
 SETS = sorted(slow.TABLE_2)
 COLUMNS = {"s_sum": "s_sum", "g_sum": "mp", "ffi": "ffi", "t_de": "t_de"}
 # The first frame that every set has an answer to; the released code begins there as well.

@@ -15,9 +15,13 @@ def rows(path):
 
 @pytest.mark.parametrize("number", range(1, 10))
 @pytest.mark.parametrize("sequence", ["looming_ball", "ball_and_capsules"])
-def test_every_row_agrees(dlgmd, tmp_path, sequence, number):
+@pytest.mark.parametrize("engine", ["opencv", "numba"])
+def test_every_row_agrees(dlgmd, tmp_path, engine, sequence, number):
+    if engine == "numba":
+        pytest.importorskip("numba", reason="the numba engine needs numba")
     folder = reference_dir()
     options = ["--formulation", "released", "--scale", 1, "--normalise", "sequence"]
+    options += ["--engine", engine]
     result = dlgmd("run", folder / sequence, "--set", number, *options, "--no-plots")
     assert result.exit_code == 0, result.output
     out = tmp_path / "dlgmd-out" / sequence

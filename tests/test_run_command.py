@@ -56,7 +56,7 @@ def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
     dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots")
     model = DLGMD(load_set(7))
     with open_source(clips / "loom.avi") as source:
-        responses = [model.step(frame.luminance) for frame in source]
+        responses = [model.step(frame.grey) for frame in source]
     folder = tmp_path / "dlgmd-out/loom"
     for name, attribute, file in [
         ("mp", "mp", "mp.csv"),
@@ -123,6 +123,45 @@ def test_looming_raises_the_alarm_and_receding_does_not(dlgmd, tmp_path):
     )
 
 
+def test_engine(dlgmd, clips):
+    pytest.importorskip("numba", reason="the numba engine needs numba")
+    mp = {}
+    for engine in ("opencv", "numba"):
+        result = dlgmd("run", clips / "loom.avi", "--no-plots", "--out", engine, "--engine", engine)
+        assert result.exit_code == 0, result.output
+        record = f"{engine}/loom/run.yaml"
+        assert yaml.safe_load(open_text(record))["engine"] == engine
+        again = ["--config", record, "--no-plots", "--out", "again", "--overwrite"]
+        assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+        assert open_text("again/loom/run.yaml") == open_text(record)
+        mp[engine] = open_text(f"{engine}/loom/mp.csv")
+        assert open_text("again/loom/mp.csv") == mp[engine]
+    record = ["--config", "numba/loom/run.yaml", "--engine", "opencv"]
+    dlgmd("run", clips / "loom.avi", *record, "--no-plots", "--out", "other")
+    assert open_text("other/loom/mp.csv") == mp["opencv"]
+
+
+def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    result = dlgmd("run", clips / "loom.avi", "--engine", "numba")
+    assert result.exit_code == 1
+    assert result.stderr == (
+        "Error: engine numba: the package 'numba' is not installed. "
+        "Install it with: pip install 'dlgmd[fast]'\n"
+    )
+    assert not os.path.exists("dlgmd-out")
+
+
+def test_engine_of_a_config_must_be_one(dlgmd, clips, tmp_path):
+    for text, shown in (
+        ("engine: cuda", "there is no engine 'cuda'. Choose from opencv, numba."),
+        ("engine: [numba]", "engine is not a name."),
+    ):
+        (tmp_path / "my.yaml").write_text(text)
+        result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
+        assert result.exit_code == 2 and shown in result.stderr
+
+
 def test_summary_as_json(dlgmd, clips):
     result = dlgmd("run", clips / "loom.avi", "--json", "--no-plots")
     summary = json.loads(result.stdout)
@@ -150,6 +189,7 @@ def test_run_yaml(dlgmd, clips):
     }
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
+    assert record["engine"] == "opencv"
     assert record.keys() >= load_set(9).to_dict().keys()
     assert record["complete"] is True
     assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}

@@ -1,5 +1,6 @@
 """The options that choose a model and its parameters, shared by every command that runs one."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,11 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
 
 if TYPE_CHECKING:
+    from dlgmd_cli.models.base import Model
     from dlgmd_cli.presets import Config
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
+ENGINES = ("opencv", "numba")
 
 
 class ModelChoice:
@@ -30,6 +33,8 @@ class ModelChoice:
         The file, as errors name it.
     recorded_options : dict
         Options of the run that wrote the file, if a run did.
+    recorded_engine : str or None
+        The engine of that run.
     """
 
     def __init__(
@@ -48,6 +53,13 @@ class ModelChoice:
         file = _preset(name) if config is None else presets.load_config(config)
         self.label = f"set{name}" if config is None else config.stem
         self.origin, self.recorded_options = file.name, file.options
+        if file.engine not in (*ENGINES, None):
+            raise ParameterError(
+                file.name,
+                f"there is no engine {str(file.engine)[:40]!r}",
+                f"Choose from {', '.join(ENGINES)}.",
+            )
+        self.recorded_engine = file.engine
         self.model = model or file.model or DEFAULT_MODEL
         if self.model not in PARAMETERS:
             raise ParameterError(
@@ -59,6 +71,12 @@ class ModelChoice:
         if formulation is not None:
             overrides["formulation"] = formulation
         self.params: Parameters = presets.merge(PARAMETERS[self.model], file, overrides)
+
+    def create(self, engine: str | None, tell: Callable[[str], None]) -> "Model":
+        """The model, computed by `engine` or, unless that is given, as the file's run was."""
+        from dlgmd_cli.models.base import create_model  # brings in numpy
+
+        return create_model(self.params, engine=engine or self.recorded_engine or "auto", tell=tell)
 
     def dlgmd_params(self) -> DlgmdParameters:
         """The parameters, which must be the D-LGMD's."""
@@ -102,4 +120,11 @@ model_options = OptionGroup(
         type=click.Choice(FORMULATIONS),
         help="How latency meets whole frames.  [default: default]",
     ),
+)
+
+engine_option = click.option(
+    "--engine",
+    type=click.Choice(ENGINES),
+    help="What computes the model; numba needs dlgmd[fast].  "
+    "[default: numba for large frames if installed, else opencv]",
 )

@@ -10,7 +10,7 @@ import click
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
-from dlgmd_cli.commands._model import ModelChoice, model_options
+from dlgmd_cli.commands._model import ModelChoice, engine_option, model_options
 from dlgmd_cli.commands._types import Output, output_options
 from dlgmd_cli.errors import SourceError
 
@@ -27,12 +27,14 @@ if TYPE_CHECKING:
 )
 @click.argument("input_path", metavar="INPUT")
 @model_options
+@engine_option
 @input_options
 @output_options
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def run(
     input_path: str,
     choice: ModelChoice,
+    engine: str | None,
     given: dict[str, Any],
     output: Output,
     as_json: bool,
@@ -45,12 +47,11 @@ def run(
     which --config takes to repeat the run.
     """
     options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
-    from dlgmd_cli.models.base import create_model
     from dlgmd_cli.results.folder import ResultFolder
     from dlgmd_cli.results.measures import doubts, summarise
     from dlgmd_cli.runs.single import Recording, read_recording
 
-    detector, recording = create_model(choice.params), Recording()
+    detector, recording = choice.create(engine, tell=say), Recording()
     with (
         options.open(input_path) as source,
         ResultFolder(output.out, source.info.name, overwrite=output.overwrite) as folder,
@@ -71,6 +72,7 @@ def run(
         record = {
             **_facts(source, len(recording)),
             "model": choice.model,
+            "engine": detector.engine_name,
             **choice.params.to_dict(),
             "options": options.to_record(),
             "warnings": warnings,

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import Parameters
 
 FloatImage = npt.NDArray[np.float32]
+Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,11 @@ class Model(Protocol):
         ...
 
     @property
+    def engine_name(self) -> str:
+        """What computes the layers; before the first frame, what was asked for."""
+        ...
+
+    @property
     def first_valid_frame(self) -> int:
         """Index of the first frame with a full history, counting from 0 at `reset`."""
         ...
@@ -82,8 +88,8 @@ class Model(Protocol):
         """Forget every frame seen so far; the next one may have another size."""
         ...
 
-    def step(self, luminance: FloatImage, *, layers: bool = False) -> Response:
-        """Take the next frame, (H, W) float32 in 0..1, and answer to it."""
+    def step(self, luminance: Grey, *, layers: bool = False) -> Response:
+        """Take the next frame, (H, W) float32 in 0..1 or uint8 in 0..255, and answer to it."""
         ...
 
 
@@ -91,16 +97,25 @@ class Model(Protocol):
 MODELS = {"dlgmd": ("dlgmd_cli.models.dlgmd", "DLGMD")}
 
 
-def create_model(params: Parameters) -> Model:
+def create_model(params: Parameters, **options: Any) -> Model:
     """The model that `params` are parameters of.
+
+    Parameters
+    ----------
+    params : Parameters
+        Of one of the `MODELS`.
+    options
+        Handed to the model: `engine` and `tell`, see `DLGMD`.
 
     Raises
     ------
     ParameterError
-        If there is none.
+        If there is none, or no such engine.
+    MissingExtraError
+        If the engine needs a package that is not installed.
     """
     if params.model not in MODELS:
         raise ParameterError("", f"no model takes {type(params).__name__}")
     module, attribute = MODELS[params.model]
-    model: Model = getattr(import_module(module), attribute)(params)
+    model: Model = getattr(import_module(module), attribute)(params, **options)
     return model

@@ -2,20 +2,29 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.errors import FrameError
-from dlgmd_cli.models.base import FloatImage, Layers, Response
-from dlgmd_cli.models.filters import empty_image, sum_4x4
+from dlgmd_cli.models.base import FloatImage, Grey, Layers, Response
+from dlgmd_cli.models.engines import (
+    AUTO,
+    Grouped,
+    Grouping,
+    Wiring,
+    choose_engine,
+    create_engine,
+)
+from dlgmd_cli.models.history import History, aligned
 from dlgmd_cli.models.kernels import Connections, connect, gaussian
-from dlgmd_cli.models.plan import Term, plan
 from dlgmd_cli.params import DlgmdParameters
 
 # The released code divides by this whatever the frame: n_cell m of its authors' 800 x 600.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
+_TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 
 class DLGMD:
@@ -25,6 +34,16 @@ class DLGMD:
     ----------
     params : DlgmdParameters, optional
         Parameters and formulation; set 9 in the `default` formulation unless given.
+    engine : str
+        What computes the layers: `opencv`, `numba` (a fused loop, compiled on first use), or
+        `auto`, which takes Numba for large frames where it is installed.
+    tell : callable, optional
+        Called with a message before the engine is compiled, which takes some seconds.
+
+    Attributes
+    ----------
+    engine_name : str
+        The engine in use; what was asked for until the first frame.
 
     Examples
     --------
@@ -37,13 +56,19 @@ class DLGMD:
 
     name = "dlgmd"
 
-    def __init__(self, params: DlgmdParameters | None = None) -> None:
+    def __init__(
+        self,
+        params: DlgmdParameters | None = None,
+        engine: str = AUTO,
+        tell: Callable[[str], None] = lambda message: None,
+    ) -> None:
         self.params = params if params is not None else DlgmdParameters()
+        self.engine_name = self._asked_engine = engine
+        self._tell = tell
+        choose_engine(engine)  # complains at once, not at the first frame
         self._literal = self.params.formulation == "equations"
         self._released = self.params.formulation == "released"
         self.connections = connections_of(self.params)
-        bases = [gaussian(self.params.r, s) for s in (self.params.sigma_i, self.params.sigma_e)]
-        self._terms: tuple[Term, ...] = plan(self.connections.signed(), bases)
         # FFI(t) looks one frame back, two in the released code, Eq. (12).
         self._ffi_delay = 2 if self._released else 1
         self.reset()
@@ -56,16 +81,16 @@ class DLGMD:
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
         self._n_frames = 0
-        self._shape: tuple[int, int] | None = None
         self._p_sums: deque[float] = deque(maxlen=self._ffi_delay + 1)
 
-    def step(self, luminance: FloatImage, *, layers: bool = False) -> Response:
+    def step(self, luminance: Grey, *, layers: bool = False) -> Response:
         """Take the next frame and answer to it.
 
         Parameters
         ----------
-        luminance : ndarray, shape (H, W), float32
-            Luminance in 0..1. The array may be reused by the caller afterwards.
+        luminance : ndarray, shape (H, W), float32 or uint8
+            Luminance in 0..1, or grey levels in 0..255 that stand for it. The array may be reused
+            by the caller afterwards.
         layers : bool
             Return copies of P, S and G as well.
 
@@ -78,7 +103,10 @@ class DLGMD:
         Raises
         ------
         FrameError
-            If the frame is not a float32 image, or not of the same size as the one before.
+            If the frame is neither a float32 nor a uint8 image, or not of the same size and type
+            as the one before.
+        MissingExtraError
+            If the engine asked for needs a package that is not installed.
         """
         self._admit(luminance)
         frame = self._n_frames
@@ -86,84 +114,65 @@ class DLGMD:
         if frame == 0:
             np.copyto(self._previous, luminance)
             return _undefined(layers=Layers() if layers else None)
-        p = self._p(frame)
+        p = self._history.advance()
         cv2.absdiff(luminance, self._previous, dst=p)
         np.copyto(self._previous, luminance)
-        self._p_sums.append(cv2.sumElems(p)[0])
+        p_sum = cv2.sumElems(p)[0] * self._history.unit
+        self._p_sums.append(p_sum)
         if frame < self.first_valid_frame:
-            return _undefined(self._p_sums[-1], Layers(p.copy()) if layers else None)
-        self._summate(frame)
+            return _undefined(p_sum, Layers(self._p_layer()) if layers else None)
         ffi = self._p_sums[-1 - self._ffi_delay]
         t_de = self._threshold(ffi)
-        self._group(t_de)
-        return Response(
-            p_sum=self._p_sums[-1],
-            s_sum=cv2.sumElems(self._s)[0],
-            mp=cv2.sumElems(self._g)[0],
-            ffi=ffi,
-            t_de=t_de,
-            layers=Layers(p.copy(), self._s.copy(), self._g.copy()) if layers else None,
-        )
+        grouping = Grouping(self.params.k, t_de, math.inf if self._literal else 1.0)
+        room = Grouped(*(aligned(p.shape) for _ in range(2))) if layers else None
+        s_sum, mp = self._engine.respond(self._history, grouping, room)
+        shown = Layers(self._p_layer(), *room) if room else None
+        return Response(p_sum, s_sum, mp, ffi, t_de, shown)
 
-    def _admit(self, luminance: FloatImage) -> None:
+    def _admit(self, luminance: Grey) -> None:
         """Check a frame, and make room on the first one."""
-        if luminance.ndim != 2 or luminance.dtype != np.float32 or luminance.size == 0:
+        if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
             raise FrameError(
                 "frame",
-                f"{luminance.dtype} of shape {luminance.shape} is not a float32 image (H, W)",
+                f"{luminance.dtype} of shape {luminance.shape} is not a float32 or uint8 image "
+                "(H, W)",
                 "Give luminance in 0..1, for example gray.astype(np.float32) / 255.",
             )
-        if self._shape is None:
-            self._shape = (luminance.shape[0], luminance.shape[1])
-            self._previous = empty_image(self._shape)
-            depth = self.connections.max_delay_frames + 1
-            self._history = [empty_image(self._shape) for _ in range(depth)]
-            self._s, self._g, self._part, self._difference = (
-                empty_image(self._shape) for _ in range(4)
-            )
-        elif luminance.shape != self._shape:
-            raise FrameError(
-                "frame",
-                f"its shape {luminance.shape} is not that of the frames before, {self._shape}",
-                "Call reset() between videos.",
-            )
+        if self._n_frames == 0:
+            self._prepare(luminance)
+        for name, given, before in (
+            ("shape", luminance.shape, self._previous.shape),
+            ("type", luminance.dtype, self._previous.dtype),
+        ):
+            if given != before:
+                raise FrameError(
+                    "frame",
+                    f"its {name} {given} is not that of the frames before, {before}",
+                    "Call reset() between videos.",
+                )
 
-    def _p(self, frame: int) -> FloatImage:
-        """The buffer of P at frame number `frame`, kept for as long as a delay reaches back."""
-        return self._history[frame % len(self._history)]
+    def _prepare(self, luminance: Grey) -> None:
+        """Make the memory and the engine for frames like this one."""
+        self._previous = aligned(luminance.shape, luminance.dtype)
+        depth = max(self.connections.max_delay_frames + 1, 2)
+        self._history = History(depth, self._previous)
+        self.engine_name = choose_engine(self._asked_engine, luminance.size)
+        params = self.params
+        gaussians = [gaussian(params.r, sigma) for sigma in (params.sigma_i, params.sigma_e)]
+        wiring = Wiring(self.connections.signed(), gaussians)
+        self._engine = create_engine(self.engine_name, wiring, self._history, self._tell)
 
-    def _summate(self, frame: int) -> None:
-        """S(t) = max(P(t) ∗ K_E - Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)."""
-        if not self._terms:
-            self._s[:] = 0.0
-        for position, term in enumerate(self._terms):
-            image = self._p(frame - term.delay)
-            if term.difference:
-                cv2.subtract(image, self._p(frame - term.delay - 1), dst=self._difference)
-                image = self._difference
-            if position == 0:
-                term.filter.apply(image, out=self._s)
-            else:
-                term.filter.apply(image, out=self._part)
-                cv2.add(self._s, self._part, dst=self._s)
-        cv2.threshold(self._s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=self._s)
+    def _p_layer(self) -> FloatImage:
+        """A copy of P(t) in units of luminance."""
+        return np.multiply(self._history[0], np.float32(self._history.unit), dtype=np.float32)
 
     def _threshold(self, ffi: float) -> float:
         """T_de, Eq. (11); the released code divides by a constant, and caps it."""
         if not self.params.ffi_gd:
             return 0.0
-        cells = RELEASED_CELLS if self._released else self._s.size * self.params.m
+        cells = RELEASED_CELLS if self._released else self._previous.size * self.params.m
         t_de = ffi * self.params.t0 / cells
         return t_de if self._literal else min(t_de, MAX_T_DE)
-
-    def _group(self, t_de: float) -> None:
-        """G = S · Ce where it reaches T_de, saturated at 1, Eqs. (8) to (10)."""
-        sum_4x4(self._s, out=self._part)
-        cv2.multiply(self._s, self._part, dst=self._g, scale=self.params.k)
-        if t_de > 0.0:
-            cv2.threshold(self._g, _just_below(t_de), 0.0, cv2.THRESH_TOZERO, dst=self._g)
-        if not self._literal:
-            cv2.threshold(self._g, 1.0, 0.0, cv2.THRESH_TRUNC, dst=self._g)
 
 
 def connections_of(params: DlgmdParameters) -> Connections:
@@ -178,14 +187,6 @@ def connections_of(params: DlgmdParameters) -> Connections:
         lam=params.lam,
         interpolate=params.formulation == "equations",
     )
-
-
-def _just_below(threshold: float) -> float:
-    """The largest float32 below `threshold`: OpenCV keeps what is greater, Eq. (10) what is ≥."""
-    nearest = np.float32(threshold)
-    if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
-        nearest = np.nextafter(nearest, np.float32(-math.inf))
-    return float(nearest)
 
 
 def _undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from dlgmd_cli.models.base import FloatImage
 
 BORDER = cv2.BORDER_CONSTANT
-CACHE_LINE = 64
 
 
 @dataclass(frozen=True)
@@ -39,18 +38,6 @@ class Taps:
 
 
 Filter = Separable | Taps
-
-
-def empty_image(shape: tuple[int, int]) -> FloatImage:
-    """An uninitialised float32 image whose memory starts at a cache line.
-
-    OpenCV adds up in an order that depends on alignment: without it the last bit of a sum would
-    change from run to run.
-    """
-    n_bytes = 4 * shape[0] * shape[1]
-    memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
-    start = -memory.ctypes.data % CACHE_LINE
-    return memory[start : start + n_bytes].view(np.float32).reshape(shape)
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:

@@ -22,11 +22,11 @@ NEGLIGIBLE = 1e-13
 # Singular values below this share of the largest one are lost in float32 anyway.
 RANK_TOLERANCE = 1e-9
 
-# Costs in ns per pixel, measured on 1920 x 1080 float32 with one thread.
-PASS_COST = 0.36  # one more addition or difference of two images
-TAPS_COST = (0.37, 0.042)  # filter2D: fixed, per tap
-SEPARABLE_COST = (0.3, 0.12)  # sepFilter2D: fixed, per tap of one side
-DFT_COST = 11.5  # filter2D beyond 11 x 11, where OpenCV turns to the Fourier transform
+# Costs in ns per pixel, measured on float32 images that stay in cache, with one thread.
+PASS_COST = 0.15  # one more addition or difference of two images
+TAPS_COST = (0.13, 0.038)  # filter2D: fixed, per tap
+SEPARABLE_COST = (0.14, 0.098)  # sepFilter2D: fixed, per tap of one side
+DFT_COST = 11.3  # filter2D beyond 11 x 11, where OpenCV turns to the Fourier transform
 MAX_TAPS_SIDE = 11
 
 
@@ -57,10 +57,8 @@ def plan(kernels: dict[int, FloatKernel], gaussians: list[FloatKernel]) -> tuple
     gaussians : list of ndarray
         Separable kernels of the same shape that the others were cut from.
     """
-    layouts = [plain_layout(kernels)]
-    layouts += [telescoped_layout(kernels, first) for first in (0, 1)]
     candidates = []
-    for layout in layouts:
+    for layout in layouts(kernels):
         cost, terms = 0.0, []
         for (delay, difference), kernel in layout.items():
             best = decompose(kernel, gaussians)
@@ -72,6 +70,11 @@ def plan(kernels: dict[int, FloatKernel], gaussians: list[FloatKernel]) -> tuple
 
 
 Layout = dict[tuple[int, bool], FloatKernel]
+
+
+def layouts(kernels: dict[int, FloatKernel]) -> list[Layout]:
+    """Ways to spread the kernels over frames and differences of frames."""
+    return [plain_layout(kernels), *(telescoped_layout(kernels, first) for first in (0, 1))]
 
 
 def plain_layout(kernels: dict[int, FloatKernel]) -> Layout:
@@ -92,13 +95,16 @@ def telescoped_layout(kernels: dict[int, FloatKernel], first: int) -> Layout:
 
 def decompose(kernel: FloatKernel, gaussians: list[FloatKernel]) -> Costed:
     """The cheapest filters found that add up to `kernel`; none for a kernel of zeros."""
-    peak = np.abs(kernel).max()
-    if peak == 0.0:
+    if not kernel.any():
         return Costed((), 0.0)
-    clean = np.where(np.abs(kernel) > NEGLIGIBLE * peak, kernel, 0.0)
-    options = [_taps(clean), _low_rank(kernel)]
+    options = [_taps(without_rounding(kernel)), _low_rank(kernel)]
     options += [_cut_gaussian(kernel, base, side) for base, side in _squares(kernel, gaussians)]
     return min(options, key=lambda option: option.cost)
+
+
+def without_rounding(kernel: FloatKernel) -> FloatKernel:
+    """`kernel` without the taps that are mere rounding."""
+    return np.where(np.abs(kernel) > NEGLIGIBLE * np.abs(kernel).max(), kernel, 0.0)
 
 
 def _squares(
@@ -147,13 +153,18 @@ def _taps(kernel: FloatKernel) -> Costed:
     return Costed((taps,), fixed + each * rows.size if small else DFT_COST)
 
 
-def _low_rank(kernel: FloatKernel) -> Costed:
-    """`kernel` as a sum of separable filters, by its singular values."""
+def low_rank_factors(kernel: FloatKernel) -> list[tuple[FloatKernel, FloatKernel]]:
+    """Columns and rows whose outer products add up to `kernel`, by its singular values."""
     columns, weights, rows = np.linalg.svd(kernel)
     rank = int(np.count_nonzero(weights > RANK_TOLERANCE * weights[0]))
-    parts = [_separable(columns[:, i] * weights[i], rows[i]) for i in range(rank)]
+    return [(columns[:, i] * weights[i], rows[i]) for i in range(rank)]
+
+
+def _low_rank(kernel: FloatKernel) -> Costed:
+    """`kernel` as a sum of separable filters."""
+    parts = [_separable(column, row) for column, row in low_rank_factors(kernel)]
     filters = tuple(one for part in parts for one in part.filters)
-    return Costed(filters, sum(part.cost for part in parts) + PASS_COST * (rank - 1))
+    return Costed(filters, sum(part.cost for part in parts) + PASS_COST * (len(parts) - 1))
 
 
 def _separable(column: FloatKernel, row: FloatKernel) -> Costed:

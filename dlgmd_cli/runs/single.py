@@ -70,7 +70,7 @@ def run(
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), ReadAhead(source) as frames:
         for frame in frames:
-            recording.append(frame, model.step(frame.luminance))
+            recording.append(frame, model.step(frame.grey))
             on_frame(frame.index + 1)
 
 

@@ -99,9 +99,7 @@ class Selection:
         return select
 
 
-def to_grey(
-    image: Image, size_wh: tuple[int, int], levels: tuple[int, int] | None = None
-) -> Image:
+def to_grey(image: Image, size_wh: tuple[int, int], levels: tuple[int, int] | None = None) -> Image:
     """Grey levels (BT.601) of a picture at the size given.
 
     Parameters

@@ -1,0 +1,129 @@
+"""Engines: whatever computes the summation and the grouping layer from the history of P."""
+
+import math
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.models.base import FloatImage
+from dlgmd_cli.models.history import History
+from dlgmd_cli.models.kernels import FloatKernel
+
+# Imported on first use: Numba takes a fifth of a second.
+_HOMES = {
+    "opencv": ("dlgmd_cli.models.tiled", "TiledEngine"),
+    "numba": ("dlgmd_cli.models.fused", "FusedEngine"),
+}
+ENGINES = tuple(_HOMES)
+AUTO = "auto"
+# Below this, Numba's start takes longer than it saves in a few hundred frames.
+WORTH_COMPILING_PX = 500_000
+
+
+class Wiring(NamedTuple):
+    """What an engine is made for.
+
+    `kernels` has the signed kernel of every delay in frames, (2r + 1, 2r + 1) float64 each, and
+    `gaussians` separable ones of the same shape that they were cut from.
+    """
+
+    kernels: dict[int, FloatKernel]
+    gaussians: list[FloatKernel]
+
+
+class Grouping(NamedTuple):
+    """Gain k, threshold T_de and saturation of the grouping layer, Eqs. (9) and (10)."""
+
+    gain: float
+    t_de: float
+    cap: float
+
+
+class Grouped(NamedTuple):
+    """Room for the layers S and G, (H, W) float32 each."""
+
+    s: FloatImage
+    g: FloatImage
+
+
+class Engine(Protocol):
+    """Made for one wiring and for images of one size and type."""
+
+    def respond(
+        self, history: History, grouping: Grouping, layers: Grouped | None = None
+    ) -> tuple[float, float]:
+        """ΣS and ΣG of the newest frame, in units of luminance.
+
+            S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
+            G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
+
+        Parameters
+        ----------
+        history : History
+            P(t) and as many before it as the largest delay of the wiring.
+        grouping : Grouping
+            Constants of this frame's grouping layer.
+        layers : Grouped, optional
+            Filled with S and G.
+        """
+        ...
+
+
+def choose_engine(name: str, n_cells: int = 0) -> str:
+    """The engine meant by `name`: itself, or for `auto` the one that suits the size.
+
+    Parameters
+    ----------
+    name : str
+        One of `ENGINES`, or `auto`.
+    n_cells : int
+        H · W of the frames.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such engine.
+    MissingExtraError
+        If the package that it needs is not installed.
+    """
+    if name not in (*ENGINES, AUTO):
+        raise ParameterError(
+            "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
+        )
+    if name == "numba" and not _has_numba():
+        raise MissingExtraError("engine numba", "numba", "fast")
+    if name == AUTO:
+        return "numba" if n_cells >= WORTH_COMPILING_PX and _has_numba() else "opencv"
+    return name
+
+
+def create_engine(
+    name: str, wiring: Wiring, history: History, tell: Callable[[str], None]
+) -> Engine:
+    """An engine by its name, for images like those of `history`.
+
+    `tell` is called with a message before something that takes long.
+    """
+    module, kind = _HOMES[name]
+    engine: Engine = getattr(import_module(module), kind)(wiring, history, tell)
+    return engine
+
+
+def _has_numba() -> bool:
+    """Whether Numba is there, without importing it."""
+    try:
+        return find_spec("numba") is not None
+    except ValueError:  # it is on record as absent
+        return False
+
+
+def just_below(threshold: float) -> float:
+    """The largest float32 below `threshold`, so that > with it is what ≥ is with `threshold`."""
+    nearest = np.float32(threshold)
+    if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
+        nearest = np.nextafter(nearest, np.float32(-math.inf))
+    return float(nearest)

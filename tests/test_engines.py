@@ -1,0 +1,185 @@
+"""Engines give the same answers, whatever the size of the frame, and are chosen as said."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from reference import slow
+
+from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.models import engines
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.engines import just_below
+from dlgmd_cli.models.history import CACHE_LINE, History, aligned
+from dlgmd_cli.models.tiled import TILE_HW, tiles
+from dlgmd_cli.params import DlgmdParameters
+
+SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
+# Around the sides of OpenCV's tiles and of the compiled engine's strips and blocks.
+SHAPES = [(40, 480), (40, 481), (40, 511), (40, 513), (270, 30), (271, 30), (64, 20), (63, 70)]
+SHAPES += [(555, 965), (33, 1025), (1, 600), (600, 1)]
+
+
+def scene(height, width, n_frames=6, dtype=np.uint8, seed=3):
+    """Blocks that drift, and bright squares that grow fast: something for every tile."""
+    rng = np.random.default_rng(seed)
+    ground = rng.integers(40, 160, (height // 5 + 9, width // 5 + 9), dtype=np.uint8)
+    ground = np.kron(ground, np.ones((5, 5), np.uint8))
+    frames = []
+    for t in range(n_frames):
+        frame = ground[2 * t : 2 * t + height, 3 * t : 3 * t + width].copy()
+        for y in range(height // 2 % 80, height, 80):
+            for x in range(width // 2 % 80, width, 80):
+                rows, columns = (slice(max(0, c - 5 * t), c + 5 * t) for c in (y, x))
+                frame[rows, columns] = 250
+        frames.append(frame)
+    return frames if dtype == np.uint8 else [f.astype(dtype) / dtype(255) for f in frames]
+
+
+def answers(engine, frames, **changes):
+    # Little inhibition, so that something passes everywhere.
+    model = DLGMD(DlgmdParameters(**slow.table_2(9, a=0.4) | changes), engine=engine)
+    responses = [model.step(frame, layers=True) for frame in frames]
+    assert model.engine_name == engine
+    return responses
+
+
+@pytest.fixture
+def numba():
+    return pytest.importorskip("numba", reason="the numba engine needs numba")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_engines_agree_at_every_size(numba, shape, dtype):
+    frames = scene(*shape, dtype=dtype)
+    one, other = answers("opencv", frames), answers("numba", frames)
+    for a, b in zip(one[3:], other[3:], strict=True):
+        for name in SUMS:
+            assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-5, abs=1e-5)
+        np.testing.assert_allclose(a.layers.s, b.layers.s, rtol=0, atol=2e-5)
+        # A cell at the threshold may fall on either side.
+        apart = np.abs(a.layers.g - b.layers.g) > 1e-4
+        assert apart.sum() <= 2 and np.all(np.minimum(a.layers.g, b.layers.g)[apart] == 0.0)
+    assert max(a.mp for a in one[3:]) > 0.0 or min(shape) == 1
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize(
+    "changes", [{"r": 12, "sigma_i": 9.0}, {"r": 32}, {"alpha": 3.0}, {"r": 1}]
+)
+def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, formulation):
+    frames = scene(90, 530, n_frames=9)
+    one, other = (answers(e, frames, formulation=formulation, **changes) for e in engines.ENGINES)
+    assert one[-1].is_valid
+    for a, b in zip(one, other, strict=True):
+        for name in SUMS:
+            expected = pytest.approx(getattr(a, name), rel=1e-5, abs=1e-4, nan_ok=True)
+            assert getattr(b, name) == expected
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+def test_twice_the_same_to_the_last_bit(numba, engine):
+    frames = scene(300, 530)
+    model = DLGMD(DlgmdParameters(a=0.4), engine=engine)
+    first = [model.step(frame) for frame in frames]
+    model.reset()
+    again = [model.step(frame) for frame in frames]
+    fresh = answers(engine, frames)
+    for a, b, c in zip(first[3:], again[3:], fresh[3:], strict=True):
+        assert all(getattr(a, n) == getattr(b, n) == getattr(c, n) for n in SUMS)
+
+
+def test_tiles_cover_every_pixel_once_with_what_it_depends_on():
+    for shape in ((1, 1), TILE_HW, (TILE_HW[0] + 1, TILE_HW[1] + 1), (700, 1300)):
+        count = np.zeros(shape, int)
+        for tile in tiles(shape, radius=6):
+            count[tile.target] += 1
+            whole = np.arange(shape[0] * shape[1]).reshape(shape)
+            window = whole[tile.window]
+            assert np.array_equal(window[tile.core], whole[tile.target])
+            assert np.array_equal(window[tile.grouped][tile.core_in_grouped], whole[tile.target])
+            for place, side in enumerate(shape):
+                needed = tile.target[place].start - 7, tile.target[place].stop + 8
+                assert tile.window[place].start == max(0, needed[0])
+                assert tile.window[place].stop == min(side, needed[1])
+        assert np.all(count == 1)
+
+
+# The choice
+
+
+def test_numba_is_chosen_for_large_frames_where_it_is_there(numba, monkeypatch):
+    least = engines.WORTH_COMPILING_PX
+    assert engines.choose_engine("auto", least) == "numba"
+    assert engines.choose_engine("auto", least - 1) == "opencv"
+    assert engines.choose_engine("opencv", least) == "opencv"
+    assert engines.choose_engine("numba", 1) == "numba"
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert engines.choose_engine("auto", least) == "opencv"
+
+
+def test_a_missing_numba_is_said_in_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(MissingExtraError) as caught:
+        DLGMD(engine="numba")
+    assert str(caught.value) == (
+        "engine numba: the package 'numba' is not installed. "
+        "Install it with: pip install 'dlgmd[fast]'"
+    )
+
+
+def test_an_unknown_engine_is_refused():
+    with pytest.raises(ParameterError, match=r"no engine 'cuda'.*opencv, numba, auto"):
+        DLGMD(engine="cuda")
+
+
+def test_compilation_is_announced_once(numba):
+    from numba.core.event import end_event, install_listener, start_event
+
+    from dlgmd_cli.models.fused import Announcement
+
+    told = []
+    with install_listener("numba:compile", Announcement(told.append)):
+        for _ in range(3):
+            start_event("numba:compile")
+            end_event("numba:compile")
+    assert len(told) == 1 and "Compiling the numba engine" in told[0]
+
+
+def test_nothing_is_announced_without_compilation(numba):
+    answers("numba", scene(20, 20))
+    told = []
+    model = DLGMD(engine="numba", tell=told.append)
+    for frame in scene(20, 20):
+        model.step(frame)
+    assert told == []
+
+
+# Parts
+
+
+def test_history_gives_what_came_so_many_frames_ago():
+    history = History(3, np.zeros((2, 2), np.uint8))
+    for t in range(7):
+        history.advance()[:] = t
+        for delay in range(min(t, 2) + 1):
+            assert np.all(history[delay] == t - delay)
+            assert np.all(history.stack[history.position(delay)] == t - delay)
+    assert history.unit == 1 / 255 and History(1, np.zeros((1, 1), np.float32)).unit == 1.0
+
+
+def test_memory_starts_at_a_cache_line():
+    for shape in ((1,), (7, 3), (2, 5, 9)):
+        for dtype in (np.uint8, np.float32):
+            memory = aligned(shape, dtype)
+            assert memory.shape == shape and memory.dtype == dtype and memory.flags.c_contiguous
+            assert memory.ctypes.data % CACHE_LINE == 0
+
+
+@pytest.mark.parametrize("threshold", [1e-30, 0.1, 0.25, 1 / 3, 0.3, 1.0, 7.25])
+def test_just_below_turns_greater_into_at_least(threshold):
+    below = just_below(threshold)
+    assert below == np.float32(below) < threshold
+    assert float(np.nextafter(np.float32(below), np.float32(math.inf))) >= threshold
