@@ -14,6 +14,7 @@ STEPS = [
     {"presets"},
     {"models", "sources", "results"},
     {"stimuli", "runs", "plots"},
+    {"paper"},
     {"commands"},
     {"app"},
     {"__main__"},

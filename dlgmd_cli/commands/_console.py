@@ -96,8 +96,8 @@ def is_lively() -> bool:
 
 
 @contextmanager
-def progress(name: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A bar with frame/s and time left on stderr; yields what to call with the frames done."""
+def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Callable[[int], None]]:
+    """A bar with speed and time left on stderr; yields what to call with the frames done."""
     if settings().quiet or not is_lively():
         yield lambda done: None
         return
@@ -106,11 +106,11 @@ def progress(name: str, total: int | None) -> Iterator[Callable[[int], None]]:
     from rich.text import Text
 
     class Rate(bars.ProgressColumn):
-        """Frames per second, over the last seconds."""
+        """Frames, or what is counted, per second over the last seconds."""
 
         def render(self, task: bars.Task) -> Text:
             speed = task.finished_speed or task.speed
-            return Text(f"{speed:.0f} frame/s" if speed else "– frame/s")
+            return Text(f"{speed:.{0 if speed >= 10 else 1}f} {unit}/s" if speed else f"– {unit}/s")
 
     columns = (
         bars.TextColumn("{task.description}", markup=False),

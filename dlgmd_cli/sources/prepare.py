@@ -8,7 +8,16 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.sources.base import Frame, Image, Progress, Reader, Select, SourceInfo, Verdict
+from dlgmd_cli.sources.base import (
+    Frame,
+    Image,
+    Picture,
+    Progress,
+    Reader,
+    Select,
+    SourceInfo,
+    Verdict,
+)
 
 # The paper's best size: a quarter of 1080p.
 DEFAULT_WIDTH = 480
@@ -174,8 +183,12 @@ class Source:
         """How many frames were decoded so far, and what went wrong with them."""
         return self._reader.progress
 
+    def pictures(self) -> Iterator[Picture]:
+        """The pictures that were chosen, as they were decoded; each is valid until the next."""
+        return self._reader.pictures(self._selection.begin())
+
     def __iter__(self) -> Iterator[Frame]:
-        for picture in self._reader.pictures(self._selection.begin()):
+        for picture in self.pictures():
             grey = to_grey(picture.image, self.size_wh, picture.levels)
             yield Frame(picture.index, picture.time_s, grey)
 

@@ -73,7 +73,7 @@ def write_clip(
     for path in (video, truth):
         refuse_existing(path, overwrite=overwrite)
     with appearing(video, truth) as (new_video, new_truth):
-        _encode(new_video, scene.frames(options), options, lossless)
+        encode(new_video, scene.frames(options), options.shape, options.fps, lossless=lossless)
         _verify(new_video, video, n_frames)
         write_truth(new_truth, scene.truth(options))
     return video, truth
@@ -124,15 +124,43 @@ def _openable(folder: Path) -> Iterator[Path]:
         yield absolute
 
 
-def _encode(path: Path, frames: Iterable[GreyImage], options: SceneOptions, lossless: bool) -> None:
-    """Encode frames; what finds no room on the disk is missing in the file, without a word."""
-    height, width = options.shape
+def encode(
+    path: Path,
+    frames: Iterable[GreyImage],
+    shape: tuple[int, int],
+    fps: float,
+    *,
+    lossless: bool = False,
+) -> None:
+    """Encode frames as MPEG-4, or as FFV1, which keeps every grey level.
+
+    What finds no room on the disk is missing in the file, without a word.
+
+    Parameters
+    ----------
+    path : Path
+        The video; its suffix says the container.
+    frames : iterable of ndarray
+        (H, W) uint8 each.
+    shape : (int, int)
+        H and W, both even.
+    fps : float
+        Frames per second.
+    lossless : bool
+        FFV1 instead of MPEG-4.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written at all.
+    """
+    height, width = shape
     codec = cv2.VideoWriter.fourcc(*("FFV1" if lossless else "mp4v"))
     path.touch()  # if this cannot be done, it says why; OpenCV would not
     with _openable(path.parent) as folder:
         # Grey frames go in as they are (the last argument): FFV1 is exact only so.
         writer = cv2.VideoWriter(
-            str(folder / path.name), cv2.CAP_FFMPEG, codec, options.fps, (width, height), False
+            str(folder / path.name), cv2.CAP_FFMPEG, codec, fps, (width, height), False
         )
         try:
             if not writer.isOpened():

@@ -1,0 +1,206 @@
+"""`dlgmd bench`: the paper's Table IV, the time the model takes, on this machine."""
+
+import csv
+import json
+import math
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dlgmd_cli.commands._console import Command, print_table, progress, say
+from dlgmd_cli.commands._model import engine_option
+from dlgmd_cli.commands._types import FiniteRange
+
+if TYPE_CHECKING:
+    from dlgmd_cli.paper.speed import Measurement, Timing
+    from dlgmd_cli.sources.prepare import Source
+
+TABLE_IV_SET = 7
+COLUMNS = (
+    *("radius", "scale", "width", "height", "engine", "frames_per_s"),
+    *("core_ms", "decode_ms", "whole_ms", "whole_s", "paper_s", "ratio"),
+)
+
+
+@click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
+@click.argument("input_path", metavar="[INPUT]", required=False)
+@click.option(
+    "--radius",
+    "radii",
+    type=click.IntRange(1, 32),
+    multiple=True,
+    metavar="R",
+    help="Radius of the kernels in px; repeatable.  [default: 6, 4, 3, 2]",
+)
+@click.option(
+    "--scale",
+    "scales",
+    type=FiniteRange(min=0, min_open=True, max=1),
+    multiple=True,
+    metavar="S",
+    help="Linear scale; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
+)
+@click.option(
+    "--frames",
+    "n_frames",
+    type=click.IntRange(12, 100_000),
+    default=120,
+    show_default=True,
+    help="How many frames to run.",
+)
+@click.option(
+    "--repeat",
+    "repeats",
+    type=click.IntRange(1, 1000),
+    default=3,
+    show_default=True,
+    help="Times that all is measured; medians are shown.",
+)
+@engine_option
+@click.option(
+    "--csv",
+    "csv_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write the table as CSV, too.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier CSV.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object in place of a table.")
+def bench(
+    input_path: str | None,
+    radii: tuple[int, ...],
+    scales: tuple[float, ...],
+    n_frames: int,
+    repeats: int,
+    engine: str | None,
+    csv_path: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Time the model, as the paper's Table IV does, on this machine.
+
+    Runs set 7 with each radius at each scale over INPUT, or over a 1080p clip of a panning camera
+    that it renders. Shows what a frame takes: the core (the model alone), decoding (with grey and
+    resizing), and the whole, in which both go on at once.
+    """
+    from dlgmd_cli.paper.speed import RADII, SCALES, measure
+    from dlgmd_cli.presets import load_set
+    from dlgmd_cli.results.files import refuse_existing
+
+    if csv_path is not None:
+        refuse_existing(csv_path, overwrite=overwrite)
+    chosen_radii, chosen_scales = tuple(dict.fromkeys(radii)), tuple(dict.fromkeys(scales))
+    chosen_radii, chosen_scales = chosen_radii or RADII, chosen_scales or SCALES
+    n_steps = repeats * len(chosen_radii) * len(chosen_scales)
+    with (
+        _clip(input_path, n_frames) as path,
+        progress("bench", n_steps, unit="step") as on_step,
+    ):
+        measured = measure(
+            lambda scale: _open(path, scale, n_frames),
+            load_set(TABLE_IV_SET),
+            radii=chosen_radii,
+            scales=chosen_scales,
+            repeats=repeats,
+            engine=engine or "auto",
+            on_step=on_step,
+            tell=say,
+        )
+    rows = [_row(timing) for timing in measured.timings]
+    if csv_path is not None:
+        _write_csv(csv_path, rows)
+    if as_json:
+        facts = {"frames": measured.n_frames, "decoding_alone_ms": measured.decoding_alone_ms}
+        click.echo(json.dumps({**facts, "rows": rows}))
+    else:
+        _show(measured, rows)
+    if csv_path is not None and not as_json:
+        click.echo(click.format_filename(csv_path))
+
+
+@contextmanager
+def _clip(given: str | None, n_frames: int) -> Iterator[str]:
+    """The input, rendered into a temporary folder unless it is given."""
+    if given is not None:
+        yield given
+        return
+    from dlgmd_cli.paper.speed import PAPER_SIZE_WH
+    from dlgmd_cli.stimuli.encode import encode
+    from dlgmd_cli.stimuli.pan import pan_frames
+
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        path = Path(folder) / "pan.mp4"
+        shape = PAPER_SIZE_WH[1], PAPER_SIZE_WH[0]
+        say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
+        encode(path, pan_frames(shape, n_frames), shape, 30.0)
+        yield str(path)
+
+
+def _open(path: str, scale: float, n_frames: int) -> "Source":
+    """The first frames of the input at one scale."""
+    from dlgmd_cli.sources.open import open_source
+
+    with open_source(path) as source:
+        end_s = (n_frames - 0.5) / source.info.fps
+    return open_source(path, scale=scale, end_s=end_s)
+
+
+def _row(timing: "Timing") -> dict[str, Any]:
+    """A timing by the columns of the CSV."""
+    derived = {name: getattr(timing, name) for name in ("frames_per_s", "whole_s", "ratio")}
+    values = {**asdict(timing), **derived}
+    return {name: values[name] for name in COLUMNS}
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    from dlgmd_cli.results.files import appearing
+    from dlgmd_cli.results.tables import cell
+
+    with appearing(path) as (file,), file.open("w", newline="", encoding="ascii") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for row in rows:
+            writer.writerow(
+                value if isinstance(value, str) else cell(math.nan if value is None else value)
+                for value in row.values()
+            )
+
+
+def _show(measured: "Measurement", rows: list[dict[str, Any]]) -> None:
+    """The table, and what the whole comes to beside decoding alone."""
+    alone_ms = measured.decoding_alone_ms
+    print_table(
+        (
+            *("r", "scale", "size", "engine", "frames/s", "core ms", "decode ms", "whole ms"),
+            *("120 frames s", "paper s", "ratio"),
+        ),
+        [
+            (
+                str(row["radius"]),
+                f"{row['scale']:g}",
+                f"{row['width']}x{row['height']}",
+                row["engine"],
+                f"{row['frames_per_s']:.0f}",
+                *(f"{row[name]:.3f}" for name in ("core_ms", "decode_ms", "whole_ms")),
+                f"{row['whole_s']:.2f}",
+                "" if row["paper_s"] is None else f"{row['paper_s']:.2f}",
+                "" if row["ratio"] is None else f"{row['ratio']:.1f}",
+            )
+            for row in rows
+        ],
+    )
+    shares = ", ".join(
+        f"{row['whole_ms'] / alone_ms:.2f} at {row['width']}x{row['height']}"
+        for row in rows
+        if row["radius"] == rows[0]["radius"]
+    )
+    width, height = measured.input_wh
+    click.echo(
+        f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
+        f"a frame. Beside it the whole takes, with r = {rows[0]['radius']}: {shares}."
+    )
