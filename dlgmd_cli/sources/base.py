@@ -1,10 +1,10 @@
-"""What every input looks like: numbered and timed pictures, and facts about their origin."""
+"""What every input looks like: numbered and timed pictures, facts about their origin, decoders."""
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -111,6 +111,65 @@ class Reader(Protocol):
 
     def close(self) -> None:
         """Free the input; may be called twice."""
+        ...
+
+
+class VideoFacts(NamedTuple):
+    """What a video file says about itself; `None` where it says nothing.
+
+    `width` and `height` are those of its first frame as it is shown. `shown_s` is how much of its
+    frames it shows, in seconds, where something may hide others; infinite otherwise.
+    """
+
+    width: int
+    height: int
+    fps: float | None
+    n_frames: int | None
+    shown_s: float = math.inf
+
+
+class Grab(NamedTuple):
+    """A frame that is known to be there: its timestamp in seconds, NaN for none.
+
+    `new_size` is its width and height, where they are not the first frame's.
+    """
+
+    stamp_s: float
+    new_size: tuple[int, int] | None = None
+
+
+class Decoded(NamedTuple):
+    """The image and the levels of a `Picture`."""
+
+    image: Image
+    levels: tuple[int, int] | None = None
+
+
+class Decoder(Protocol):
+    """Frames of one video file, from its beginning. Made with a name that FFmpeg opens as it is.
+
+    Attributes
+    ----------
+    is_damaged : bool
+        Whether something after the first frame could not be decoded, as far as it was read.
+    """
+
+    is_damaged: bool
+
+    def open(self) -> VideoFacts | None:
+        """Open the file and decode its first frame; None if there is none."""
+        ...
+
+    def grabs(self) -> Iterator[Grab]:
+        """Every frame from the first on; once after each `open`."""
+        ...
+
+    def picture(self) -> Decoded | None:
+        """The frame grabbed last, valid until the next grab; None if it cannot be decoded."""
+        ...
+
+    def close(self) -> None:
+        """Free the file, so that it can be opened again; may be called twice."""
         ...
 
 
