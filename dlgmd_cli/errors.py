@@ -36,6 +36,10 @@ class SourceError(DlgmdError):
     """An input from which no result can be computed."""
 
 
+class MissingExtraError(DlgmdError):
+    """A package that is asked for and not installed."""
+
+
 class FrameError(DlgmdError):
     """A frame that the model cannot take: wrong shape or type."""
 

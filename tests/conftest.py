@@ -67,6 +67,14 @@ def pictures(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(params=["opencv", "pyav"])
+def decoder(request) -> str:
+    """Every decoder of videos, as far as it is installed."""
+    if request.param == "pyav":
+        pytest.importorskip("av", reason="PyAV is not installed")
+    return request.param
+
+
 @pytest.fixture
 def dlgmd(tmp_path, monkeypatch):
     """Call the command in an empty folder: `dlgmd("run", "x.mp4")` -> click's result."""

@@ -25,6 +25,7 @@ ONLY_IN = {
     "rich": {"commands"},
     "matplotlib": {"plots"},
     "numba": {"models"},
+    "av": {"sources"},
     "yaml": {"presets", "results", "commands"},
 }
 

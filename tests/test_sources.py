@@ -38,8 +38,8 @@ def any_input(request, clips, pictures):
     }[request.param]
 
 
-def test_contract_frames(any_input):
-    with open_source(any_input) as source:
+def test_contract_frames(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
         frames = list(source)
         assert (source.info.width, source.info.height) == source.size_wh == (WIDTH, HEIGHT)
         assert [f.index for f in frames] == list(range(len(frames)))
@@ -59,48 +59,50 @@ def test_contract_frames(any_input):
     assert frames[-1].luminance.mean() < frames[0].luminance.mean() - 0.2
 
 
-def test_contract_twice_the_same(any_input):
-    with open_source(any_input) as source:
+def test_contract_twice_the_same(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
         first, second = list(source), list(source)
     assert [f.time_s for f in first] == [f.time_s for f in second]
     assert all(np.array_equal(a.luminance, b.luminance) for a, b in zip(first, second, strict=True))
 
 
-def test_contract_frames_do_not_change_later(any_input):
-    with open_source(any_input) as source:
+def test_contract_frames_do_not_change_later(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
         kept = [(f.luminance, f.luminance.copy()) for f in source]
     assert all(np.array_equal(a, b) for a, b in kept)
 
 
-def test_contract_closing_early(any_input):
-    source = open_source(any_input)
+def test_contract_closing_early(any_input, decoder):
+    source = open_source(any_input, decoder=decoder)
     next(iter(source))
     source.close()
     source.close()
 
 
-def test_contract_size(any_input):
-    with open_source(any_input, size_wh=(15, 11)) as source:
+def test_contract_size(any_input, decoder):
+    with open_source(any_input, decoder=decoder, size_wh=(15, 11)) as source:
         assert next(iter(source)).luminance.shape == (11, 15)
-    with open_source(any_input, scale=0.5) as source:
+    with open_source(any_input, decoder=decoder, scale=0.5) as source:
         assert next(iter(source)).luminance.shape == (HEIGHT // 2, WIDTH // 2)
 
 
-def test_contract_span(any_input):
-    with open_source(any_input) as source:
+def test_contract_span(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
         fps = source.info.fps
-    with open_source(any_input, start_s=3 / fps - 0.001, end_s=7 / fps - 0.001) as source:
+    with open_source(
+        any_input, decoder=decoder, start_s=3 / fps - 0.001, end_s=7 / fps - 0.001
+    ) as source:
         assert [f.index for f in source] == [3, 4, 5, 6]
 
 
-def test_contract_rate(any_input):
-    with open_source(any_input) as source:
+def test_contract_rate(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
         fps = source.info.fps
-    with open_source(any_input, max_fps=fps / 3) as source:
+    with open_source(any_input, decoder=decoder, max_fps=fps / 3) as source:
         frames = list(source)
         assert [f.index for f in frames] == list(range(0, source.progress.n_decoded, 3))
         assert [f.time_s for f in frames] == pytest.approx([f.index / fps for f in frames])
-    with open_source(any_input, max_fps=fps * 2) as source:
+    with open_source(any_input, decoder=decoder, max_fps=fps * 2) as source:
         assert len(list(source)) == source.progress.n_decoded
 
 
@@ -273,34 +275,34 @@ def with_durations(data: bytes, runs: list[tuple[int, int]]) -> bytes:
     return bytes(grown).replace(b"edts", b"free")  # the edit list would cut it to its old length
 
 
-def test_times_of_a_variable_frame_rate(tmp_path):
+def test_times_of_a_variable_frame_rate(tmp_path, decoder):
     data = write_video(tmp_path / "x.mp4", looming_frames(), fourcc="mp4v").read_bytes()
     box = data.index(b"stts")
     n_entries, n_frames, unit = struct.unpack(">III", data[box + 8 : box + 20])
     assert (n_entries, n_frames) == (1, N_FRAMES)
     path = tmp_path / "vfr.mp4"
     path.write_bytes(with_durations(data, [(8, unit), (4, 3 * unit), (8, 2 * unit)]))
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         times = [f.time_s for f in source]
         assert source.progress.warnings == []
     steps = [1] * 8 + [3] * 4 + [2] * 7
     assert np.diff(times) == pytest.approx(np.array(steps) / FPS, abs=1e-6)
 
 
-def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path):
+def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path, decoder):
     path = write_video(tmp_path / "edited.mp4", looming_frames(), fourcc="mp4v")
     data = bytearray(path.read_bytes())
     at = data.index(b"elst") + 12  # of a version-0 edit list: its first segment's duration
     duration = struct.unpack(">I", data[at : at + 4])[0]
     data[at : at + 4] = struct.pack(">I", duration // 2)
     path.write_bytes(data)
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         n_frames = len(list(source))
         assert source.progress.warnings == []
         assert abs(n_frames - N_FRAMES // 2) <= 1 and source.info.n_frames == N_FRAMES
 
 
-def test_rotation_is_honoured(tmp_path):
+def test_rotation_is_honoured(tmp_path, decoder):
     frames = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in range(4)]
     for frame in frames:
         frame[:4] = 255  # a bright upper edge
@@ -311,7 +313,7 @@ def test_rotation_is_honoured(tmp_path):
     assert struct.unpack(">9i", data[matrix : matrix + 36])[:5] == (one, 0, 0, 0, one)
     data[matrix : matrix + 36] = struct.pack(">9i", 0, one, 0, -one, 0, 0, 0, 0, 1 << 30)
     path.write_bytes(data)
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         picture = next(iter(source)).luminance
         assert (source.info.width, source.info.height) == (HEIGHT, WIDTH)
     assert picture.shape == (WIDTH, HEIGHT)
@@ -319,14 +321,14 @@ def test_rotation_is_honoured(tmp_path):
 
 
 @pytest.mark.parametrize("stated", [5, 5000])
-def test_a_wrong_frame_count_is_only_a_hint(tmp_path, clips, stated):
+def test_a_wrong_frame_count_is_only_a_hint(tmp_path, clips, stated, decoder):
     data = bytearray((clips / "loom.avi").read_bytes())
     header, stream = data.index(b"avih"), data.index(b"strh")
     data[header + 24 : header + 28] = struct.pack("<I", stated)
     data[stream + 40 : stream + 44] = struct.pack("<I", stated)
     path = tmp_path / "lies.avi"
     path.write_bytes(data)
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         assert source.info.n_frames == stated
         assert len(list(source)) == N_FRAMES
 
@@ -335,12 +337,12 @@ def jpeg(frame):
     return cv2.imencode(".jpg", frame)[1].tobytes()
 
 
-def test_a_change_of_size_ends_the_reading(tmp_path):
+def test_a_change_of_size_ends_the_reading(tmp_path, decoder):
     path = tmp_path / "changes.mjpeg"
     small = [jpeg(frame) for frame in looming_frames(7)]
     large = [jpeg(frame) for frame in looming_frames(5, 48, 40)]
     path.write_bytes(b"".join(small + large))
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         frames = list(source)
         (warning,) = [line for line in source.progress.warnings if "size" in line]
     assert len(frames) == 7
@@ -348,21 +350,21 @@ def test_a_change_of_size_ends_the_reading(tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_a_truncated_file_gives_what_it_holds(tmp_path, share):
+def test_a_truncated_file_gives_what_it_holds(tmp_path, share, decoder):
     rng = np.random.default_rng(1)
     frames = [rng.integers(0, 255, (48, 64), dtype=np.uint8) for _ in range(40)]
     whole = write_video(tmp_path / "whole.avi", frames)
     path = tmp_path / "part.avi"
     data = whole.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         n_frames = len(list(source))
         warnings = source.progress.warnings
     assert abs(n_frames - 40 * share) <= 3
     assert any(f"{n_frames} of about 40 frames" in line for line in warnings), warnings
 
 
-def test_damage_in_the_middle_keeps_what_came_before(tmp_path):
+def test_damage_in_the_middle_keeps_what_came_before(tmp_path, decoder):
     rng = np.random.default_rng(1)
     frames = [rng.integers(0, 255, (48, 64), dtype=np.uint8) for _ in range(40)]
     path = write_video(tmp_path / "hurt.avi", frames)
@@ -372,7 +374,7 @@ def test_damage_in_the_middle_keeps_what_came_before(tmp_path):
     for frame in range(20, 26):  # six pictures that are none
         data[starts[frame] : starts[frame] + 600] = bytes(600)
     path.write_bytes(data)
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         n_frames = len(list(source))
         warnings = source.progress.warnings
     assert n_frames == 20
@@ -398,20 +400,20 @@ NAMES = [
 
 @pytest.mark.skipif(sys.platform == "win32", reason="such names do not exist on Windows")
 @pytest.mark.parametrize("name", NAMES)
-def test_any_file_name_works(tmp_path, monkeypatch, clips, name):
+def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
     monkeypatch.chdir(tmp_path)
     for path in (name, tmp_path / name):
-        with open_source(path) as source:
+        with open_source(path, decoder=decoder) as source:
             assert len(list(source)) == N_FRAMES
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux only")
-def test_a_file_name_that_is_no_text_works(tmp_path, clips):
+def test_a_file_name_that_is_no_text_works(tmp_path, clips, decoder):
     path = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff.avi")
     with open(path, "wb") as file:
         file.write((clips / "loom.avi").read_bytes())
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         assert len(list(source)) == N_FRAMES
 
 
@@ -424,10 +426,10 @@ def test_a_file_name_that_is_no_text_works(tmp_path, clips):
         ("header.avi", b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
 )
-def test_what_is_no_video(tmp_path, name, content, why):
+def test_what_is_no_video(tmp_path, name, content, why, decoder):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SourceError, match=why):
-        open_source(tmp_path / name)
+        open_source(tmp_path / name, decoder=decoder)
 
 
 def test_what_is_not_there(tmp_path):
@@ -452,13 +454,13 @@ def test_a_fifo_does_not_hang(tmp_path):
         open_source(tmp_path / "pipe.mp4")
 
 
-def test_a_name_for_the_results(tmp_path, monkeypatch, clips, pictures):
+def test_a_name_for_the_results(tmp_path, monkeypatch, clips, pictures, decoder):
     monkeypatch.chdir(pictures)
     expected = pictures.name
     for path in (".", pictures, "%d.png", "*.png", pictures / "?.png"):
-        with open_source(path) as source:
+        with open_source(path, decoder=decoder) as source:
             assert source.info.name == expected
-    with open_source(clips / "loom.avi") as source:
+    with open_source(clips / "loom.avi", decoder=decoder) as source:
         assert source.info.name == "loom"
 
 

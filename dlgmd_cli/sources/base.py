@@ -36,6 +36,8 @@ class SourceInfo:
         Nominal frames per second.
     n_frames : int or None
         How many frames it is said to have: a hint for a progress bar, often wrong.
+    decoder : str
+        What decodes it: opencv or pyav.
     """
 
     path: str
@@ -44,6 +46,7 @@ class SourceInfo:
     height: int
     fps: float
     n_frames: int | None
+    decoder: str = "opencv"
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,16 @@ import math
 import os
 from pathlib import Path
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.sources.base import Reader
 from dlgmd_cli.sources.images import ImageReader, in_folder, is_pattern, matching
 from dlgmd_cli.sources.prepare import Selection, Source, processed_size
-from dlgmd_cli.sources.video import VideoReader
+from dlgmd_cli.sources.video import DECODERS, DEFAULT_DECODER, VideoReader
 
 
-def open_reader(path: str | os.PathLike[str], fps: float | None = None) -> Reader:
+def open_reader(
+    path: str | os.PathLike[str], fps: float | None = None, decoder: str = DEFAULT_DECODER
+) -> Reader:
     """A reader for a video file, a folder of pictures, or a pattern of pictures.
 
     Parameters
@@ -20,12 +22,22 @@ def open_reader(path: str | os.PathLike[str], fps: float | None = None) -> Reade
         What exists under this name is taken as it is; only otherwise it may be a pattern.
     fps : float, optional
         Frames per second where the input does not say.
+    decoder : str
+        What decodes a video.
 
     Raises
     ------
     SourceError
         If there is nothing to decode.
+    ParameterError
+        If there is no such decoder.
+    MissingExtraError
+        If the decoder's package is not installed.
     """
+    if decoder not in DECODERS:
+        raise ParameterError(
+            "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
+        )
     text = os.fspath(path)
     file = Path(text)
     try:
@@ -40,7 +52,7 @@ def open_reader(path: str | os.PathLike[str], fps: float | None = None) -> Reade
         while is_pattern(folder.name):
             folder = folder.parent
         return ImageReader(matching(text), file.absolute(), folder.resolve().name or "root", fps)
-    return VideoReader(file, fps)
+    return VideoReader(file, fps, decoder)
 
 
 def open_source(
@@ -52,6 +64,7 @@ def open_source(
     end_s: float = math.inf,
     max_fps: float | None = None,
     input_fps: float | None = None,
+    decoder: str = DEFAULT_DECODER,
 ) -> Source:
     """Frames of a video, a folder or a pattern, ready for a model.
 
@@ -69,6 +82,8 @@ def open_source(
         Frames a second at most; the others are dropped, and times stay true.
     input_fps : float, optional
         Frames per second of pictures, or of a video that does not say; 30 unless given.
+    decoder : {"opencv", "pyav"}
+        What decodes a video; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
 
     Returns
     -------
@@ -81,9 +96,11 @@ def open_source(
         If nothing can be decoded.
     ParameterError
         If an option is out of range.
+    MissingExtraError
+        If the decoder's package is not installed.
     """
     selection = Selection(start_s, end_s, max_fps)
-    reader = open_reader(path, input_fps)
+    reader = open_reader(path, input_fps, decoder)
     try:
         size = processed_size(reader.info.width, reader.info.height, scale=scale, size_wh=size_wh)
     except BaseException:

@@ -16,9 +16,11 @@ from dlgmd_cli.sources.base import (
     Verdict,
     VideoFacts,
 )
-from dlgmd_cli.sources.opencv_video import OpenCVDecoder
 from dlgmd_cli.sources.times import FrameClock, HoleWatch
 from dlgmd_cli.sources.watch import count_packets
+
+DECODERS = ("opencv", "pyav")
+DEFAULT_DECODER = "opencv"
 
 _DAMAGED = "the file is damaged"
 
@@ -32,17 +34,23 @@ class VideoReader:
         A file. Its name may hold anything: FFmpeg never gets to read it as a pattern or an URL.
     fps : float, optional
         Frames per second where the file does not say; 30 unless given.
+    decoder : str
+        One of `DECODERS`.
 
     Raises
     ------
     SourceError
         If no picture can be decoded.
+    MissingExtraError
+        If the decoder's package is not installed.
     """
 
     info: SourceInfo
     progress: Progress
 
-    def __init__(self, path: Path, fps: float | None = None) -> None:
+    def __init__(
+        self, path: Path, fps: float | None = None, decoder: str = DEFAULT_DECODER
+    ) -> None:
         self._is_at_start = True
         self._fault: str | None = None
         self.progress = Progress()
@@ -50,7 +58,7 @@ class VideoReader:
         _check_readable(path)
         self._path = path
         self._name = self._openable(path.absolute())
-        self._decoder: Decoder = OpenCVDecoder(self._name)
+        self._decoder = _create_decoder(decoder, self._name)
         try:
             facts = self._open()
         except BaseException:
@@ -64,6 +72,7 @@ class VideoReader:
             facts.height,
             facts.fps or fps or FALLBACK_FPS,
             facts.n_frames,
+            decoder,
         )
 
     def _openable(self, path: Path) -> str:
@@ -171,6 +180,18 @@ class VideoReader:
         if self._link_folder is not None:
             self._link_folder.cleanup()
             self._link_folder = None
+
+
+def _create_decoder(decoder: str, name: str) -> Decoder:
+    """The decoder of that name, for a file that FFmpeg finds under `name`."""
+    # Late: only what is asked for has to be there.
+    if decoder == "pyav":
+        from dlgmd_cli.sources.pyav_video import PyAVDecoder
+
+        return PyAVDecoder(name)
+    from dlgmd_cli.sources.opencv_video import OpenCVDecoder
+
+    return OpenCVDecoder(name)
 
 
 def _check_readable(path: Path) -> None:
