@@ -14,8 +14,11 @@ import yaml
 from conftest import FPS, N_FRAMES, looming_frames, write_video
 
 from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli.commands import _input
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.plots.traces import PLOTS as PLOTS_BY_NAME
 from dlgmd_cli.results import tables
+from dlgmd_cli.sources.video import DECODERS
 
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
@@ -186,6 +189,7 @@ def test_run_yaml(dlgmd, clips):
         "fps": FPS,
         "frames": N_FRAMES,
         "duration_s": pytest.approx(N_FRAMES / FPS),
+        "decoder": "opencv",
     }
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
@@ -280,6 +284,7 @@ USAGE = [
     (["--start", "1:75"], "is not a time"),
     (["--start", 2, "--end", 1], "--end 1 is not after --start 2"),
     (["--normalise", "both"], "--normalise"),
+    (["--decoder", "vlc"], "--decoder"),
     (["--format", "bmp"], "--format"),
     (["--colour"], "No such option"),
 ]
@@ -331,6 +336,46 @@ def test_bad_input_is_exit_1(dlgmd, tmp_path, name, content, why):
     assert result.exit_code == 1 and result.stdout == ""
     assert result.stderr.startswith(f"Error: {name}: {why}")
     assert result.stderr.count("\n") == 1 and os.listdir(".") == before
+
+
+def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
+    assert dlgmd("run", clips / "loom.mp4", "--decoder", decoder, "--no-plots").exit_code == 0
+    folder = tmp_path / "dlgmd-out/loom"
+    record = yaml.safe_load(open_text(folder / "run.yaml"))
+    assert record["input"]["decoder"] == record["options"]["decoder"] == decoder
+    assert ("av" in record["versions"]) == (decoder == "pyav")
+    again = dlgmd(
+        "run", clips / "loom.mp4", "--config", folder / "run.yaml", "--no-plots", "--out", "again"
+    )
+    assert again.exit_code == 0
+    for name in FILES:
+        assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
+    assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
+    for name in ("loom", pictures.name):
+        record = yaml.safe_load(open_text(tmp_path / "dlgmd-out" / name / "run.yaml"))
+        assert record["input"]["decoder"] == "opencv"
+        assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
+
+
+def test_a_decoder_that_is_not_installed(dlgmd, clips, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    result = dlgmd("run", clips / "loom.mp4", "--decoder", "pyav")
+    assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
+    assert result.stderr == (
+        "Error: --decoder pyav: the package 'av' is not installed. "
+        "Install it with: pip install 'dlgmd[fast]'\n"
+    )
+
+
+def test_an_unknown_decoder(clips):
+    with pytest.raises(ParameterError, match="no decoder 'vlc'"):
+        open_source(clips / "loom.mp4", decoder="vlc")
+    assert _input.DECODERS == DECODERS  # which help cannot import, it would bring in OpenCV
 
 
 def test_too_short(dlgmd, clips):
@@ -392,10 +437,11 @@ def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
     assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
 
 
-def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path):
+def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
-    result = dlgmd("run", "still.avi", "--no-plots")
+    result = dlgmd("run", "still.avi", "--no-plots", "--decoder", decoder)
     assert result.exit_code == 0
+    assert ("read it with --decoder pyav" in result.stderr) == (decoder == "opencv")
     assert "Warning: still.avi: no picture differs from the one before it" in result.stderr
     rows = read(tmp_path / "dlgmd-out/still/attenuation.csv")
     assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes

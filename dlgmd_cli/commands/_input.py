@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.sources.prepare import Source
 
 NORMALISATIONS = ("absolute", "sequence")
+DECODERS = ("opencv", "pyav")
 
 _RATE = FiniteRange(min=0, min_open=True, max=100_000)
 _TYPES: dict[str, click.ParamType] = {
@@ -23,6 +24,7 @@ _TYPES: dict[str, click.ParamType] = {
     "input_fps": _RATE,
     "start": Time(),
     "end": Time(),
+    "decoder": click.Choice(DECODERS),
     "normalise": click.Choice(NORMALISATIONS),
 }
 
@@ -45,6 +47,12 @@ input_options = OptionGroup(
         metavar="F",
         help="Frame rate of pictures, or of a video that states none.  [default: 30]",
     ),
+    click.option(
+        "--decoder",
+        type=_TYPES["decoder"],
+        help="What decodes a video; pictures are read the same with both. PyAV needs "
+        "pip install 'dlgmd[fast]'.  [default: opencv]",
+    ),
     click.option("--start", type=_TYPES["start"], help="Seconds or HH:MM:SS.mmm."),
     click.option("--end", type=_TYPES["end"], help="Seconds or HH:MM:SS.mmm, excluded."),
     click.option(
@@ -63,6 +71,7 @@ class InputChoice:
     size: tuple[int, int] | None = None
     fps: float | None = None
     input_fps: float | None = None
+    decoder: str | None = None
     start: float | None = None
     end: float | None = None
     normalise: str | None = None
@@ -116,6 +125,7 @@ class InputChoice:
     def open(self, path: str) -> "Source":
         """The frames that these options ask for; raises SourceError."""
         from dlgmd_cli.sources.open import open_source
+        from dlgmd_cli.sources.video import DEFAULT_DECODER
 
         return open_source(
             path,
@@ -125,6 +135,7 @@ class InputChoice:
             end_s=math.inf if self.end is None else self.end,
             max_fps=self.fps,
             input_fps=self.input_fps,
+            decoder=self.decoder or DEFAULT_DECODER,
         )
 
 

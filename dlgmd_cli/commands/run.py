@@ -64,7 +64,7 @@ def run(
         result = read_recording(
             recording, source.size_wh, choice.params, by_sequence=options.by_sequence
         )
-        warnings = [*source.progress.warnings, *doubts(result)]
+        warnings = [*source.progress.warnings, *doubts(result, source.info.decoder)]
         for warning in warnings:
             warn(f"{input_path}: {warning}")
         if complete and recording.n_valid == 0:
@@ -133,6 +133,7 @@ def _facts(source: "Source", n_processed: int) -> dict[str, Any]:
             "fps": info.fps,
             "frames": source.progress.n_decoded,
             "duration_s": source.progress.last_time_s + 1.0 / info.fps,
+            "decoder": info.decoder,
         },
         "processed": {
             "width": source.size_wh[0],

@@ -42,15 +42,17 @@ def summarise(result: Result) -> dict[str, Any]:
     }
 
 
-def doubts(result: Result) -> list[str]:
-    """What looks wrong about a result, a line each."""
+def doubts(result: Result, decoder: str = "opencv") -> list[str]:
+    """What looks wrong about a result, a line each, given what decoded the input."""
     lines = []
     if result.p_sum.size > 1 and not np.nansum(result.p_sum) > 0.0:
-        lines.append(
-            "no picture differs from the one before it: a still scene, or interlaced video, "
-            f"which OpenCV {cv2.__version__} may not convert; if so, de-interlace it with "
-            "ffmpeg -vf yadif"
-        )
+        line = "no picture differs from the one before it: a still scene"
+        if decoder == "opencv":
+            line += (
+                f", or interlaced video, which OpenCV {cv2.__version__} may not convert; if so, "
+                "read it with --decoder pyav, or de-interlace it with ffmpeg -vf yadif"
+            )
+        lines.append(line)
     if np.isfinite(result.mp).any() and not np.isfinite(result.level).any():
         lines.append(
             "the membrane potential never changes, so that it cannot be normalised by its own "

@@ -1,6 +1,7 @@
 """run.yaml: everything that it takes to repeat a run, and what came of it."""
 
 import platform
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,25 @@ from dlgmd_cli.results.folder import RECORD_NAME
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 
 
-def versions() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
-    return {
+def versions(decoder: str = "opencv") -> dict[str, str]:
+    """Versions of what the numbers depend on, given what decoded the input."""
+    used = {
         "dlgmd": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
+    if decoder == "pyav":
+        used["av"] = metadata.version("av")
+    return used
 
 
 def write_record(folder: Path, record: dict[str, Any]) -> None:
     """Write `record` and the versions as YAML, in its own order; OSError passes through."""
     text = yaml.safe_dump(
-        {**record, "versions": versions()}, sort_keys=False, allow_unicode=True, width=100
+        {**record, "versions": versions(record["input"]["decoder"])},
+        sort_keys=False,
+        allow_unicode=True,
+        width=100,
     )
     (folder / RECORD_NAME).write_text(_HEADER + text, encoding="utf-8")
