@@ -79,6 +79,17 @@ def test_contract_closing_early(any_input, decoder):
     source.close()
 
 
+@pytest.mark.parametrize("kind", ["avi", "mp4"])
+def test_closing_ends_an_iteration(clips, kind, decoder):
+    source = open_source(clips / f"loom.{kind}", decoder=decoder)
+    frames = iter(source)
+    next(frames)
+    source.close()
+    assert list(frames) == []
+    assert len(list(source)) == N_FRAMES  # opened again
+    source.close()
+
+
 def test_contract_size(any_input, decoder):
     with open_source(any_input, decoder=decoder, size_wh=(15, 11)) as source:
         assert next(iter(source)).luminance.shape == (11, 15)

@@ -3,7 +3,7 @@
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -36,13 +36,16 @@ class PyAVDecoder:
     -----
     Messages of FFmpeg are dropped by PyAV before they reach Python, unless the host program asked
     for them. That is left as it is: a callback into Python from FFmpeg's threads can deadlock.
+
+    In damaged H.264, FFmpeg's threads race for the frames that they call corrupt: reading it again
+    may end some frames earlier or later.
     """
 
     def __init__(self, name: str) -> None:
         self.is_damaged = False
         self._name = name
         self._container: InputContainer | None = None
-        self._frames: Iterator[VideoFrame] = iter(())
+        self._frames: Generator[VideoFrame, None, None] | None = None
         self._frame: VideoFrame | None = None
         self._size: tuple[int, int] | None = None
         self._start = 0
@@ -83,7 +86,7 @@ class PyAVDecoder:
 
     def _decoded(
         self, av: Any, container: "InputContainer", stream: "VideoStream"
-    ) -> Iterator["VideoFrame"]:
+    ) -> Generator["VideoFrame", None, None]:
         """Every frame that is whole."""
         n_bad = 0
         packets = container.demux(stream)
@@ -109,7 +112,7 @@ class PyAVDecoder:
 
     def grabs(self) -> Iterator[Grab]:
         """Every frame from the first on; once after each `open`."""
-        assert self._frame is not None
+        assert self._frame is not None and self._frames is not None
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
             size = _shown_size(frame)
@@ -128,7 +131,10 @@ class PyAVDecoder:
 
     def close(self) -> None:
         """Free the file, so that it can be opened again; may be called twice."""
-        self._frames, self._frame = iter(()), None
+        # First what still reads from the container: closed under its feet, it would crash.
+        if self._frames is not None:
+            self._frames.close()
+        self._frames = self._frame = None
         if self._container is not None:
             self._container.close()
             self._container = None
