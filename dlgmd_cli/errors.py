@@ -50,28 +50,3 @@ class OutputError(DlgmdError):
 
 class OutputExistsError(OutputError):
     """A result that stands already and may not be replaced."""
-
-
-class MissingExtraError(DlgmdError):
-    """An optional package that is asked for, and not installed.
-
-    Parameters
-    ----------
-    what : str
-        The option that needs it.
-    package : str
-        Its name.
-    extra : str
-        The extra of this project that brings it.
-    """
-
-    def __init__(self, what: str, package: str, extra: str) -> None:
-        self._arguments = (what, package, extra)
-        super().__init__(
-            what,
-            f"the package {package!r} is not installed",
-            f"Install it with: pip install 'dlgmd[{extra}]'",
-        )
-
-    def __reduce__(self) -> tuple[type["DlgmdError"], tuple[str, str, str]]:
-        return type(self), self._arguments

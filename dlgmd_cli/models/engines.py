@@ -95,7 +95,11 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
             "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
         )
     if name == "numba" and not _has_numba():
-        raise MissingExtraError("engine numba", "numba", "fast")
+        raise MissingExtraError(
+            "engine numba",
+            "the package 'numba' is not installed",
+            "Install it with: pip install 'dlgmd[fast]'",
+        )
     if name == AUTO:
         return "numba" if n_cells >= WORTH_COMPILING_PX and _has_numba() else "opencv"
     return name

@@ -15,23 +15,27 @@ from dlgmd_cli.results.folder import RECORD_NAME
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 
 
-def versions(decoder: str = "opencv") -> dict[str, str]:
-    """Versions of what the numbers depend on, given what decoded the input."""
+# What else a number depends on, by the decoder or engine that made it.
+_PACKAGES = {"pyav": "av", "numba": "numba"}
+
+
+def versions(*used_beside: str) -> dict[str, str]:
+    """Versions of what the numbers depend on, given the decoder and the engine."""
     used = {
         "dlgmd": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-    if decoder == "pyav":
-        used["av"] = metadata.version("av")
+    for package in (_PACKAGES[name] for name in used_beside if name in _PACKAGES):
+        used[package] = metadata.version(package)
     return used
 
 
 def write_record(folder: Path, record: dict[str, Any]) -> None:
     """Write `record` and the versions as YAML, in its own order; OSError passes through."""
     text = yaml.safe_dump(
-        {**record, "versions": versions(record["input"]["decoder"])},
+        {**record, "versions": versions(record["input"]["decoder"], record["engine"])},
         sort_keys=False,
         allow_unicode=True,
         width=100,
