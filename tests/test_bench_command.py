@@ -62,6 +62,12 @@ def test_engine(dlgmd, clips):
     assert json.loads(result.stdout)["rows"][0]["engine"] == "numba"
 
 
+def test_decoder(dlgmd, clips):
+    pytest.importorskip("av", reason="--decoder pyav needs av")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--decoder", "pyav", "--json")
+    assert json.loads(result.stdout)["decoder"] == "pyav"
+
+
 def test_too_few_frames(dlgmd, clips):
     result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
     assert result.exit_code == 1

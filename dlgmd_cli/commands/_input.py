@@ -28,6 +28,13 @@ _TYPES: dict[str, click.ParamType] = {
     "normalise": click.Choice(NORMALISATIONS),
 }
 
+decoder_option = click.option(
+    "--decoder",
+    type=_TYPES["decoder"],
+    help="What decodes a video; pictures are read the same with both. PyAV needs "
+    "pip install 'dlgmd[fast]'.  [default: opencv]",
+)
+
 input_options = OptionGroup(
     "given",
     dict,
@@ -47,12 +54,7 @@ input_options = OptionGroup(
         metavar="F",
         help="Frame rate of pictures, or of a video that states none.  [default: 30]",
     ),
-    click.option(
-        "--decoder",
-        type=_TYPES["decoder"],
-        help="What decodes a video; pictures are read the same with both. PyAV needs "
-        "pip install 'dlgmd[fast]'.  [default: opencv]",
-    ),
+    decoder_option,
     click.option("--start", type=_TYPES["start"], help="Seconds or HH:MM:SS.mmm."),
     click.option("--end", type=_TYPES["end"], help="Seconds or HH:MM:SS.mmm, excluded."),
     click.option(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands._console import Command, print_table, progress, say
+from dlgmd_cli.commands._input import decoder_option
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import FiniteRange
 
@@ -62,6 +63,7 @@ COLUMNS = (
     help="Times that all is measured; medians are shown.",
 )
 @engine_option
+@decoder_option
 @click.option(
     "--csv",
     "csv_path",
@@ -78,6 +80,7 @@ def bench(
     n_frames: int,
     repeats: int,
     engine: str | None,
+    decoder: str | None,
     csv_path: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -102,7 +105,7 @@ def bench(
         progress("bench", n_steps, unit="step") as on_step,
     ):
         measured = measure(
-            lambda scale: _open(path, scale, n_frames),
+            lambda scale: _open(path, scale, n_frames, decoder or "opencv"),
             load_set(TABLE_IV_SET),
             radii=chosen_radii,
             scales=chosen_scales,
@@ -115,7 +118,11 @@ def bench(
     if csv_path is not None:
         _write_csv(csv_path, rows)
     if as_json:
-        facts = {"frames": measured.n_frames, "decoding_alone_ms": measured.decoding_alone_ms}
+        facts = {
+            "frames": measured.n_frames,
+            "decoder": measured.decoder,
+            "decoding_alone_ms": measured.decoding_alone_ms,
+        }
         click.echo(json.dumps({**facts, "rows": rows}))
     else:
         _show(measured, rows)
@@ -141,13 +148,13 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
         yield str(path)
 
 
-def _open(path: str, scale: float, n_frames: int) -> "Source":
+def _open(path: str, scale: float, n_frames: int, decoder: str) -> "Source":
     """The first frames of the input at one scale."""
     from dlgmd_cli.sources.open import open_source
 
-    with open_source(path) as source:
+    with open_source(path, decoder=decoder) as source:
         end_s = (n_frames - 0.5) / source.info.fps
-    return open_source(path, scale=scale, end_s=end_s)
+    return open_source(path, scale=scale, end_s=end_s, decoder=decoder)
 
 
 def _row(timing: "Timing") -> dict[str, Any]:
@@ -202,5 +209,6 @@ def _show(measured: "Measurement", rows: list[dict[str, Any]]) -> None:
     width, height = measured.input_wh
     click.echo(
         f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"a frame. Beside it the whole takes, with r = {rows[0]['radius']}: {shares}."
+        f"a frame ({measured.decoder}). Beside it the whole takes, with r = {rows[0]['radius']}: "
+        f"{shares}."
     )

@@ -81,6 +81,7 @@ class Measurement:
     decoding_alone_ms: float
     n_frames: int
     input_wh: tuple[int, int]
+    decoder: str
 
 
 @dataclass
@@ -163,6 +164,7 @@ def measure(
             median(alone_ms),
             first.progress.n_decoded,
             (first.info.width, first.info.height),
+            first.info.decoder,
         )
 
 
