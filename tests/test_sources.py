@@ -5,6 +5,7 @@ import math
 import os
 import struct
 import sys
+from collections import deque
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.sources.base import Frame, Verdict
+from dlgmd_cli.sources.base import KEPT_PICTURES, Frame, Verdict
 from dlgmd_cli.sources.open import open_source
 from dlgmd_cli.sources.prepare import Selection, processed_size, to_grey
 from dlgmd_cli.sources.times import FrameClock, HoleWatch
@@ -70,6 +71,18 @@ def test_contract_frames_do_not_change_later(any_input, decoder):
     with open_source(any_input, decoder=decoder) as source:
         kept = [(f.luminance, f.luminance.copy()) for f in source]
     assert all(np.array_equal(a, b) for a, b in kept)
+
+
+def test_contract_pictures_stay_while_a_few_more_are_taken(any_input, decoder):
+    with open_source(any_input, decoder=decoder) as source:
+        kept = deque(maxlen=KEPT_PICTURES)
+        for picture in source.pictures():
+            kept.append((picture, picture.image.copy()))
+            assert all(np.array_equal(one.image, copy) for one, copy in kept)
+        assert len(kept) == KEPT_PICTURES
+        frame = source.frame(kept[-1][0])
+        assert frame.index == source.progress.n_decoded - 1
+        assert frame.luminance.shape == (HEIGHT, WIDTH)
 
 
 def test_contract_closing_early(any_input, decoder):

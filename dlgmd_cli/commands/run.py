@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
@@ -16,9 +17,19 @@ from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
+    from dlgmd_cli.results.folder import ResultFolder
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.single import Recording
     from dlgmd_cli.sources.prepare import Source
+
+_NEEDED_LATER = (
+    "dlgmd_cli.models.tiled",
+    "dlgmd_cli.runs.single",
+    "dlgmd_cli.results.folder",
+    "dlgmd_cli.results.measures",
+    "rich.table",
+)
+_NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.traces", "matplotlib.backends.backend_agg")
 
 
 @click.command(
@@ -47,16 +58,17 @@ def run(
     which --config takes to repeat the run.
     """
     options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
-    from dlgmd_cli.results.folder import ResultFolder
-    from dlgmd_cli.results.measures import doubts, summarise
-    from dlgmd_cli.runs.single import Recording, read_recording
-
-    detector, recording = choice.create(engine, tell=say), Recording()
+    detector = choice.create(engine, tell=say)
+    import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     with (
         options.open(input_path) as source,
-        ResultFolder(output.out, source.info.name, overwrite=output.overwrite) as folder,
+        _folder(output, source.info.name) as folder,
         Interrupts() as interrupts,
     ):
+        from dlgmd_cli.results.measures import doubts, summarise
+        from dlgmd_cli.runs.single import Recording, read_recording
+
+        recording = Recording()
         complete = _compute(source, detector, recording, options.n_expected(source.info))
         interrupts.hold()
         if not complete:
@@ -85,6 +97,13 @@ def run(
         kept = f"the {len(recording)} frames before it"
         say(f"{folder.target} holds {'all frames, but not all plots' if complete else kept}.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
+
+
+def _folder(output: Output, name: str) -> "ResultFolder":
+    """Where the result goes, refused at once if it may not."""
+    from dlgmd_cli.results.folder import ResultFolder
+
+    return ResultFolder(output.out, name, overwrite=output.overwrite)
 
 
 def _compute(

@@ -8,9 +8,12 @@ from typing import Generic, TypeVar
 
 import cv2
 
+from dlgmd_cli.sources.base import KEPT_PICTURES
+
 ItemT = TypeVar("ItemT")
 
-DEPTH = 4
+# One picture waits to be put, and one is worked on while the next is asked for.
+DEPTH = KEPT_PICTURES - 3
 # How long a decoder may take over one frame before a stop no longer waits for it.
 PATIENCE_S = 10.0
 

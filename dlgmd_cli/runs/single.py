@@ -67,9 +67,10 @@ def run(
         Called after each frame with the number of frames of the input that are done.
     """
     model.reset()
-    # The decoder has threads of its own; OpenCV's would only be in its way.
-    with opencv_threads(1), ReadAhead(source) as frames:
-        for frame in frames:
+    # The decoder has threads of its own; OpenCV's would only be in its way. Grey and resizing are
+    # left to this thread: decoding takes longer than the model.
+    with opencv_threads(1), ReadAhead(source.pictures()) as pictures:
+        for frame in map(source.frame, pictures):
             recording.append(frame, model.step(frame.grey))
             on_frame(frame.index + 1)
 

@@ -18,6 +18,8 @@ MAX_PLAUSIBLE_TIME_S = 1e9
 # A damaged packet fails one grab, the end of a stream all that follow. Pictures from before the
 # damage may still be inside the decoder's threads.
 GRABS_PAST_DAMAGE = 32
+# Decoders write over the image of a picture when so many more were taken.
+KEPT_PICTURES = 6
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class Reader(Protocol):
     progress: Progress
 
     def pictures(self, select: Select) -> Iterator[Picture]:
-        """Every picture that `select` takes; an `image` is valid until the next one."""
+        """Every picture that `select` takes; an `image` is valid for `KEPT_PICTURES` of them."""
         ...
 
     def close(self) -> None:
@@ -168,7 +170,7 @@ class Decoder(Protocol):
         ...
 
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid until the next grab; None if it cannot be decoded."""
+        """The frame grabbed last, valid until `KEPT_PICTURES` more; None if it is damaged."""
         ...
 
     def close(self) -> None:

@@ -1,6 +1,7 @@
 """Video files decoded by OpenCV's FFmpeg backend."""
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import cv2
 
 from dlgmd_cli.sources.base import (
     GRABS_PAST_DAMAGE,
+    KEPT_PICTURES,
     Decoded,
     Grab,
     Image,
@@ -32,7 +34,7 @@ class OpenCVDecoder:
         self._n_grabbed = 0
         self._capture: cv2.VideoCapture | None = None
         self._watch: ResolutionWatch | None = None
-        self._image: Image | None = None
+        self._images: deque[Image | None] = deque([None] * KEPT_PICTURES)
 
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
@@ -87,15 +89,17 @@ class OpenCVDecoder:
             yield Grab(stamp_s, watch.size_of_next(stamp_s))
 
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid until the next grab; None if it cannot be decoded."""
+        """The frame grabbed last, valid until `KEPT_PICTURES` more; None if it is damaged."""
         assert self._capture is not None
         try:
-            is_there, image = self._capture.retrieve(self._image)
+            is_there, image = self._capture.retrieve(self._images[0])
         except cv2.error:
             return None
         if not is_there or image is None or image.size == 0:
             return None
-        self._image = image
+        # Memory that was used before spares the system to clear new pages.
+        self._images[0] = image
+        self._images.rotate()
         return Decoded(image)
 
     def close(self) -> None:

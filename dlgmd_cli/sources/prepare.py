@@ -184,13 +184,16 @@ class Source:
         return self._reader.progress
 
     def pictures(self) -> Iterator[Picture]:
-        """The pictures that were chosen, as they were decoded; each is valid until the next."""
+        """The pictures that were chosen, as they were decoded; valid for `KEPT_PICTURES`."""
         return self._reader.pictures(self._selection.begin())
 
+    def frame(self, picture: Picture) -> Frame:
+        """What models take of a picture."""
+        grey = to_grey(picture.image, self.size_wh, picture.levels)
+        return Frame(picture.index, picture.time_s, grey)
+
     def __iter__(self) -> Iterator[Frame]:
-        for picture in self.pictures():
-            grey = to_grey(picture.image, self.size_wh, picture.levels)
-            yield Frame(picture.index, picture.time_s, grey)
+        return map(self.frame, self.pictures())
 
     def close(self) -> None:
         """Free the input; may be called twice."""

@@ -125,7 +125,7 @@ class PyAVDecoder:
         return float((frame.pts - self._start) * frame.time_base)
 
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid until the next grab; None if it cannot be decoded."""
+        """The frame grabbed last, valid for as long as it is held; None if it is damaged."""
         assert self._frame is not None
         return picture_of(self._frame)
 
