@@ -33,15 +33,26 @@ def test_a_command_that_is_not_there(dlgmd):
     assert dlgmd("xyzzy").exit_code == 2
 
 
-def test_help_imports_nothing_heavy():
-    for arguments in (["--help"], ["run", "--help"], ["run"], ["run", "x", "--set"]):
+def test_help_and_usage_errors_import_nothing_heavy():
+    for arguments in (
+        ["--help"],
+        ["run", "--help"],
+        ["bench", "--help"],
+        ["run"],
+        ["run", "x", "--set"],
+        ["run", "x", "--scale", "5"],
+        ["run", "x", "--engine", "cuda"],
+        ["bench", "--radius", "99"],
+        ["nonsense"],
+    ):
         program = (
             "import sys\n"
             "from dlgmd_cli.app import main\n"
             f"sys.argv = ['dlgmd', *{arguments!r}]\n"
             "try:\n    main()\n"
             "except SystemExit: pass\n"
-            "print(sorted({'cv2', 'matplotlib', 'numpy', 'yaml'} & set(sys.modules)))\n"
+            "heavy = {'av', 'cv2', 'matplotlib', 'numba', 'numpy', 'yaml'}\n"
+            "print(sorted(heavy & set(sys.modules)))\n"
         )
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, check=True

@@ -1,6 +1,7 @@
 """Engines give the same answers, whatever the size of the frame, and are chosen as said."""
 
 import math
+import os
 import sys
 
 import numpy as np
@@ -89,6 +90,34 @@ def test_twice_the_same_to_the_last_bit(numba, engine):
     fresh = answers(engine, frames)
     for a, b, c in zip(first[3:], again[3:], fresh[3:], strict=True):
         assert all(getattr(a, n) == getattr(b, n) == getattr(c, n) for n in SUMS)
+
+
+@pytest.mark.parametrize("n_bands", [2, 3, 4])
+@pytest.mark.parametrize("shape", [(4, 50), (5, 7), (63, 530), (200, 90)])
+def test_bands_of_rows_give_what_one_gives(numba, monkeypatch, shape, n_bands):
+    from dlgmd_cli.models import fused
+
+    frames = scene(*shape)
+    whole = answers("numba", frames)
+    monkeypatch.setattr(fused, "MIN_BAND_PX", 1)
+    monkeypatch.setattr(fused, "MAX_BANDS", n_bands)
+    monkeypatch.setattr(fused, "n_cores", lambda: 8)
+    model = DLGMD(DlgmdParameters(**slow.table_2(9, a=0.4)), engine="numba")
+    in_bands = [model.step(frame, layers=True) for frame in frames]
+    assert len(model._engine._bands) == n_bands + 1
+    for a, b in zip(whole[3:], in_bands[3:], strict=True):
+        assert np.array_equal(a.layers.s, b.layers.s) and np.array_equal(a.layers.g, b.layers.g)
+        assert b.s_sum == pytest.approx(a.s_sum, rel=1e-12)
+        assert b.mp == pytest.approx(a.mp, rel=1e-12)
+
+
+def test_small_frames_are_worked_on_in_one_thread(numba):
+    from dlgmd_cli.models import fused
+
+    model = DLGMD(engine="numba")
+    model.step(np.zeros((270, 480), np.uint8))
+    assert len(model._engine._bands) == 2
+    assert 1 <= fused.n_cores() <= os.cpu_count()
 
 
 def test_tiles_cover_every_pixel_once_with_what_it_depends_on():

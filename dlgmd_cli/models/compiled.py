@@ -175,6 +175,74 @@ def _move_up(image, start, distance, n):
         image[x] = image[x + distance]
 
 
+@njit(**_OPTIONS)
+def _read_block(image, stack, newer, older, reach, edges, shape, top, first_new):
+    """The rows of a block that are new, for all strips, in the order of memory."""
+    radius, n_rows, stride = shape
+    depth = 2 * radius + n_rows
+    height, width = stack.shape[1], stack.shape[2]
+    for row in range(first_new, depth):
+        y = top - radius + row
+        for strip in range(edges.size - 1):
+            begin = edges[strip] - 1 - radius
+            left, right = max(0, begin), min(width, edges[strip + 1] + 2 + radius)
+            for q in range(newer.size):
+                at = (strip * newer.size + q) * depth * stride + row * stride
+                if y < 0 or y >= height:
+                    image[at : at + stride] = 0.0
+                elif row >= radius - reach[q]:
+                    start = np.uint64(at + left - begin)
+                    _read_row(image, start, stack, newer[q], older[q], y, left, right - left)
+
+
+@njit(**_OPTIONS)
+def _summate(s, start, image, partial, zero, plan, shape):
+    """S before it is rectified, from `start` on: partial sums first, then those along the row."""
+    onto, last, up, up_weights, along, along_weights, taps, tap_weights = plan
+    radius, n_rows, stride = shape
+    n = n_rows * stride
+    first = 0
+    for k in range(onto.size):
+        out, base = np.uint64(k * n), np.uint64(max(onto[k], 0) * n)
+        if onto[k] < 0:
+            _sum(partial, out, zero, base, image, n, up, up_weights, first, last[k])
+        else:
+            _sum(partial, out, partial, base, image, n, up, up_weights, first, last[k])
+        first = last[k]
+    n -= 2 * radius
+    none = np.uint64(0)
+    _sum(s, start, zero, none, partial, n, along, along_weights, 0, along_weights.size)
+    _add(s, start, image, n, taps, tap_weights, 0, tap_weights.size)
+
+
+@njit(**_OPTIONS)
+def _rectify_block(s, n_rows, stride, top, first, end, left, n, s_out):
+    """S = max(S, 0) on a block, and its sum over the image's rows `first` up to `end`."""
+    s_sum = 0.0
+    for row in range(n_rows):
+        at, y = (3 + row) * stride, top + row
+        total = _rectify(s, np.uint64(at), n + 3)
+        if first <= y < end:
+            # Column 0 and the last two belong to the neighbours.
+            s_sum += total - s[at] - s[at + n + 1] - s[at + n + 2]
+            if s_out.size:
+                s_out[y, left : left + n] = s[at + 1 : at + 1 + n]
+    return s_sum
+
+
+@njit(**_OPTIONS)
+def _group_block(s, rows, n_rows, stride, top, first, end, left, n, grouping, g_out):
+    """ΣG over the rows for which S is there, as far as they are from `first` up to `end`."""
+    gain, below, cap = grouping
+    _four_rows(rows, s, np.uint64(stride), n_rows * stride)
+    g_sum = 0.0
+    for row in range(max(0, first + 2 - top), min(n_rows, end + 2 - top)):
+        at, around = np.uint64((row + 1) * stride + 1), np.uint64(row * stride)
+        y = top - 2 + row
+        g_sum += _group_row(s, at, rows, around, n, gain, below, cap, g_out, y, left)
+    return g_sum
+
+
 def _cached(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiled on first use, and kept on disk where there is a place to write to."""
     try:
@@ -184,96 +252,39 @@ def _cached(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @_cached
-def respond(stack, newer, older, reach, plan, shape, memory, edges, grouping, s_out, g_out):
-    """ΣS and ΣG of a whole image; `fused.FusedEngine` prepares every argument.
+def respond(
+    first, end, stack, newer, older, reach, plan, shape, memory, edges, grouping, s_out, g_out
+):
+    """ΣS and ΣG of the rows `first` up to `end`; `fused` prepares every argument.
 
-    The image is cut into strips of columns. A block of rows is read for all strips, in the order
-    of memory, and worked on strip by strip; what the next block needs again is moved up.
+    The image is cut into strips of columns. A block of rows is read for all strips, and worked on
+    strip by strip; what the next block needs again is moved up.
     """
-    onto, last, up_places, up_weights, row_places, row_weights, tap_places, tap_weights = plan
     radius, n_rows, stride = shape
     image, partial, zero, s, rows = memory
-    gain, below, cap = grouping
-    height, width = stack.shape[1], stack.shape[2]
-    n_sources, n_partials, n_strips = newer.size, onto.size, edges.size - 1
-    depth = 2 * radius + n_rows
-    size, block = depth * stride, n_rows * stride
-    s_size = (n_rows + 3) * stride
-    span = np.uint64(stride)
+    depth, block = 2 * radius + n_rows, n_rows * stride
+    size, s_size = newer.size * depth * stride, block + 3 * stride
     s_sum = g_sum = 0.0
-    for strip in range(n_strips):
+    for strip in range(edges.size - 1):
         s[strip * s_size : strip * s_size + 3 * stride] = 0.0
-    top, first_new = -1, 0
-    while top - 2 < height:
-        for row in range(first_new, depth):
-            y = top - radius + row
-            for strip in range(n_strips):
-                begin = edges[strip] - 1 - radius
-                left, right = max(0, begin), min(width, edges[strip + 1] + 2 + radius)
-                for q in range(n_sources):
-                    at = (strip * n_sources + q) * size + row * stride
-                    if y < 0 or y >= height:
-                        image[at : at + stride] = 0.0
-                    elif row >= radius - reach[q]:
-                        start = np.uint64(at + left - begin)
-                        _read_row(image, start, stack, newer[q], older[q], y, left, right - left)
-        for strip in range(n_strips):
-            left, right = edges[strip], edges[strip + 1]
-            here = image[strip * n_sources * size :]
-            tap = 0
-            for k in range(n_partials):
-                out, base = np.uint64(k * block), np.uint64(max(onto[k], 0) * block)
-                if onto[k] < 0:
-                    _sum(partial, out, zero, base, here, block, up_places, up_weights, tap, last[k])
-                else:
-                    _sum(
-                        partial,
-                        out,
-                        partial,
-                        base,
-                        here,
-                        block,
-                        up_places,
-                        up_weights,
-                        tap,
-                        last[k],
-                    )
-                tap = last[k]
+    top, first_new = first - 1, 0
+    while top - 2 < end:
+        _read_block(image, stack, newer, older, reach, edges, shape, top, first_new)
+        for strip in range(edges.size - 1):
+            left, n = edges[strip], edges[strip + 1] - edges[strip]
+            here = image[strip * size : (strip + 1) * size + stride]
             own = s[strip * s_size : (strip + 1) * s_size]
-            new, n = np.uint64(3 * stride), block - 2 * radius
-            _sum(
-                own,
-                new,
-                zero,
-                np.uint64(0),
-                partial,
-                n,
-                row_places,
-                row_weights,
-                0,
-                row_weights.size,
+            _summate(own, np.uint64(3 * stride), here, partial, zero, plan, shape)
+            _clear_outside(
+                own, 3 * stride, stride, n_rows, top, stack.shape[1], left - 1, stack.shape[2]
             )
-            _add(own, new, here, n, tap_places, tap_weights, 0, tap_weights.size)
-            _clear_outside(own, 3 * stride, stride, n_rows, top, height, left - 1, width)
-            for row in range(n_rows):
-                at = (3 + row) * stride
-                total = _rectify(own, np.uint64(at), right - left + 3)
-                if 0 <= top + row < height:
-                    s_sum += (
-                        total - own[at] - own[at + 1 + right - left] - own[at + 2 + right - left]
-                    )
-                    if s_out.size:
-                        s_out[top + row, left:right] = own[at + 1 : at + 1 + right - left]
-            _four_rows(rows, own, span, block)
-            for row in range(max(0, 2 - top), min(n_rows, height + 2 - top)):
-                at, around = np.uint64((row + 1) * stride + 1), np.uint64(row * stride)
-                y = top - 2 + row
-                g_sum += _group_row(
-                    own, at, rows, around, right - left, gain, below, cap, g_out, y, left
-                )
+            s_sum += _rectify_block(own, n_rows, stride, top, first, end, left, n, s_out)
+            g_sum += _group_block(
+                own, rows, n_rows, stride, top, first, end, left, n, grouping, g_out
+            )
             _move_up(own, np.uint64(0), np.uint64(block), 3 * stride)
-            for q in range(n_sources):
-                _move_up(here, np.uint64(q * size), np.uint64(block), 2 * radius * stride)
+            for q in range(newer.size):
+                _move_up(here, np.uint64(q * depth * stride), np.uint64(block), 2 * radius * stride)
         top += n_rows
         first_new = 2 * radius
     return s_sum, g_sum

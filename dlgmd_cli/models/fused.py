@@ -1,6 +1,8 @@
 """The compiled engine: one pass over memory for all sums of a frame."""
 
+import os
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,8 @@ MAX_STRIP_PX = 512
 # So many numbers of one image are worked on at a time; a few such blocks stay in a cache of 2 MB.
 BLOCK = 1 << 14
 MIN_ROWS, MAX_ROWS = 8, 64
+# Bands of rows go to threads of their own, if they are worth the trouble.
+MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
 _NOWHERE = np.empty((0, 0), np.float32)
 
@@ -27,50 +31,57 @@ class FusedEngine:
         plan = fuse(wiring.kernels, wiring.gaussians)
         radius = wiring.gaussians[0].shape[0] // 2
         height, width = history.stack.shape[1:]
+        n_bands = max(1, min(n_cores(), MAX_BANDS, height * width // MIN_BAND_PX))
+        self._bands = [height * i // n_bands for i in range(n_bands + 1)]
         n_strips = -(-width // MAX_STRIP_PX)
         self._edges = np.array([width * i // n_strips for i in range(n_strips + 1)])
         strip = int(np.diff(self._edges).max())
         # S of a strip has a column before it and two behind; sums along the row reach farther.
         stride = -(-(strip + 3 + 2 * radius) // _LANES) * _LANES
-        n_rows = _rows_of_a_block(height + 3, stride)
+        n_rows = _rows_of_a_block(-(-height // n_bands) + 3, stride)
         self._shape = (radius, n_rows, stride)
         self._sources = plan.sources
         self._reach = np.array([plan.reach(q) for q in range(len(plan.sources))], np.int64)
         self._plan = _places(plan, radius, n_rows, stride, history.unit)
         depth, block = 2 * radius + n_rows, n_rows * stride
-        self._memory = tuple(
-            _zeros(size)
-            for size in (
-                n_strips * len(plan.sources) * depth * stride,
-                max(1, len(plan.partials)) * block,
-                block,
-                n_strips * (block + 3 * stride),
-                block,
-            )
+        sizes = (
+            n_strips * len(plan.sources) * depth * stride,
+            max(1, len(plan.partials)) * block,
+            block,
+            n_strips * (block + 3 * stride),
+            block,
         )
+        self._memory = [tuple(_zeros(size) for size in sizes) for _ in range(n_bands)]
+        self._pool = ThreadPoolExecutor(max(1, n_bands - 1), "dlgmd-band")
 
     def respond(
         self, history: History, grouping: Grouping, layers: Grouped | None = None
     ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame."""
+        """ΣS and ΣG of the newest frame; bands of rows are worked on at the same time."""
         newer = np.array([history.position(s.delay) for s in self._sources], np.int64)
         older = [history.position(s.delay + 1) if s.difference else -1 for s in self._sources]
-        s_out, g_out = layers if layers is not None else (_NOWHERE, _NOWHERE)
-        with install_listener("numba:compile", Announcement(self._tell)):
-            s_sum, g_sum = compiled.respond(
-                history.stack,
-                newer,
-                np.array(older, np.int64),
-                self._reach,
-                self._plan,
-                self._shape,
-                self._memory,
-                self._edges,
-                _floats32(grouping),
-                s_out,
-                g_out,
+        given = (history.stack, newer, np.array(older, np.int64), self._reach, self._plan)
+        rest = (self._edges, _floats32(grouping), *(layers or (_NOWHERE, _NOWHERE)))
+
+        def work(band: int) -> tuple[float, float]:
+            rows = self._bands[band : band + 2]
+            answer: tuple[float, float] = compiled.respond(
+                *rows, *given, self._shape, self._memory[band], *rest
             )
-        return float(s_sum), float(g_sum)
+            return answer
+
+        others = [self._pool.submit(work, band) for band in range(1, len(self._memory))]
+        with install_listener("numba:compile", Announcement(self._tell)):
+            answers = [work(0)]
+        answers += [other.result() for other in others]
+        return sum(s for s, _ in answers), sum(g for _, g in answers)
+
+
+def n_cores() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Announcement(Listener):
