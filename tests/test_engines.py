@@ -154,7 +154,7 @@ def test_a_missing_numba_is_said_in_one_line(monkeypatch):
     with pytest.raises(MissingExtraError) as caught:
         DLGMD(engine="numba")
     assert str(caught.value) == (
-        "engine numba: the package 'numba' is not installed. "
+        "--engine numba: the package 'numba' is not installed. "
         "Install it with: pip install 'dlgmd[fast]'"
     )
 

@@ -149,7 +149,7 @@ def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
     result = dlgmd("run", clips / "loom.avi", "--engine", "numba")
     assert result.exit_code == 1
     assert result.stderr == (
-        "Error: engine numba: the package 'numba' is not installed. "
+        "Error: --engine numba: the package 'numba' is not installed. "
         "Install it with: pip install 'dlgmd[fast]'\n"
     )
     assert not os.path.exists("dlgmd-out")

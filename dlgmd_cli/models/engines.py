@@ -96,7 +96,7 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
         )
     if name == "numba" and not _has_numba():
         raise MissingExtraError(
-            "engine numba",
+            "--engine numba",
             "the package 'numba' is not installed",
             "Install it with: pip install 'dlgmd[fast]'",
         )
