@@ -1,11 +1,10 @@
 """The plan of filters adds up to the kernels it was made for, and to fewer operations."""
 
-import math
-
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from draws import dlgmd_parameters
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import slow
 
@@ -85,29 +84,8 @@ def test_plan_of_the_sets_adds_up(number, formulation):
 
 
 @settings(deadline=None, max_examples=80)
-@given(
-    alpha=st.floats(-0.5, 5.0),
-    beta=st.floats(0.0, 3.0),
-    lam=st.floats(0.0, 2.0),
-    sigma_e=st.floats(0.02, 100.0),
-    sigma_i=st.floats(0.02, 100.0),
-    r=st.integers(1, 8),
-    a=st.floats(0.0, 10.0),
-    formulation=st.sampled_from(slow.FORMULATIONS),
-)
-def test_plan_of_any_parameters_adds_up(alpha, beta, lam, sigma_e, sigma_i, r, a, formulation):
-    assume(slow.latency(0, 0, alpha, beta, lam) >= 0.0)
-    assume(beta + math.exp(-lam * lam * 2 * r * r) > 0.02)
-    params = DlgmdParameters(
-        alpha=alpha,
-        beta=beta,
-        lam=lam,
-        sigma_e=sigma_e,
-        sigma_i=sigma_i,
-        r=r,
-        a=a,
-        formulation=formulation,
-    )
+@given(params=dlgmd_parameters())
+def test_plan_of_any_parameters_adds_up(params):
     check(*kernels_of(params))
 
 

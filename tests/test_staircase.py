@@ -1,11 +1,9 @@
 """The compiled engine's plan adds up to the kernels it was made for, and to few operations."""
 
-import math
-
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from draws import dlgmd_parameters
+from hypothesis import given, settings
 from reference import slow
 
 from dlgmd_cli.models.dlgmd import connections_of
@@ -92,33 +90,9 @@ def test_discs_of_one_gaussian_share_their_sums():
 
 
 @settings(deadline=None, max_examples=100)
-@given(
-    alpha=st.floats(-0.5, 5.0),
-    beta=st.floats(0.0, 3.0),
-    lam=st.floats(0.0, 2.0),
-    sigma_e=st.floats(0.02, 100.0),
-    sigma_i=st.floats(0.02, 100.0),
-    r=st.integers(1, 8),
-    a=st.floats(0.0, 10.0),
-    formulation=st.sampled_from(slow.FORMULATIONS),
-)
-def test_plan_of_any_parameters_adds_up(alpha, beta, lam, sigma_e, sigma_i, r, a, formulation):
-    assume(slow.latency(0, 0, alpha, beta, lam) >= 0.0)
-    assume(beta + math.exp(-lam * lam * 2 * r * r) > 0.02)
-    check(
-        *kernels_of(
-            DlgmdParameters(
-                alpha=alpha,
-                beta=beta,
-                lam=lam,
-                sigma_e=sigma_e,
-                sigma_i=sigma_i,
-                r=r,
-                a=a,
-                formulation=formulation,
-            )
-        )
-    )
+@given(params=dlgmd_parameters())
+def test_plan_of_any_parameters_adds_up(params):
+    check(*kernels_of(params))
 
 
 @pytest.mark.parametrize("radius", [1, 3, 6])
