@@ -71,7 +71,29 @@ def test_decoder(dlgmd, clips):
 def test_too_few_frames(dlgmd, clips):
     result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
     assert result.exit_code == 1
-    assert "3 frames are too few to time" in result.stderr
+    assert "short.avi: 3 frames are too few to time, it takes at least 7." in result.stderr
+
+
+def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, clips, tmp_path):
+    (tmp_path / "file").write_text("")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "file/b.csv")
+    assert result.exit_code == 1 and result.stdout == ""
+    assert "it cannot be written" in result.stderr and "Choose another --csv" in result.stderr
+
+
+def test_a_clip_that_finds_no_room(dlgmd, monkeypatch):
+    monkeypatch.setattr("dlgmd_cli.stimuli.encode.count_frames", lambda path: 7)
+    result = dlgmd("bench", *ONE_CELL, "--frames", 12)
+    assert result.exit_code == 1
+    assert "only 7 of the clip's 12 frames arrived on the disk" in result.stderr
+
+
+def test_warnings_about_the_input(dlgmd, clips, tmp_path):
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) * 7 // 10])
+    result = dlgmd("bench", "cut.avi", *ONE_CELL)
+    assert result.exit_code == 0
+    assert result.stderr.count("Warning: cut.avi: ") == 1 and "of about 20 frames" in result.stderr
 
 
 def test_an_earlier_csv_is_kept(dlgmd, clips, tmp_path):

@@ -2,7 +2,10 @@
 
 import math
 import os
+import subprocess
 import sys
+from importlib import import_module
+from pickle import UnpicklingError
 
 import numpy as np
 import pytest
@@ -157,8 +160,24 @@ def test_a_missing_numba_is_said_in_one_line(monkeypatch):
         DLGMD(engine="numba")
     assert str(caught.value) == (
         "--engine numba: the package 'numba' is not installed. "
-        "Install it with: pip install 'dlgmd[fast]'"
+        "Install it with: pip install 'dlgmd[fast]', or use --engine opencv."
     )
+
+
+def test_a_numba_that_cannot_be_loaded_is_not_chosen(numba, monkeypatch):
+    def load(name):
+        if name == "numba":
+            raise RuntimeError("NumPy is too new")
+        return import_module(name)
+
+    monkeypatch.setattr(engines, "import_module", load)
+    told = []
+    assert engines.choose_engine("auto", engines.WORTH_COMPILING_PX, told.append) == "opencv"
+    assert told == [
+        "The package 'numba' cannot be loaded (NumPy is too new); the engine is opencv."
+    ]
+    with pytest.raises(MissingExtraError, match=r"cannot be loaded \(NumPy is too new\)"):
+        DLGMD(engine="numba")
 
 
 def test_an_unknown_engine_is_refused():
@@ -177,6 +196,73 @@ def test_compilation_is_announced_once(numba):
             start_event("numba:compile")
             end_event("numba:compile")
     assert len(told) == 1 and "Compiling the numba engine" in told[0]
+
+
+def test_an_engine_announces_its_compilation(numba, tmp_path):
+    # With two bands, neither of which may compile on its own in the background.
+    program = (
+        "import numpy as np\n"
+        "from dlgmd_cli.models import fused\n"
+        "from dlgmd_cli import DLGMD\n"
+        "fused.MIN_BAND_PX, fused.n_cores = 1, lambda: 2\n"
+        "model = DLGMD(engine='numba', tell=print)\n"
+        "for t in range(6): model.step(np.full((40, 50), t, np.uint8))\n"
+        "assert len(model._engine._bands) == 3\n"
+    )
+    lines = []
+    for _ in range(2):  # compiled the first time, loaded the second
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        lines.append(done.stdout.splitlines())
+    assert lines == [["Compiling the numba engine; about ten seconds, the first time."], []]
+
+
+@pytest.mark.parametrize("error", [OSError("disk full"), EOFError(), UnpicklingError("cut off")])
+def test_a_cache_that_fails_costs_only_time(numba, monkeypatch, error):
+    from dlgmd_cli.models import compiled
+
+    expected, whole = answers("numba", scene(20, 30)), compiled.respond
+
+    def fails(*arguments):
+        raise error
+
+    monkeypatch.setattr(compiled, "respond", fails)
+    monkeypatch.setattr(compiled, "without_cache", lambda: whole)
+    found = answers("numba", scene(20, 30))
+    assert [one.mp for one in found[3:]] == [one.mp for one in expected[3:]]
+
+
+def test_loops_are_compiled_where_nothing_can_be_kept(numba, monkeypatch):
+    from dlgmd_cli.models import compiled
+
+    def njit(cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(compiled, "njit", njit)
+    assert compiled._cached(len) is len
+
+
+def test_the_command_line_knows_the_engines():
+    from dlgmd_cli.commands._model import ENGINES
+
+    assert ENGINES == engines.ENGINES
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+def test_what_is_no_number_is_not_hidden(numba, engine):
+    frames = scene(20, 30, n_frames=9, dtype=np.float32)
+    frames[4][5, 5] = np.nan
+    model = DLGMD(engine=engine)
+    responses = [model.step(frame) for frame in frames]
+    assert math.isnan(responses[4].s_sum) and math.isfinite(responses[3].s_sum)
+    assert math.isfinite(responses[8].s_sum)  # it has left the history
 
 
 def test_nothing_is_announced_without_compilation(numba):

@@ -150,7 +150,7 @@ def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
     assert result.exit_code == 1
     assert result.stderr == (
         "Error: --engine numba: the package 'numba' is not installed. "
-        "Install it with: pip install 'dlgmd[fast]'\n"
+        "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.\n"
     )
     assert not os.path.exists("dlgmd-out")
 

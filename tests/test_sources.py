@@ -119,6 +119,16 @@ def test_contract_span(any_input, decoder):
         assert [f.index for f in source] == [3, 4, 5, 6]
 
 
+def test_contract_number_of_frames(any_input, decoder):
+    with open_source(any_input, max_frames=5, decoder=decoder) as source:
+        for _ in range(2):
+            assert [f.index for f in source] == [0, 1, 2, 3, 4]
+            assert source.progress.n_decoded == 5
+        fps = source.info.fps
+    with open_source(any_input, max_frames=3, max_fps=fps / 2, decoder=decoder) as source:
+        assert [f.index for f in source] == [0, 2, 4]
+
+
 def test_contract_rate(any_input, decoder):
     with open_source(any_input, decoder=decoder) as source:
         fps = source.info.fps

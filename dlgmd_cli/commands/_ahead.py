@@ -11,7 +11,7 @@ def import_ahead(modules: Iterable[str]) -> None:
 
     def load() -> None:
         for name in modules:
-            with suppress(ImportError):
+            with suppress(Exception):
                 import_module(name)
 
     threading.Thread(target=load, name="dlgmd-import", daemon=True).start()

@@ -5,21 +5,21 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_table, progress, say
+from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
 from dlgmd_cli.commands._input import decoder_option
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import FiniteRange
+from dlgmd_cli.errors import OutputError
 
 if TYPE_CHECKING:
     from dlgmd_cli.paper.speed import Measurement, Timing
-    from dlgmd_cli.sources.prepare import Source
 
 TABLE_IV_SET = 7
 COLUMNS = (
@@ -93,41 +93,52 @@ def bench(
     """
     from dlgmd_cli.paper.speed import RADII, SCALES, measure
     from dlgmd_cli.presets import load_set
-    from dlgmd_cli.results.files import refuse_existing
 
-    if csv_path is not None:
-        refuse_existing(csv_path, overwrite=overwrite)
-    chosen_radii, chosen_scales = tuple(dict.fromkeys(radii)), tuple(dict.fromkeys(scales))
-    chosen_radii, chosen_scales = chosen_radii or RADII, chosen_scales or SCALES
-    n_steps = repeats * len(chosen_radii) * len(chosen_scales)
-    with (
-        _clip(input_path, n_frames) as path,
-        progress("bench", n_steps, unit="step") as on_step,
-    ):
-        measured = measure(
-            lambda scale: _open(path, scale, n_frames, decoder or "opencv"),
-            load_set(TABLE_IV_SET),
-            radii=chosen_radii,
-            scales=chosen_scales,
-            repeats=repeats,
-            engine=engine or "auto",
-            on_step=on_step,
-            tell=say,
-        )
-    rows = [_row(timing) for timing in measured.timings]
-    if csv_path is not None:
-        _write_csv(csv_path, rows)
-    if as_json:
-        facts = {
-            "frames": measured.n_frames,
-            "decoder": measured.decoder,
-            "decoding_alone_ms": measured.decoding_alone_ms,
-        }
-        click.echo(json.dumps({**facts, "rows": rows}))
-    else:
-        _show(measured, rows)
+    chosen_radii = tuple(dict.fromkeys(radii)) or RADII
+    chosen_scales = tuple(dict.fromkeys(scales)) or SCALES
+    with _room_for(csv_path, overwrite=overwrite) as file:
+        with (
+            _clip(input_path, n_frames) as path,
+            progress(
+                "bench", repeats * len(chosen_radii) * len(chosen_scales), unit="step"
+            ) as on_step,
+        ):
+            from dlgmd_cli.sources.open import open_source
+
+            measured = measure(
+                lambda scale: open_source(
+                    path, scale=scale, max_frames=n_frames, decoder=decoder or "opencv"
+                ),
+                load_set(TABLE_IV_SET),
+                radii=chosen_radii,
+                scales=chosen_scales,
+                repeats=repeats,
+                engine=engine or "auto",
+                on_step=on_step,
+                tell=say,
+            )
+        for warning in measured.warnings:
+            warn(f"{input_path}: {warning}")
+        rows = [_row(timing) for timing in measured.timings]
+        _show(measured, rows, as_json=as_json)
+        if file is not None:  # last, so that a full disk takes nothing but the file
+            _write_csv(file, rows)
     if csv_path is not None and not as_json:
         click.echo(click.format_filename(csv_path))
+
+
+@contextmanager
+def _room_for(path: Path | None, *, overwrite: bool) -> Iterator[Path | None]:
+    """A stand-in for the CSV, refused at once if it cannot be had."""
+    if path is None:
+        yield None
+        return
+    from dlgmd_cli.results.files import appearing, refuse_existing
+
+    refuse_existing(path, overwrite=overwrite)
+    with appearing(path, option="--csv") as (file,):
+        file.touch()
+        yield file
 
 
 @contextmanager
@@ -137,24 +148,23 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
         yield given
         return
     from dlgmd_cli.paper.speed import PAPER_SIZE_WH
-    from dlgmd_cli.stimuli.encode import encode
+    from dlgmd_cli.stimuli.encode import count_frames, encode
     from dlgmd_cli.stimuli.pan import pan_frames
 
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
         shape = PAPER_SIZE_WH[1], PAPER_SIZE_WH[0]
         say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
-        encode(path, pan_frames(shape, n_frames), shape, 30.0)
+        with suppress(OSError):  # the count tells
+            encode(path, pan_frames(shape, n_frames), shape, 30.0)
+        n_written = count_frames(path)
+        if n_written != n_frames:
+            raise OutputError(
+                folder,
+                f"only {n_written} of the clip's {n_frames} frames arrived on the disk",
+                "Free some space there, or give a clip.",
+            )
         yield str(path)
-
-
-def _open(path: str, scale: float, n_frames: int, decoder: str) -> "Source":
-    """The first frames of the input at one scale."""
-    from dlgmd_cli.sources.open import open_source
-
-    with open_source(path, decoder=decoder) as source:
-        end_s = (n_frames - 0.5) / source.info.fps
-    return open_source(path, scale=scale, end_s=end_s, decoder=decoder)
 
 
 def _row(timing: "Timing") -> dict[str, Any]:
@@ -165,10 +175,9 @@ def _row(timing: "Timing") -> dict[str, Any]:
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from dlgmd_cli.results.files import appearing
     from dlgmd_cli.results.tables import cell
 
-    with appearing(path) as (file,), file.open("w", newline="", encoding="ascii") as stream:
+    with path.open("w", newline="", encoding="ascii") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(COLUMNS)
         for row in rows:
@@ -178,9 +187,17 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
             )
 
 
-def _show(measured: "Measurement", rows: list[dict[str, Any]]) -> None:
+def _show(measured: "Measurement", rows: list[dict[str, Any]], *, as_json: bool) -> None:
     """The table, and what the whole comes to beside decoding alone."""
     alone_ms = measured.decoding_alone_ms
+    if as_json:
+        facts = {
+            "frames": measured.n_frames,
+            "decoder": measured.decoder,
+            "decoding_alone_ms": alone_ms,
+        }
+        click.echo(json.dumps({**facts, "rows": rows}))
+        return
     print_table(
         (
             *("r", "scale", "size", "engine", "frames/s", "core ms", "decode ms", "whole ms"),

@@ -3,9 +3,12 @@
 Every sum of taps runs over a whole block of rows as if it were one long row: the columns between
 the blocks' rows hold zeros, and what is computed there is not used. So the compiler sees nothing
 but long loops over neighbouring numbers, which it turns into vector instructions.
+
+All of it stands in one module because Numba's cache on disk notices changes of this file only.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -118,7 +121,7 @@ def _rectify(s, start, n):
     total = np.float32(0.0)
     for i in range(n):
         x = start + np.uint64(i)
-        value = s[x] if s[x] > 0.0 else np.float32(0.0)
+        value = np.float32(0.0) if s[x] <= 0.0 else s[x]  # NaN stays
         s[x] = value
         total += value
     return total
@@ -141,15 +144,15 @@ def _group_row(s, at, rows, around, n, gain, below, cap, g, y, left):
         x = np.uint64(i)
         c = around + x
         value = gain * s[at + x] * ((rows[c] + rows[c + one]) + (rows[c + two] + rows[c + three]))
-        value = value if value > below else np.float32(0.0)
-        total += value if value < cap else cap
+        value = np.float32(0.0) if value <= below else value
+        total += cap if value > cap else value
     if g.size:
         for i in range(n):
             c = around + np.uint64(i)
             value = (rows[c] + rows[c + one]) + (rows[c + two] + rows[c + three])
             value *= gain * s[at + np.uint64(i)]
-            value = value if value > below else np.float32(0.0)
-            g[y, left + i] = value if value < cap else cap
+            value = np.float32(0.0) if value <= below else value
+            g[y, left + i] = cap if value > cap else value
     return total
 
 
@@ -243,7 +246,7 @@ def _group_block(s, rows, n_rows, stride, top, first, end, left, n, grouping, g_
     return g_sum
 
 
-def _cached(function: Callable[..., Any]) -> Callable[..., Any]:
+def _cached(function: Callable[..., Any]) -> Any:
     """Compiled on first use, and kept on disk where there is a place to write to."""
     try:
         return njit(cache=True, **_OPTIONS)(function)
@@ -288,3 +291,9 @@ def respond(
         top += n_rows
         first_new = 2 * radius
     return s_sum, g_sum
+
+
+@lru_cache(maxsize=1)
+def without_cache() -> Callable[..., Any]:
+    """`respond` compiled anew, for when the cache on disk fails."""
+    return njit(**_OPTIONS)(respond.py_func)

@@ -156,7 +156,7 @@ class DLGMD:
         self._previous = aligned(luminance.shape, luminance.dtype)
         depth = max(self.connections.max_delay_frames + 1, 2)
         self._history = History(depth, self._previous)
-        self.engine_name = choose_engine(self._asked_engine, luminance.size)
+        self.engine_name = choose_engine(self._asked_engine, luminance.size, self._tell)
         params = self.params
         gaussians = [gaussian(params.r, sigma) for sigma in (params.sigma_i, params.sigma_e)]
         wiring = Wiring(self.connections.signed(), gaussians)

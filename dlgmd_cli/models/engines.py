@@ -73,7 +73,9 @@ class Engine(Protocol):
         ...
 
 
-def choose_engine(name: str, n_cells: int = 0) -> str:
+def choose_engine(
+    name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
+) -> str:
     """The engine meant by `name`: itself, or for `auto` the one that suits the size.
 
     Parameters
@@ -82,6 +84,8 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
         One of `ENGINES`, or `auto`.
     n_cells : int
         H · W of the frames.
+    tell : callable, optional
+        Called with a message if Numba would suit the size, and does not work.
 
     Raises
     ------
@@ -94,15 +98,20 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
         raise ParameterError(
             "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
         )
-    if name == "numba" and not _has_numba():
+    if name == "numba" and (fault := _fault_of_numba()):
         raise MissingExtraError(
             "--engine numba",
-            "the package 'numba' is not installed",
-            "Install it with: pip install 'dlgmd[fast]'",
+            f"the package 'numba' {fault}",
+            "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.",
         )
-    if name == AUTO:
-        return "numba" if n_cells >= WORTH_COMPILING_PX and _has_numba() else "opencv"
-    return name
+    if name != AUTO:
+        return name
+    if n_cells < WORTH_COMPILING_PX or not _is_installed("numba"):
+        return "opencv"
+    fault = _fault_of_numba()
+    if fault:
+        tell(f"The package 'numba' {fault}; the engine is opencv.")
+    return "opencv" if fault else "numba"
 
 
 def create_engine(
@@ -117,12 +126,23 @@ def create_engine(
     return engine
 
 
-def _has_numba() -> bool:
-    """Whether Numba is there, without importing it."""
+def _is_installed(package: str) -> bool:
+    """Whether a package is there, without importing it."""
     try:
-        return find_spec("numba") is not None
+        return find_spec(package) is not None
     except ValueError:  # it is on record as absent
         return False
+
+
+def _fault_of_numba() -> str | None:
+    """Why Numba cannot be used, or None."""
+    if not _is_installed("numba"):
+        return "is not installed"
+    try:
+        import_module("numba")
+    except Exception as error:  # it refuses, for one, a NumPy that is too new for it
+        return f"cannot be loaded ({str(error) or type(error).__name__})"
+    return None
 
 
 def just_below(threshold: float) -> float:

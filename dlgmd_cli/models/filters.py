@@ -1,4 +1,4 @@
-"""The only caller of a convolution. Everything outside the frame is zero.
+"""The only caller of OpenCV's convolutions. Everything outside the frame is zero.
 
 `cv2.filter2D` correlates; the model's kernels are symmetric, so that it convolves as well.
 """

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pickle import UnpicklingError
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +53,8 @@ class FusedEngine:
             block,
         )
         self._memory = [tuple(_zeros(size) for size in sizes) for _ in range(n_bands)]
+        self._compute = compiled.respond
+        self._is_ready = False
         self._pool = ThreadPoolExecutor(max(1, n_bands - 1), "dlgmd-band")
 
     def respond(
@@ -65,16 +68,28 @@ class FusedEngine:
 
         def work(band: int) -> tuple[float, float]:
             rows = self._bands[band : band + 2]
-            answer: tuple[float, float] = compiled.respond(
+            answer: tuple[float, float] = self._compute(
                 *rows, *given, self._shape, self._memory[band], *rest
             )
             return answer
 
-        others = [self._pool.submit(work, band) for band in range(1, len(self._memory))]
-        with install_listener("numba:compile", Announcement(self._tell)):
-            answers = [work(0)]
-        answers += [other.result() for other in others]
+        if self._is_ready:
+            others = [self._pool.submit(work, band) for band in range(1, len(self._memory))]
+            answers = [work(0), *(other.result() for other in others)]
+        else:
+            # One after the other: a thread that compiles cannot be interrupted.
+            answers = [self._first(work), *map(work, range(1, len(self._memory)))]
+            self._is_ready = True
         return sum(s for s, _ in answers), sum(g for _, g in answers)
+
+    def _first(self, work: Callable[[int], tuple[float, float]]) -> tuple[float, float]:
+        """Work on the first band, for which the loops are compiled or loaded."""
+        with install_listener("numba:compile", Announcement(self._tell)):
+            try:
+                return work(0)
+            except (OSError, EOFError, UnpicklingError):  # a full disk, a cache file cut off
+                self._compute = compiled.without_cache()
+                return work(0)
 
 
 def n_cores() -> int:
@@ -93,7 +108,7 @@ class Announcement(Listener):
     def on_start(self, event: Event) -> None:
         """A compilation begins, maybe inside another."""
         if self._tell is not None:
-            self._tell("Compiling the numba engine, once for this machine; about ten seconds.")
+            self._tell("Compiling the numba engine; about ten seconds, the first time.")
             self._tell = None
 
     def on_end(self, event: Event) -> None:

@@ -82,6 +82,7 @@ class Measurement:
     n_frames: int
     input_wh: tuple[int, int]
     decoder: str
+    warnings: list[str]
 
 
 @dataclass
@@ -99,6 +100,13 @@ class _Cell:
         """Measure the core and the whole once more."""
         model = create_model(self.params, engine=engine, tell=tell)
         kept = [frame.grey for frame in islice(self.source, MAX_KEPT)]
+        n_needed = model.first_valid_frame + N_WARM + 1
+        if len(kept) < n_needed:
+            raise SourceError(
+                self.source.info.path,
+                f"{len(kept)} frames are too few to time, it takes at least {n_needed}",
+                "Use a longer clip.",
+            )
         self.core_ms.append(_core_ms(model, kept))
         whole = partial(run, self.source, model, Recording())
         self.whole_ms.append(_ms_a_frame(self.source, whole))
@@ -165,6 +173,7 @@ def measure(
             first.progress.n_decoded,
             (first.info.width, first.info.height),
             first.info.decoder,
+            list(dict.fromkeys(first.progress.warnings)),
         )
 
 
@@ -200,10 +209,6 @@ def _exhaust(items: Iterable[object]) -> None:
 
 def _core_ms(model: Model, frames: list[Grey]) -> float:
     """What the model takes for a frame that lies decoded in memory; the first few only warm up."""
-    if len(frames) <= model.first_valid_frame + N_WARM:
-        raise SourceError(
-            "bench", f"{len(frames)} frames are too few to time", "Use a longer clip."
-        )
     times = []
     for frame in frames:
         start = time.perf_counter()

@@ -16,8 +16,15 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def appearing(*paths: Path) -> Iterator[tuple[Path, ...]]:
+def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
     """Stand-ins to write instead of `paths`; renamed to them together at the end, or removed.
+
+    Parameters
+    ----------
+    paths : Path
+        Where the files are to stand.
+    option : str
+        The option that says so, for the error.
 
     Raises
     ------
@@ -39,7 +46,7 @@ def appearing(*paths: Path) -> Iterator[tuple[Path, ...]]:
         raise OutputError(
             str(paths[0]),
             f"it cannot be written ({reason})",
-            "Choose another --out, or make room there.",
+            f"Choose another {option}, or make room there.",
         ) from None
     finally:
         for stand_in in stand_ins:

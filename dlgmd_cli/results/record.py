@@ -1,7 +1,7 @@
 """run.yaml: everything that it takes to repeat a run, and what came of it."""
 
 import platform
-from importlib import metadata
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ def versions(*used_beside: str) -> dict[str, str]:
         "opencv": cv2.__version__,
     }
     for package in (_PACKAGES[name] for name in used_beside if name in _PACKAGES):
-        used[package] = metadata.version(package)
+        used[package] = import_module(package).__version__
     return used
 
 

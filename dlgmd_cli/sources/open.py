@@ -63,6 +63,7 @@ def open_source(
     start_s: float = 0.0,
     end_s: float = math.inf,
     max_fps: float | None = None,
+    max_frames: int | None = None,
     input_fps: float | None = None,
     decoder: str = DEFAULT_DECODER,
 ) -> Source:
@@ -80,6 +81,8 @@ def open_source(
         Span of time to read, in seconds, the end excluded.
     max_fps : float, optional
         Frames a second at most; the others are dropped, and times stay true.
+    max_frames : int, optional
+        Frames in all at most.
     input_fps : float, optional
         Frames per second of pictures, or of a video that does not say; 30 unless given.
     decoder : {"opencv", "pyav"}
@@ -99,7 +102,7 @@ def open_source(
     MissingExtraError
         If the decoder's package is not installed.
     """
-    selection = Selection(start_s, end_s, max_fps)
+    selection = Selection(start_s, end_s, max_fps, max_frames)
     reader = open_reader(path, input_fps, decoder)
     try:
         size = processed_size(reader.info.width, reader.info.height, scale=scale, size_wh=size_wh)

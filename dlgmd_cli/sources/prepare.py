@@ -73,29 +73,37 @@ class Selection:
         First time taken and first time no longer taken, in seconds.
     max_fps : float, optional
         Frames a second at most; the others are dropped, and times stay true.
+    max_frames : int, optional
+        Frames in all at most.
     """
 
     def __init__(
-        self, start_s: float = 0.0, end_s: float = math.inf, max_fps: float | None = None
+        self,
+        start_s: float = 0.0,
+        end_s: float = math.inf,
+        max_fps: float | None = None,
+        max_frames: int | None = None,
     ) -> None:
         if not end_s > start_s:
             raise ParameterError("", f"end {end_s:g} s is not after start {start_s:g} s")
         if max_fps is not None and not (math.isfinite(max_fps) and max_fps > 0.0):
             raise ParameterError("", f"fps {max_fps:g} is not above 0")
         self._start_s, self._end_s, self._max_fps = start_s, end_s, max_fps
+        self._max_frames = max_frames
 
     def begin(self) -> Select:
         """A fresh verdict on each frame's time; the times must increase."""
-        origin_s, last_slot = math.nan, -1
+        origin_s, last_slot, n_taken = math.nan, -1, 0
 
         def select(time_s: float) -> Verdict:
-            nonlocal origin_s, last_slot
-            if time_s >= self._end_s:
+            nonlocal origin_s, last_slot, n_taken
+            if time_s >= self._end_s or n_taken == self._max_frames:
                 return Verdict.STOP
             # Without a start, frames before zero (edit lists make them) belong to the video too.
             if self._start_s > 0.0 and time_s < self._start_s:
                 return Verdict.SKIP
             if self._max_fps is None:
+                n_taken += 1
                 return Verdict.TAKE
             origin_s = time_s if math.isnan(origin_s) else origin_s
             # Timestamps are rounded, in Matroska to 1 ms: a frame may come that much early.
@@ -103,6 +111,7 @@ class Selection:
             if slot <= last_slot:
                 return Verdict.SKIP
             last_slot = slot
+            n_taken += 1
             return Verdict.TAKE
 
         return select

@@ -177,8 +177,8 @@ def _import_av() -> Any:
         import av
     except ModuleNotFoundError:
         why = "the package 'av' is not installed"
-    except ImportError as error:
-        why = f"the package 'av' cannot be loaded ({error})"
+    except Exception as error:  # whatever a broken installation raises
+        why = f"the package 'av' cannot be loaded ({str(error) or type(error).__name__})"
     else:
         return av
     raise MissingExtraError(

@@ -171,9 +171,8 @@ def encode(
             writer.release()
 
 
-def _verify(path: Path, target: Path, n_frames: int) -> None:
-    """Decode what was written; raise OutputError unless every frame is there."""
-    n_written = 0
+def count_frames(path: Path) -> int:
+    """How many frames a video holds: decoded, for a full disk leaves fewer without a word."""
     with suppress(SourceError):
         reader = VideoReader(path)
         try:
@@ -181,7 +180,13 @@ def _verify(path: Path, target: Path, n_frames: int) -> None:
                 pass
         finally:
             reader.close()
-        n_written = reader.progress.n_decoded
+        return reader.progress.n_decoded
+    return 0
+
+
+def _verify(path: Path, target: Path, n_frames: int) -> None:
+    """Decode what was written; raise OutputError unless every frame is there."""
+    n_written = count_frames(path)
     if n_written != n_frames:
         raise OutputError(
             str(target),
