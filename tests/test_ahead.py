@@ -74,13 +74,14 @@ def test_leaving_without_reading():
         pass
 
 
-def test_run_gives_what_a_plain_loop_gives(clips):
+@pytest.mark.parametrize("scale", [1.0, 0.5])  # prepared on either side of the queue
+def test_run_gives_what_a_plain_loop_gives(clips, scale):
     model, plain, ahead = DLGMD(), Recording(), Recording()
-    with open_source(clips / "loom.avi") as source:
+    with open_source(clips / "loom.avi", scale=scale) as source:
         for frame in source:
             plain.append(frame, model.step(frame.grey))
     counts = []
-    with open_source(clips / "loom.avi") as source:
+    with open_source(clips / "loom.avi", scale=scale) as source:
         run(source, model, ahead, counts.append)
     assert np.array_equal(plain.columns(), ahead.columns(), equal_nan=True)
     assert len(counts) == len(ahead) and counts == sorted(counts)

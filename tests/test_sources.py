@@ -76,7 +76,7 @@ def test_contract_frames_do_not_change_later(any_input, decoder):
 def test_contract_pictures_stay_while_a_few_more_are_taken(any_input, decoder):
     with open_source(any_input, decoder=decoder) as source:
         kept = deque(maxlen=KEPT_PICTURES)
-        for picture in source.pictures():
+        for picture in source.pictures(KEPT_PICTURES):
             kept.append((picture, picture.image.copy()))
             assert all(np.array_equal(one.image, copy) for one, copy in kept)
         assert len(kept) == KEPT_PICTURES

@@ -1,7 +1,8 @@
 """One input through one model."""
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from dlgmd_cli.models.readout import read_out
 from dlgmd_cli.params import Parameters
 from dlgmd_cli.results.tables import Result
 from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
-from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.sources.base import KEPT_PICTURES, Frame
 from dlgmd_cli.sources.prepare import Source
 
 _COLUMNS = 6
@@ -67,12 +68,26 @@ def run(
         Called after each frame with the number of frames of the input that are done.
     """
     model.reset()
-    # The decoder has threads of its own; OpenCV's would only be in its way. Grey and resizing are
-    # left to this thread: decoding takes longer than the model.
-    with opencv_threads(1), ReadAhead(source.pictures()) as pictures:
-        for frame in map(source.frame, pictures):
+    # The decoder has threads of its own; OpenCV's would only be in its way.
+    with opencv_threads(1), _frames_ahead(source) as frames:
+        for frame in frames:
             recording.append(frame, model.step(frame.grey))
             on_frame(frame.index + 1)
+
+
+@contextmanager
+def _frames_ahead(source: Source) -> Iterator[Iterable[Frame]]:
+    """The frames, with the work of making them where there is time for it.
+
+    On frames that are not reduced the model takes longer than the decoder, otherwise the decoder,
+    so that grey and resizing are left to this thread.
+    """
+    if source.size_wh == (source.info.width, source.info.height):
+        with ReadAhead(source) as frames:
+            yield frames
+    else:
+        with ReadAhead(source.pictures(KEPT_PICTURES)) as pictures:
+            yield map(source.frame, pictures)
 
 
 def read_recording(

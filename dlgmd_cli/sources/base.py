@@ -18,7 +18,7 @@ MAX_PLAUSIBLE_TIME_S = 1e9
 # A damaged packet fails one grab, the end of a stream all that follow. Pictures from before the
 # damage may still be inside the decoder's threads.
 GRABS_PAST_DAMAGE = 32
-# Decoders write over the image of a picture when so many more were taken.
+# How many pictures readers can be asked to keep as they are; memory is used again after that.
 KEPT_PICTURES = 6
 
 
@@ -110,8 +110,8 @@ class Reader(Protocol):
     info: SourceInfo
     progress: Progress
 
-    def pictures(self, select: Select) -> Iterator[Picture]:
-        """Every picture that `select` takes; an `image` is valid for `KEPT_PICTURES` of them."""
+    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
+        """Every picture that `select` takes; an `image` is valid until `n_kept` more of them."""
         ...
 
     def close(self) -> None:
@@ -169,8 +169,12 @@ class Decoder(Protocol):
         """Every frame from the first on; once after each `open`."""
         ...
 
+    def keep(self, n_pictures: int) -> None:
+        """From now on, leave an image as it is until so many more were asked for."""
+        ...
+
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid until `KEPT_PICTURES` more; None if it is damaged."""
+        """The frame grabbed last, see `keep`; None if it is damaged."""
         ...
 
     def close(self) -> None:

@@ -9,7 +9,6 @@ import cv2
 
 from dlgmd_cli.sources.base import (
     GRABS_PAST_DAMAGE,
-    KEPT_PICTURES,
     Decoded,
     Grab,
     Image,
@@ -34,7 +33,7 @@ class OpenCVDecoder:
         self._n_grabbed = 0
         self._capture: cv2.VideoCapture | None = None
         self._watch: ResolutionWatch | None = None
-        self._images: deque[Image | None] = deque([None] * KEPT_PICTURES)
+        self._images: deque[Image | None] = deque([None])
 
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
@@ -88,8 +87,12 @@ class OpenCVDecoder:
             self._n_grabbed += 1
             yield Grab(stamp_s, watch.size_of_next(stamp_s))
 
+    def keep(self, n_pictures: int) -> None:
+        """From now on, leave an image as it is until so many more were asked for."""
+        self._images = deque([None] * n_pictures)
+
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid until `KEPT_PICTURES` more; None if it is damaged."""
+        """The frame grabbed last, see `keep`; None if it is damaged."""
         assert self._capture is not None
         try:
             is_there, image = self._capture.retrieve(self._images[0])

@@ -192,9 +192,9 @@ class Source:
         """How many frames were decoded so far, and what went wrong with them."""
         return self._reader.progress
 
-    def pictures(self) -> Iterator[Picture]:
-        """The pictures that were chosen, as they were decoded; valid for `KEPT_PICTURES`."""
-        return self._reader.pictures(self._selection.begin())
+    def pictures(self, n_kept: int = 1) -> Iterator[Picture]:
+        """The pictures that were chosen, as decoded; each is valid until `n_kept` more of them."""
+        return self._reader.pictures(self._selection.begin(), n_kept)
 
     def frame(self, picture: Picture) -> Frame:
         """What models take of a picture."""

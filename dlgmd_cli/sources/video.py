@@ -105,7 +105,7 @@ class VideoReader:
             )
         return facts
 
-    def pictures(self, select: Select) -> Iterator[Picture]:
+    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
         """Every picture that `select` takes, until the stream ends or breaks.
 
         The reading ends with a warning where the picture size changes and where damage leaves a
@@ -114,6 +114,7 @@ class VideoReader:
         clock, holes = FrameClock(self.info.fps), HoleWatch(self.info.fps)
         self.progress.n_decoded = 0
         self._fault = None
+        self._decoder.keep(n_kept)
         for stamp_s in self._stamps():
             index = self.progress.n_decoded
             time_s = clock.time(index, stamp_s)
