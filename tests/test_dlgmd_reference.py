@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from draws import connections
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from reference import clips, slow
@@ -219,26 +220,13 @@ def test_limits_of_the_ranges_are_refused_or_answered(changes, formulation):
 
 @st.composite
 def parameters(draw):
-    """Parameters from all over their ranges, as far as their latency allows."""
-    params = {
-        "alpha": draw(st.floats(-0.5, 4.0)),
-        "beta": draw(st.floats(0.0, 2.0)),
-        "lam": draw(st.floats(0.0, 1.5)),
-        "sigma_e": draw(st.floats(0.05, 10.0)),
-        "sigma_i": draw(st.floats(0.05, 10.0)),
-        "r": draw(st.integers(1, 3)),
-        "a": draw(st.floats(0.0, 4.0)),
+    """Parameters from all over their ranges, small enough for nested loops."""
+    return draw(connections(sigmas=(0.05, 10.0), max_r=3, max_a=4.0, longest=6.0)) | {
         "k": draw(st.floats(0.1, 4.0)),
         "t0": draw(st.floats(0.0, 4.0)),
         "m": draw(st.floats(0.1, 4.0)),
         "ffi_gd": draw(st.booleans()),
-        "formulation": draw(st.sampled_from(slow.FORMULATIONS)),
     }
-    r, alpha, beta, lam = (params[key] for key in ("r", "alpha", "beta", "lam"))
-    assume(slow.latency(0, 0, alpha, beta, lam) >= 0.0)
-    assume(beta + math.exp(-lam * lam * 2 * r * r) > 0.01)
-    assume(slow.latency(r, r, alpha, beta, lam) <= 6.0)
-    return params
 
 
 @settings(deadline=None, max_examples=60)

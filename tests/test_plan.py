@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from draws import dlgmd_parameters
+from draws import connections
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import slow
@@ -84,9 +84,9 @@ def test_plan_of_the_sets_adds_up(number, formulation):
 
 
 @settings(deadline=None, max_examples=80)
-@given(params=dlgmd_parameters())
-def test_plan_of_any_parameters_adds_up(params):
-    check(*kernels_of(params))
+@given(connections(sigmas=(0.02, 100.0), max_r=8, max_a=10.0))
+def test_plan_of_any_parameters_adds_up(values):
+    check(*kernels_of(DlgmdParameters(**values)))
 
 
 @st.composite

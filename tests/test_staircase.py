@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from draws import dlgmd_parameters
+from draws import connections
 from hypothesis import given, settings
 from reference import slow
 
@@ -90,9 +90,9 @@ def test_discs_of_one_gaussian_share_their_sums():
 
 
 @settings(deadline=None, max_examples=100)
-@given(params=dlgmd_parameters())
-def test_plan_of_any_parameters_adds_up(params):
-    check(*kernels_of(params))
+@given(connections(sigmas=(0.02, 100.0), max_r=8, max_a=10.0))
+def test_plan_of_any_parameters_adds_up(values):
+    check(*kernels_of(DlgmdParameters(**values)))
 
 
 @pytest.mark.parametrize("radius", [1, 3, 6])

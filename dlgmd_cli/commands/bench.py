@@ -118,7 +118,7 @@ def bench(
                 tell=say,
             )
         for warning in measured.warnings:
-            warn(f"{input_path}: {warning}")
+            warn(f"{input_path or 'the clip'}: {warning}")
         rows = [_row(timing) for timing in measured.timings]
         _show(measured, rows, as_json=as_json)
         if file is not None:  # last, so that a full disk takes nothing but the file

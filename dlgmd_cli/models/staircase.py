@@ -98,10 +98,8 @@ def fuse(kernels: dict[int, FloatKernel], gaussians: list[FloatKernel]) -> Fused
 
     Parameters
     ----------
-    kernels : dict of int to ndarray
-        Delay in frames -> (2r + 1, 2r + 1) kernel, symmetric.
-    gaussians : list of ndarray
-        Separable kernels of the same shape that the others were cut from.
+    kernels, gaussians
+        As `plan.plan` takes them.
     """
     profiles = [gaussian[gaussian.shape[0] // 2] for gaussian in gaussians]
     plans = [_plan_layout(layout, profiles) for layout in layouts(kernels)]
