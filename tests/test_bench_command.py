@@ -40,6 +40,23 @@ def test_every_combination_is_measured(dlgmd, clips):
         assert float(row["whole_ms"]) == pytest.approx(other["whole_ms"], rel=1e-8)
 
 
+def test_every_column_holds_what_it_says(dlgmd, clips, monkeypatch):
+    def ms_a_frame(source, act):
+        if act.func is speed.run:
+            return 5.0
+        return 3.0 if act.args[0] is source else 2.0
+
+    monkeypatch.setattr(speed, "_core_ms", lambda model, frames: 7.0)
+    monkeypatch.setattr(speed, "_ms_a_frame", ms_a_frame)
+    found = json.loads(dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--json").stdout)
+    (row,) = found["rows"]
+    assert (row["core_ms"], row["whole_ms"], row["decode_ms"]) == (7.0, 5.0, 3.0)
+    assert (row["frames_per_s"], row["whole_s"]) == (200.0, 0.6)
+    assert found["decoding_alone_ms"] == 2.0
+    shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
+    assert "alone takes 2.000 ms a frame (opencv)" in shown and "2.50 at 16x12" in shown
+
+
 def test_own_clip_is_compared_with_the_paper(dlgmd):
     options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
     result = dlgmd("bench", *options)
