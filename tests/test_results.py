@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.files import appearing, refuse_existing
-from dlgmd_cli.results.folder import ResultFolder
+from dlgmd_cli.results.folder import COMPARISON, RUN, ResultFolder
 from dlgmd_cli.results.measures import summarise
 from dlgmd_cli.results.tables import TABLES, Result, cell, write_tables
 
@@ -149,6 +149,40 @@ def test_existing_results(tmp_path):
         folder.save(fill)
     assert (tmp_path / "clip" / "mp.csv").read_text() != "old"
     assert hidden(tmp_path) == []
+
+
+def compared(folder):
+    (folder / "compare.csv").write_text("label\n")
+    (folder / "compare.yaml").write_text("complete: true\n")
+
+
+def test_results_of_several_commands_share_a_folder(tmp_path, monkeypatch):
+    for kind, write in ((RUN, fill), (COMPARISON, compared)):
+        with ResultFolder(tmp_path, "clip", kind) as folder:
+            folder.save(write)
+        with pytest.raises(OutputExistsError, match="a result stands here already"):
+            ResultFolder(tmp_path, "clip", kind)
+    everything = {"run.yaml", *TABLES, "compare.csv", "compare.yaml"}
+    assert set(os.listdir(tmp_path / "clip")) == everything
+
+    def no_link(*_, **__):
+        raise PermissionError(1, "Operation not permitted")
+
+    (tmp_path / "clip" / "mp.png").write_text("a plot that the new result does not have")
+    monkeypatch.setattr(os, "link", no_link)
+    with ResultFolder(tmp_path, "clip", RUN, overwrite=True) as folder:
+        folder.save(fill)
+    assert set(os.listdir(tmp_path / "clip")) == everything
+    assert (tmp_path / "clip" / "compare.csv").read_text() == "label\n"
+    assert hidden(tmp_path) == []
+
+
+def test_files_without_their_record_are_no_result(tmp_path):
+    with ResultFolder(tmp_path, "clip") as folder:
+        folder.save(fill)
+    (tmp_path / "clip" / "compare.csv").write_text("precious")
+    with pytest.raises(OutputExistsError, match=r"holds other files, such as compare\.csv"):
+        ResultFolder(tmp_path, "clip", COMPARISON, overwrite=True)
 
 
 def test_what_is_no_result_is_never_replaced(tmp_path):

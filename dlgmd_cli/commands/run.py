@@ -185,7 +185,7 @@ def _write(
             figure = plot(result)
             for suffix in formats:
                 save_figure(figure, folder / f"{name}.{suffix}")
-    write_record(folder, record)
+    write_record(folder, record, engines=[record["engine"]])
 
 
 def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:

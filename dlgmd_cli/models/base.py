@@ -35,7 +35,8 @@ class Response:
     Attributes
     ----------
     p_sum, s_sum : float
-        Sums of the photoreceptor and the summation layer, in units of luminance.
+        Sums of the photoreceptor and the summation layer, without regard to sign, in the model's
+        own units of them.
     mp : float
         Raw membrane potential K, Eq. (13).
     ffi : float
@@ -72,6 +73,11 @@ class Model(Protocol):
     @property
     def name(self) -> str:
         """The name behind `--model`."""
+        ...
+
+    @property
+    def layer_units(self) -> tuple[str, str, str]:
+        """Units of the layers P, S and G, in words."""
         ...
 
     @property

@@ -55,6 +55,7 @@ class DLGMD:
     """
 
     name = "dlgmd"
+    layer_units = ("luminance", "luminance", "luminance²")
 
     def __init__(
         self,

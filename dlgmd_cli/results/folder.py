@@ -1,24 +1,43 @@
-"""A folder of results that appears whole or not at all."""
+"""A folder of results, into which what a command makes comes whole or not at all."""
 
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.tables import TABLES
 
-RECORD_NAME = "run.yaml"
-PLOT_NAMES = ("mp", "attenuation", "spikes")
 PLOT_FORMATS = ("png", "pdf", "svg")
-_OWN_NAMES = frozenset(
-    {RECORD_NAME, *TABLES, *(f"{plot}.{kind}" for plot in PLOT_NAMES for kind in PLOT_FORMATS)}
-)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What one command makes of an input: its record, and all files that it may write."""
+
+    record: str
+    names: frozenset[str]
+
+    @classmethod
+    def of(cls, record: str, files: Iterable[str], plots: Iterable[str]) -> "Kind":
+        """A kind with `plots` in any of the formats."""
+        drawn = (f"{plot}.{suffix}" for plot in plots for suffix in PLOT_FORMATS)
+        return cls(record, frozenset({record, *files, *drawn}))
+
+
+RUN = Kind.of("run.yaml", TABLES, ("mp", "attenuation", "spikes"))
+COMPARISON = Kind.of("compare.yaml", ("compare.csv",), ("compare-mp", "compare-attenuation"))
+LAYERS = Kind.of("layers.yaml", ("layers.npz",), ("layers",))
+# Results of several kinds share a folder: it is named after the input.
+KINDS = (RUN, COMPARISON, LAYERS)
 
 
 class ResultFolder:
     """Context manager: proves at once that it can write, and is filled by `save`.
+
+    What other commands made of the same input stays as it is.
 
     Parameters
     ----------
@@ -26,8 +45,10 @@ class ResultFolder:
         Folder that the result goes into; made if need be, and removed again if nothing came.
     name : str
         Name of the result.
+    kind : Kind
+        Which files are this result's.
     overwrite : bool
-        Replace an earlier result. Anything else that bears the name is never touched.
+        Replace an earlier result of this kind. What is no result of ours is never touched.
 
     Raises
     ------
@@ -37,12 +58,12 @@ class ResultFolder:
         If the folder cannot be written.
     """
 
-    def __init__(self, out: Path, name: str, *, overwrite: bool = False) -> None:
+    def __init__(self, out: Path, name: str, kind: Kind = RUN, *, overwrite: bool = False) -> None:
         self.target = out / (name if name.strip(".") else f"video{name}")
         self.partial = out / f".dlgmd-{secrets.token_hex(8)}"
         self._old = out / f".dlgmd-{secrets.token_hex(8)}"
         self._made: list[Path] = []
-        self._overwrite = overwrite
+        self._kind, self._overwrite = kind, overwrite
         self._check_target()
 
     def _check_target(self) -> None:
@@ -54,15 +75,18 @@ class ResultFolder:
                 str(self.target), "this is no folder of results", "Choose another --out."
             )
         found = {path.name for path in self.target.iterdir()}
-        foreign = sorted(found - _OWN_NAMES)
-        if foreign or (found and RECORD_NAME not in found):
-            shown = (foreign or sorted(found))[0]
+        rest = set(found)
+        for kind in KINDS:
+            if kind.record in found:
+                rest -= kind.names
+        if rest:
+            shown = min(rest)
             raise OutputExistsError(
                 str(self.target),
                 f"this folder holds other files, such as {shown}",
                 "Choose another --out.",
             )
-        if found and not self._overwrite:
+        if self._kind.record in found and not self._overwrite:
             raise OutputExistsError(
                 str(self.target),
                 "a result stands here already",
@@ -102,9 +126,21 @@ class ResultFolder:
             self.partial.mkdir(parents=True, exist_ok=True)  # it may have been swept away
             write(self.partial)
             self._check_target()
+            self._keep_others()
             self._swap()
         except OSError as error:
             raise self._failure(error) from None
+
+    def _keep_others(self) -> None:
+        """Put what other commands made into the partial folder too."""
+        if self.target.exists():
+            for path in self.target.iterdir():
+                if path.name not in self._kind.names:
+                    copy = self.partial / path.name
+                    try:
+                        os.link(path, copy, follow_symlinks=False)
+                    except OSError:  # not every file system has links
+                        shutil.copy2(path, copy, follow_symlinks=False)
 
     def _swap(self) -> None:
         """Rename the partial folder to the target; on failure the earlier result comes back."""

@@ -1,6 +1,7 @@
 """run.yaml: everything that it takes to repeat a run, and what came of it."""
 
 import platform
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,11 @@ import numpy as np
 import yaml
 
 from dlgmd_cli import __version__
-from dlgmd_cli.results.folder import RECORD_NAME
+from dlgmd_cli.results.folder import RUN, Kind
 
-_HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
-
+_HEADERS = {
+    RUN: "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n",
+}
 
 # What else a number depends on, by the decoder or engine that made it.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
@@ -32,12 +34,16 @@ def versions(*used_beside: str) -> dict[str, str]:
     return used
 
 
-def write_record(folder: Path, record: dict[str, Any]) -> None:
-    """Write `record` and the versions as YAML, in its own order; OSError passes through."""
+def write_record(
+    folder: Path, record: dict[str, Any], kind: Kind = RUN, *, engines: Iterable[str]
+) -> None:
+    """Write `record` and the versions as YAML, in its own order; OSError passes through.
+
+    `engines` are those that made the numbers.
+    """
+    used = versions(record["input"]["decoder"], *engines)
     text = yaml.safe_dump(
-        {**record, "versions": versions(record["input"]["decoder"], record["engine"])},
-        sort_keys=False,
-        allow_unicode=True,
-        width=100,
+        {**record, "versions": used}, sort_keys=False, allow_unicode=True, width=100
     )
-    (folder / RECORD_NAME).write_text(_HEADER + text, encoding="utf-8")
+    header = _HEADERS.get(kind, "# Written by dlgmd.\n")
+    (folder / kind.record).write_text(header + text, encoding="utf-8")
