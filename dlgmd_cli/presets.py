@@ -85,6 +85,17 @@ def load_preset(name: str | int) -> Config:
     return load_config(presets_dir() / f"set{name}.yaml")
 
 
+def load_model_preset(model: str) -> Config:
+    """The published values of a model that the D-LGMD is compared with.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such model.
+    """
+    return load_config(presets_dir() / f"{model}.yaml")
+
+
 def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
     """The paper's parameter set `name`, 1 to 9, with single keys overridden.
 

@@ -1,4 +1,4 @@
-"""κ of every set, derived anew from the labelled clips."""
+"""κ of every set and the other models' thresholds, derived anew from the labelled clips."""
 
 import csv
 
@@ -7,6 +7,9 @@ import pytest
 from reference_data import reference_dir
 
 from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli.models.emd_lgmd import EmdLGMD
+from dlgmd_cli.models.lgmd import LGMD
+from dlgmd_cli.params import EmdLgmdParameters, LgmdParameters
 
 SECOND = 30  # frames
 LABEL_ERROR = 2  # frames
@@ -26,19 +29,21 @@ def clips():
     return found
 
 
-def held(params, frames):
+def held(model, frames):
     """Mean excitation per cell that n_sp = 2 frames in a row reach, ending at each frame."""
-    model = DLGMD(params)
+    model.reset()
     mean = np.array([model.step(frame).mp for frame in frames]) / frames[0].size
     return np.concatenate(([np.nan], np.minimum(mean[1:], mean[:-1])))
 
 
-@pytest.mark.parametrize("number", range(1, 10))
-def test_kappa_is_what_the_clips_say(clips, number):
-    params = load_set(number)
+def crossing(clips, model):
+    """Between the strongest excitation without contact and the weakest above it before one.
+
+    Also how many contacts it misses.
+    """
     without, before_contact = [], []
     for frames, contact in clips:
-        strength = held(params, frames)
+        strength = held(model, frames)
         if contact is None:
             without.append(np.nanmax(strength))
         else:
@@ -46,9 +51,34 @@ def test_kappa_is_what_the_clips_say(clips, number):
             before_contact.append(np.nanmax(window))
     quiet = max(without)
     loud = min(value for value in before_contact if value > quiet)
-    # mp_abs = k / (k + kappa) crosses t_mp at k = kappa t_mp / (1 - t_mp).
-    crossing = np.sqrt(quiet * loud)
-    kappa = crossing * (1 - params.t_mp) / params.t_mp
-    assert params.kappa == pytest.approx(kappa, rel=0.04)  # two digits stand in the file
-    missed = sum(value < crossing for value in before_contact)
+    middle = np.sqrt(quiet * loud)
+    return middle, sum(value < middle for value in before_contact)
+
+
+def kappa_at(excitation, params):
+    """mp_abs = k / (k + kappa) crosses t_mp at k = kappa t_mp / (1 - t_mp)."""
+    return excitation * (1 - params.t_mp) / params.t_mp
+
+
+@pytest.mark.parametrize("number", range(1, 10))
+def test_kappa_is_what_the_clips_say(clips, number):
+    params = load_set(number)
+    excitation, missed = crossing(clips, DLGMD(params))
+    # Two digits stand in the file.
+    assert params.kappa == pytest.approx(kappa_at(excitation, params), rel=0.04)
     assert missed <= 1
+
+
+def test_kappa_of_the_emd_lgmd(clips):
+    params = EmdLgmdParameters()
+    excitation, missed = crossing(clips, EmdLGMD(params))
+    assert params.kappa == pytest.approx(kappa_at(excitation, params), rel=0.04)
+    assert missed == 3
+
+
+def test_threshold_of_the_lgmd(clips):
+    params = LgmdParameters()
+    excitation, missed = crossing(clips, LGMD(params))
+    # Of 1 / (1 + exp(-k)), which is near 1 here, three digits.
+    assert params.t_mp == pytest.approx(1 / (1 + np.exp(-excitation)), abs=2e-4)
+    assert missed == 0

@@ -11,6 +11,7 @@ import yaml
 
 from dlgmd_cli import __version__, load_set
 from dlgmd_cli.app import COMMANDS, cli
+from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.presets import load_config
 
 
@@ -90,6 +91,15 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, number):
     assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
 
 
+@pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
+def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
+    result = dlgmd("sets", "show", model)
+    assert result.exit_code == 0
+    (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
+    config = load_config(tmp_path / "my.yaml")
+    assert config.model == model and config.values == PARAMETERS[model]().to_dict()
+
+
 @pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])
 def test_an_encoding_without_greek_is_no_error(arguments):
     done = subprocess.run(
@@ -109,6 +119,7 @@ def test_tables_fit_80_columns():
         check=True,
     )
     table = [line for line in done.stdout.splitlines() if not line.startswith("Keys")]
+    assert "lgmd" in table[-1]
     assert max(map(len, table)) <= 80
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import tracemalloc
 
+import cv2
 import numpy as np
 import pytest
 from reference import clips, slow
@@ -11,6 +12,8 @@ from reference import clips, slow
 from dlgmd_cli.errors import FrameError, ParameterError
 from dlgmd_cli.models.base import MODELS, Layers, Response, create_model
 from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.ensemble import Ensemble
+from dlgmd_cli.models.replay import Replay
 from dlgmd_cli.params import PARAMETERS, DlgmdParameters, Parameters
 
 pytestmark = pytest.mark.usefixtures("each_engine")
@@ -45,6 +48,10 @@ def moving(height=24, width=30, n_frames=N_FRAMES, seed=11):
     disc = near + near[-2::-1]
     ground = clips.drifting(height, width, n_frames, seed, grid=256)
     return [(15 * a + b) / np.float32(16) for a, b in zip(disc, ground, strict=False)]
+
+
+def levels_of(frames):
+    return [np.rint(frame * 255).astype(np.uint8) for frame in frames]
 
 
 def run(case, frames, *, layers=False):
@@ -121,6 +128,38 @@ class TestEveryModel:
             interleaved.append(one.step(frame))
             other.step(1.0 - frame[::-1])
         np.testing.assert_array_equal(sums(interleaved), sums(run(case, frames)))
+
+    @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+    def test_sharing_photoreceptors_changes_nothing(self, case, dtype):
+        frames = moving() if dtype == np.float32 else levels_of(moving())
+        company = [create(name) for name in ("dlgmd-set2-default", "lgmd", "dlgmd")]
+        ensemble = Ensemble([company[0], create(case), *company[1:]])
+        for _ in range(2):
+            shared = [ensemble.step(frame)[1] for frame in frames]
+            np.testing.assert_array_equal(sums(shared), sums(run(case, frames)))
+            ensemble.reset()
+
+    @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+    def test_a_replay_says_the_same(self, case, dtype):
+        frames = moving() if dtype == np.float32 else levels_of(moving())
+        stack = np.stack(frames)
+        changes = np.zeros_like(stack)
+        for t in range(1, len(stack)):
+            cv2.absdiff(stack[t], stack[t - 1], dst=changes[t])
+        unit = 1.0 if dtype == np.float32 else 1.0 / 255.0
+        replay = Replay(stack, changes, [cv2.sumElems(p)[0] * unit for p in changes])
+        model = create(case)
+        for _ in range(2):
+            replay.rewind()
+            responses = []
+            for _ in range(len(replay)):
+                replay.advance()
+                responses.append(model.respond(replay, layers=True))
+            # Float sums depend on where in memory the images lie, in the last bit.
+            tolerance = 1e-6 if dtype == np.float32 else 0.0
+            np.testing.assert_allclose(
+                sums(responses), sums(run(case, frames)), rtol=tolerance, atol=0.0
+            )
 
     def test_asking_for_layers_changes_no_sum(self, case):
         with_layers = run(case, moving(), layers=True)
@@ -218,7 +257,7 @@ class TestEveryModel:
         assert "is not a float32 or uint8 image (H, W)" in str(caught.value)
 
     def test_grey_levels_stand_for_luminance(self, case):
-        levels = [np.rint(frame * 255).astype(np.uint8) for frame in moving()]
+        levels = levels_of(moving())
         luminance = [level.astype(np.float32) / np.float32(255) for level in levels]
         for one, other in zip(
             run(case, levels, layers=True), run(case, luminance, layers=True), strict=True

@@ -6,9 +6,10 @@ import pytest
 import yaml
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.params import PARAMETERS, DlgmdParameters
 from dlgmd_cli.presets import (
     load_config,
+    load_model_preset,
     load_preset,
     load_set,
     merge,
@@ -39,12 +40,21 @@ def test_sets_are_table_two(number):
 
 
 def test_every_config_loads_and_is_listed():
-    files = sorted(path.name for path in presets_dir().glob("*.yaml"))
-    assert files == [f"set{name}.yaml" for name in preset_names()] == sorted(files)
+    sets = [f"set{name}.yaml" for name in preset_names()]
+    others = [f"{name}.yaml" for name in PARAMETERS if name != "dlgmd"]
+    assert sorted(path.name for path in presets_dir().glob("*.yaml")) == sorted(sets + others)
     assert preset_names() == [str(n) for n in TABLE_II]
-    for path in presets_dir().glob("*.yaml"):
-        assert "Table II" in path.read_text(encoding="utf-8")
-        merge(DlgmdParameters, load_config(path), {})
+    for name in sets:
+        assert "Table II" in (presets_dir() / name).read_text(encoding="utf-8")
+        merge(DlgmdParameters, load_config(presets_dir() / name), {})
+
+
+@pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
+def test_presets_of_the_other_models_are_their_defaults(model):
+    config = load_model_preset(model)
+    assert config.model == model
+    assert merge(PARAMETERS[model], config, {}) == PARAMETERS[model]()
+    assert set(config.values) < set(PARAMETERS[model].specs())
 
 
 def test_defaults_are_set_nine():

@@ -49,9 +49,9 @@ class ModelChoice:
 
         if set_name is not None and config is not None:
             raise click.UsageError("--set and --config exclude each other. Give one of them.")
-        name = set_name if set_name is not None else DEFAULT_SET
-        file = _preset(name) if config is None else presets.load_config(config)
-        self.label = f"set{name}" if config is None else config.stem
+        if model not in (DEFAULT_MODEL, None) and set_name is not None:
+            raise click.UsageError(f"--set is of the D-LGMD, not of --model {model}.")
+        file = _file(set_name, config, model)
         self.origin, self.recorded_options = file.name, file.options
         if file.engine not in (*ENGINES, None):
             raise ParameterError(
@@ -67,10 +67,19 @@ class ModelChoice:
                 f"there is no model {self.model[:40]!r}",
                 f"Choose from {', '.join(PARAMETERS)}.",
             )
+        if config is not None:
+            self.label = config.stem
+        else:
+            self.label = (
+                self.model if self.model != DEFAULT_MODEL else f"set{set_name or DEFAULT_SET}"
+            )
+        kind = PARAMETERS[self.model]
         overrides = presets.parse_overrides(pairs)
         if formulation is not None:
+            if "formulation" not in kind.specs():
+                raise click.UsageError(f"--formulation is of the D-LGMD, not of {self.model}.")
             overrides["formulation"] = formulation
-        self.params: Parameters = presets.merge(PARAMETERS[self.model], file, overrides)
+        self.params: Parameters = presets.merge(kind, file, overrides)
 
     def create(self, engine: str | None, tell: Callable[[str], None]) -> "Model":
         """The model, computed by `engine` or, unless that is given, as the file's run was."""
@@ -85,12 +94,16 @@ class ModelChoice:
         return self.params
 
 
-def _preset(name: str) -> "Config":
-    """The paper's set, or the error of `--set`."""
-    from dlgmd_cli.presets import load_preset
+def _file(set_name: str | None, config: Path | None, model: str | None) -> "Config":
+    """The file that the parameters come from: the user's, or a preset."""
+    from dlgmd_cli import presets
 
+    if config is not None:
+        return presets.load_config(config)
+    if model not in (DEFAULT_MODEL, None):
+        return presets.load_model_preset(model)
     try:
-        return load_preset(name)
+        return presets.load_preset(set_name if set_name is not None else DEFAULT_SET)
     except ParameterError as error:
         mend = f"{error.mend.rstrip('.')}, or give a file with --config."
         raise ParameterError("Invalid value for '--set'", error.why, mend) from None
@@ -113,7 +126,9 @@ model_options = OptionGroup(
         help="Override one parameter; repeatable.",
     ),
     click.option(
-        "--model", type=click.Choice(list(PARAMETERS)), help=f"[default: {DEFAULT_MODEL}]"
+        "--model",
+        type=click.Choice(list(PARAMETERS)),
+        help=f"The model, with its published values.  [default: {DEFAULT_MODEL}]",
     ),
     click.option(
         "--formulation",

@@ -3,7 +3,7 @@
 import click
 
 from dlgmd_cli.commands._console import Command, print_table
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.params import PARAMETERS, DlgmdParameters, Parameters
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -25,21 +25,30 @@ def sets(ctx: click.Context) -> None:
     print_table(header, rows)
     keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
     click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
+    others = [name for name in PARAMETERS if name != DlgmdParameters.model]
+    click.echo(f"Other models: {', '.join(others)}; 'dlgmd sets show {others[0]}' has its values.")
 
 
 @sets.command(
     cls=Command,
     epilog="Example: dlgmd sets show 9 > my.yaml; dlgmd run flight.mp4 --config my.yaml",
 )
-@click.argument("name", metavar="N")
+@click.argument("name", metavar="NAME")
 def show(name: str) -> None:
-    """Print set N with every parameter, as YAML that --config takes."""
+    """Print set NAME, 1 to 9, or another model's values, as YAML that --config takes."""
     import yaml
 
-    from dlgmd_cli.presets import load_set
+    from dlgmd_cli.presets import load_model_preset, load_set, merge
 
-    params = load_set(name)
-    click.echo(f"# Set {name}; Table II of Zhao et al., IEEE TNNLS 34(5), 2023, and defaults.")
+    params: Parameters
+    if name in PARAMETERS and name != DlgmdParameters.model:
+        kind = PARAMETERS[name]
+        params = merge(kind, load_model_preset(name), {})
+        click.echo(f"# {kind.source}, and defaults.")
+        click.echo(f"model: {name}")
+    else:
+        params = load_set(name)
+        click.echo(f"# Set {name}; Table II of {params.source}, and defaults.")
     for key, value in params.to_dict().items():
         spec = params.specs()[key]
         line = yaml.safe_dump({key: value}).strip()

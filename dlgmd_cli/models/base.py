@@ -3,13 +3,16 @@
 import math
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import Parameters
+
+if TYPE_CHECKING:
+    from dlgmd_cli.models.photoreceptors import View
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
@@ -67,6 +70,11 @@ class Response:
         return 10.0 * math.log10(self.s_sum / self.p_sum) if self.s_sum > 0.0 else -math.inf
 
 
+def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:
+    """The answer before the history is full."""
+    return Response(p_sum, math.nan, math.nan, math.nan, math.nan, layers)
+
+
 class Model(Protocol):
     """A looming detector that is fed one frame at a time and keeps constant memory."""
 
@@ -86,6 +94,11 @@ class Model(Protocol):
         ...
 
     @property
+    def look_back(self) -> int:
+        """How many P of the past, with the newest, `respond` needs a view to hold."""
+        ...
+
+    @property
     def first_valid_frame(self) -> int:
         """Index of the first frame with a full history, counting from 0 at `reset`."""
         ...
@@ -98,9 +111,17 @@ class Model(Protocol):
         """Take the next frame, (H, W) float32 in 0..1 or uint8 in 0..255, and answer to it."""
         ...
 
+    def respond(self, view: "View", *, layers: bool = False) -> Response:
+        """Answer to the newest frame of a view that others may share; once a frame, in order."""
+        ...
+
 
 # Imported on first use: OpenCV takes a tenth of a second.
-MODELS = {"dlgmd": ("dlgmd_cli.models.dlgmd", "DLGMD")}
+MODELS = {
+    "dlgmd": ("dlgmd_cli.models.dlgmd", "DLGMD"),
+    "lgmd": ("dlgmd_cli.models.lgmd", "LGMD"),
+    "emd-lgmd": ("dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
+}
 
 
 def create_model(params: Parameters, **options: Any) -> Model:

@@ -1,14 +1,12 @@
 """The D-LGMD of [Zhao2023], fed one frame at a time."""
 
 import math
-from collections import deque
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
-from dlgmd_cli.errors import FrameError
-from dlgmd_cli.models.base import FloatImage, Grey, Layers, Response
+from dlgmd_cli.models.base import FloatImage, Layers, Response, undefined
+from dlgmd_cli.models.detector import Detector
 from dlgmd_cli.models.engines import (
     AUTO,
     Grouped,
@@ -19,15 +17,15 @@ from dlgmd_cli.models.engines import (
 )
 from dlgmd_cli.models.history import History, aligned
 from dlgmd_cli.models.kernels import Connections, connect, gaussian
+from dlgmd_cli.models.photoreceptors import View
 from dlgmd_cli.params import DlgmdParameters
 
 # The released code divides by this whatever the frame: n_cell m of its authors' 800 x 600.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
-_TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 
-class DLGMD:
+class DLGMD(Detector):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
 
     Parameters
@@ -72,107 +70,39 @@ class DLGMD:
         self.connections = connections_of(self.params)
         # FFI(t) looks one frame back, two in the released code, Eq. (12).
         self._ffi_delay = 2 if self._released else 1
-        self.reset()
+        self._history: History | None = None
+        super().__init__(1 + max(self.connections.max_delay_frames, self._ffi_delay))
 
-    @property
-    def first_valid_frame(self) -> int:
-        """Index of the first frame with a full history: 1 + the largest delay."""
-        return 1 + max(self.connections.max_delay_frames, self._ffi_delay)
-
-    def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
-        self._n_frames = 0
-        self._p_sums: deque[float] = deque(maxlen=self._ffi_delay + 1)
-
-    def step(self, luminance: Grey, *, layers: bool = False) -> Response:
-        """Take the next frame and answer to it.
-
-        Parameters
-        ----------
-        luminance : ndarray, shape (H, W), float32 or uint8
-            Luminance in 0..1, or grey levels in 0..255 that stand for it. The array may be reused
-            by the caller afterwards.
-        layers : bool
-            Return copies of P, S and G as well.
-
-        Returns
-        -------
-        Response
-            Sums in units of luminance; NaN before `first_valid_frame` for all but `p_sum`, and
-            for `p_sum` at the first frame.
-
-        Raises
-        ------
-        FrameError
-            If the frame is neither a float32 nor a uint8 image, or not of the same size and type
-            as the one before.
-        MissingExtraError
-            If the engine asked for needs a package that is not installed.
-        """
-        self._admit(luminance)
-        frame = self._n_frames
-        self._n_frames += 1
-        if frame == 0:
-            np.copyto(self._previous, luminance)
-            return _undefined(layers=Layers() if layers else None)
-        p = self._history.advance()
-        cv2.absdiff(luminance, self._previous, dst=p)
-        np.copyto(self._previous, luminance)
-        p_sum = cv2.sumElems(p)[0] * self._history.unit
-        self._p_sums.append(p_sum)
-        if frame < self.first_valid_frame:
-            return _undefined(p_sum, Layers(self._p_layer()) if layers else None)
-        ffi = self._p_sums[-1 - self._ffi_delay]
+    def respond(self, view: View, *, layers: bool = False) -> Response:
+        """Answer to the newest frame of `view`; to be called once for every frame, in order."""
+        if view.history is not self._history:
+            self._prepare(view.history)
+        if view.frame < self.first_valid_frame:
+            return undefined(view.p_sum(0), Layers(_p_layer(view)) if layers else None)
+        ffi = view.p_sum(self._ffi_delay)
         t_de = self._threshold(ffi)
         grouping = Grouping(self.params.k, t_de, math.inf if self._literal else 1.0)
-        room = Grouped(*(aligned(p.shape) for _ in range(2))) if layers else None
-        s_sum, mp = self._engine.respond(self._history, grouping, room)
-        shown = Layers(self._p_layer(), *room) if room else None
-        return Response(p_sum, s_sum, mp, ffi, t_de, shown)
+        room = Grouped(*(aligned(view.history[0].shape) for _ in range(2))) if layers else None
+        s_sum, mp = self._engine.respond(view.history, grouping, room)
+        shown = Layers(_p_layer(view), *room) if room else None
+        return Response(view.p_sum(0), s_sum, mp, ffi, t_de, shown)
 
-    def _admit(self, luminance: Grey) -> None:
-        """Check a frame, and make room on the first one."""
-        if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
-            raise FrameError(
-                "frame",
-                f"{luminance.dtype} of shape {luminance.shape} is not a float32 or uint8 image "
-                "(H, W)",
-                "Give luminance in 0..1, for example gray.astype(np.float32) / 255.",
-            )
-        if self._n_frames == 0:
-            self._prepare(luminance)
-        for name, given, before in (
-            ("shape", luminance.shape, self._previous.shape),
-            ("type", luminance.dtype, self._previous.dtype),
-        ):
-            if given != before:
-                raise FrameError(
-                    "frame",
-                    f"its {name} {given} is not that of the frames before, {before}",
-                    "Call reset() between videos.",
-                )
-
-    def _prepare(self, luminance: Grey) -> None:
-        """Make the memory and the engine for frames like this one."""
-        self._previous = aligned(luminance.shape, luminance.dtype)
-        depth = max(self.connections.max_delay_frames + 1, 2)
-        self._history = History(depth, self._previous)
-        self.engine_name = choose_engine(self._asked_engine, luminance.size, self._tell)
+    def _prepare(self, history: History) -> None:
+        """Make an engine for images like those of `history`."""
+        self._history = history
+        n_cells = history.stack[0].size
+        self.engine_name = choose_engine(self._asked_engine, n_cells, self._tell)
         params = self.params
         gaussians = [gaussian(params.r, sigma) for sigma in (params.sigma_i, params.sigma_e)]
         wiring = Wiring(self.connections.signed(), gaussians)
-        self._engine = create_engine(self.engine_name, wiring, self._history, self._tell)
-
-    def _p_layer(self) -> FloatImage:
-        """A copy of P(t) in units of luminance."""
-        return np.multiply(self._history[0], np.float32(self._history.unit), dtype=np.float32)
+        self._cells = RELEASED_CELLS if self._released else n_cells * params.m
+        self._engine = create_engine(self.engine_name, wiring, history, self._tell)
 
     def _threshold(self, ffi: float) -> float:
         """T_de, Eq. (11); the released code divides by a constant, and caps it."""
         if not self.params.ffi_gd:
             return 0.0
-        cells = RELEASED_CELLS if self._released else self._previous.size * self.params.m
-        t_de = ffi * self.params.t0 / cells
+        t_de = ffi * self.params.t0 / self._cells
         return t_de if self._literal else min(t_de, MAX_T_DE)
 
 
@@ -190,5 +120,8 @@ def connections_of(params: DlgmdParameters) -> Connections:
     )
 
 
-def _undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:
-    return Response(p_sum, math.nan, math.nan, math.nan, math.nan, layers)
+def _p_layer(view: View) -> FloatImage | None:
+    """A copy of P(t) in units of luminance; None at the first frame."""
+    if view.frame == 0:
+        return None
+    return np.multiply(view.history[0], np.float32(view.history.unit), dtype=np.float32)

@@ -114,6 +114,15 @@ def choose_engine(
     return "opencv" if fault else "numba"
 
 
+def require_opencv(name: str, model: str) -> str:
+    """The one engine of a model that has no other; ParameterError if `name` is another one."""
+    if name not in (AUTO, "opencv"):
+        raise ParameterError(
+            "--engine", f"the model {model} has no engine {name!r}", "Leave it out."
+        )
+    return "opencv"
+
+
 def create_engine(
     name: str, wiring: Wiring, history: History, tell: Callable[[str], None]
 ) -> Engine:

@@ -40,6 +40,17 @@ class History:
         self.stack = aligned((depth, *frame.shape), frame.dtype)
         self._newest = 0
 
+    @classmethod
+    def of(cls, stack: Grey) -> "History":
+        """A history on images that are there already, (n, H, W), in the order of time."""
+        history = cls.__new__(cls)
+        history.stack, history._newest = stack, 0
+        return history
+
+    def go_to(self, position: int) -> None:
+        """Let the image at `position` of the stack be the newest."""
+        self._newest = position
+
     @property
     def unit(self) -> float:
         """What one level counts in luminance."""

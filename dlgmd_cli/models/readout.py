@@ -30,6 +30,24 @@ def normalise_absolute(mp: Series, n_cells: int, kappa: float) -> Series:
     return excitation / (excitation + kappa)
 
 
+def normalise_sigmoid(mp: Series, n_cells: int) -> Series:
+    """The LGMD's own normalisation, in [0.5, 1).
+
+    Parameters
+    ----------
+    mp : ndarray, shape (n,)
+        Raw membrane potential K, not negative; NaN where undefined.
+    n_cells : int
+        Cells (pixels) that K sums over.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        κ = 1 / (1 + exp(-K / n_cells)), [Yue2006]; NaN where `mp` is.
+    """
+    return np.asarray(1.0 / (1.0 + np.exp(-mp / n_cells)))
+
+
 def normalise_sequence(mp: Series) -> Series:
     """Membrane potential scaled to [0, 1] by the extremes of its own sequence.
 
@@ -77,7 +95,7 @@ class Readout:
 
 
 def read_out(
-    mp: Series, n_cells: int, *, kappa: float, threshold: float, n_sp: int, by_sequence: bool
+    mp: Series, n_cells: int, *, kappa: float | None, threshold: float, n_sp: int, by_sequence: bool
 ) -> Readout:
     """Normalise `mp` both ways, and let one of them drive spikes and collisions.
 
@@ -85,8 +103,10 @@ def read_out(
     ----------
     mp : ndarray, shape (n,)
         Raw membrane potential K; NaN where undefined.
-    n_cells, kappa
-        See `normalise_absolute`.
+    n_cells : int
+        Cells (pixels) that K sums over.
+    kappa : float or None
+        See `normalise_absolute`; None for `normalise_sigmoid` in its place.
     threshold : float
         T_MP, the level at which a spike is raised.
     n_sp : int
@@ -94,7 +114,11 @@ def read_out(
     by_sequence : bool
         Spikes follow `mp_seq` instead of `mp_abs`.
     """
-    mp_abs, mp_seq = normalise_absolute(mp, n_cells, kappa), normalise_sequence(mp)
+    if kappa is None:
+        mp_abs = normalise_sigmoid(mp, n_cells)
+    else:
+        mp_abs = normalise_absolute(mp, n_cells, kappa)
+    mp_seq = normalise_sequence(mp)
     level = mp_seq if by_sequence else mp_abs
     spike = spikes(level, threshold)
     return Readout(mp_abs, mp_seq, level, spike, collisions(spike, n_sp))

@@ -1,4 +1,4 @@
-"""The parameters of the model: every key with its symbol, unit, default and allowed range."""
+"""What parameters of any model are: keys with a symbol, unit, default and allowed range."""
 
 import math
 import numbers
@@ -8,9 +8,6 @@ from difflib import SequenceMatcher, get_close_matches
 from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
-
-FORMULATIONS = ("default", "released", "equations")
-MAX_LATENCY_FRAMES = 64.0
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 
@@ -36,21 +33,39 @@ class Spec:
         return f"{self.low:g} to {self.high:g}"
 
 
-def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
+def key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
+    """A field of `Parameters`: its default and its `Spec`."""
     return field(default=default, metadata={"spec": Spec(symbol, unit, meaning, **limits)})
 
 
 class Parameters:
-    """A frozen set of named, checked values; subclasses are dataclasses of `_key` fields.
+    """A frozen set of named, checked values; subclasses are dataclasses of `key` fields.
 
-    Every model's membrane potential is read out alike, by these three.
+    Every model's membrane potential is read out by these three.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    preset : str
+        What `dlgmd sets show` prints them by.
+    source : str
+        Where their values are from.
+    t_mp : float
+        Spiking threshold of the normalised membrane potential.
+    n_sp : int
+        Spikes in a row that make a collision.
+    kappa : float or None
+        Mean excitation at which `mp_abs` is 1/2; None where the model has a sigmoid of its own.
     """
 
     model: ClassVar[str] = ""
+    preset: ClassVar[str] = ""
+    source: ClassVar[str] = ""
 
     t_mp: float
     n_sp: int
-    kappa: float
+    kappa: float | None
 
     def __post_init__(self) -> None:
         for key, value in self.to_dict().items():
@@ -85,7 +100,9 @@ class Parameters:
                 near = nearest(str(key)[:100], known)
                 hint = f"Did you mean '{near}'? " if near else ""
                 raise ParameterError(
-                    "", f"unknown parameter {str(key)[:100]!r}", f"{hint}See 'dlgmd sets show 9'."
+                    "",
+                    f"unknown parameter {str(key)[:100]!r}",
+                    f"{hint}See 'dlgmd sets show {cls.preset}'.",
                 )
         return cls(**values)
 
@@ -118,65 +135,6 @@ class Parameters:
         if number > spec.high:
             raise _wrong(key, value, f"is more than {spec.high:g}")
         return type(default)(value)
-
-
-@dataclass(frozen=True)
-class DlgmdParameters(Parameters):
-    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
-
-    model: ClassVar[str] = "dlgmd"
-
-    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
-    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
-    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
-    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0.01, high=100)
-    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
-    r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
-    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=1e-12, high=100)
-    ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
-    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
-    m: float = _key(
-        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100
-    )
-    t_mp: float = _key(0.4, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
-    n_sp: int = _key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
-    kappa: float = _key(
-        0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
-    )
-    formulation: str = _key(
-        "default", "–", "–", "how latency meets whole frames", choices=FORMULATIONS
-    )
-
-    def _check_together(self) -> None:
-        """Latency must be causal everywhere, and history short enough to keep."""
-        nearest = self.alpha + 1.0 / (self.beta + 1.0)
-        if nearest < 0.0:
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
-                f"({nearest:.3g} frames at the centre)",
-                "Inhibition cannot come before its cause; raise alpha.",
-            )
-        if self.alpha > MAX_LATENCY_FRAMES - 1.0 / (self.beta + 1.0):
-            raise ParameterError(
-                "",
-                f"alpha = {self.alpha:g} makes the latency longer than {MAX_LATENCY_FRAMES:g} "
-                "frames everywhere",
-                "Lower alpha.",
-            )
-        reach = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
-        if reach <= 0.0 or self.alpha + 1.0 / reach > MAX_LATENCY_FRAMES:
-            raise ParameterError(
-                "",
-                f"beta = {self.beta:g} with lam = {self.lam:g} and r = {self.r} makes the latency "
-                f"longer than {MAX_LATENCY_FRAMES:g} frames",
-                "Raise beta or lower lam.",
-            )
-
-
-# The models that `--model` takes, with the parameters of each.
-PARAMETERS: dict[str, type[Parameters]] = {kind.model: kind for kind in (DlgmdParameters,)}
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

@@ -1,0 +1,94 @@
+"""The LGMD without distributed connections that the D-LGMD is compared with."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import FloatImage, Layers, Response, undefined
+from dlgmd_cli.models.detector import Detector
+from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
+from dlgmd_cli.models.filters import BORDER
+from dlgmd_cli.models.photoreceptors import View
+from dlgmd_cli.params import LgmdParameters
+
+# What the neighbours of a cell inhibit it with, one frame later.
+INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]])
+WHITE = 255.0
+
+
+class LGMD(Detector):
+    """LGMD of [Zhao2018] after [Yue2006]: signed, with inhibition from the nearest neighbours.
+
+    With luminance L in grey levels, 0..255, everything outside the frame zero:
+
+        P(t) = L(t) - L(t-1) + p1 P(t-1) + p2 P(t-2)
+        S(t) = P(t) - w_i P(t-1) ∗ w
+        Ce = S ∗ ones(3, 3)/9,  ω = delta_c + max|Ce| / c_omega,  G = S · Ce / ω
+        G̃ = G where c_de G ≥ t_de, else 0
+        K = Σ|G̃|, 0 where FFI(t) = Σ|P(t-1)| / n_cell is above t_ffi
+
+    Parameters
+    ----------
+    params : LgmdParameters, optional
+        The published values unless given.
+    engine : str
+        `opencv` or `auto`; there is no other.
+    tell : callable, optional
+        Never called; all models take one.
+    """
+
+    name = "lgmd"
+    layer_units = ("grey levels", "grey levels", "grey levels")
+
+    def __init__(
+        self,
+        params: LgmdParameters | None = None,
+        engine: str = AUTO,
+        tell: Callable[[str], None] = lambda message: None,
+    ) -> None:
+        self.params = params if params is not None else LgmdParameters()
+        self.engine_name = require_opencv(engine, self.name)
+        self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
+        self._p: list[FloatImage] = []
+        super().__init__(look_back=2)
+
+    def respond(self, view: View, *, layers: bool = False) -> Response:
+        """Answer to the newest frame of `view`; to be called once for every frame, in order."""
+        if view.frame == 0:
+            self._p = []
+            return undefined(layers=Layers() if layers else None)
+        p = self._photoreceptors(view)
+        self._p = [p, *self._p[:2]]
+        p_sum = cv2.norm(p, cv2.NORM_L1)
+        if view.frame < self.first_valid_frame:
+            return undefined(p_sum, Layers(p.copy()) if layers else None)
+        s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=BORDER)
+        g = self._group(s)
+        ffi = cv2.norm(self._p[1], cv2.NORM_L1) / p.size
+        mp = cv2.norm(g, cv2.NORM_L1) if ffi <= self.params.t_ffi else 0.0
+        shown = Layers(p.copy(), s, g) if layers else None
+        return Response(p_sum, cv2.norm(s, cv2.NORM_L1), mp, ffi, self._threshold, shown)
+
+    def _photoreceptors(self, view: View) -> FloatImage:
+        """P(t), signed, in grey levels."""
+        p = cv2.subtract(view.current, view.previous, dtype=cv2.CV_32F)
+        if view.history.unit == 1.0:
+            p *= np.float32(WHITE)
+        for weight, earlier in zip((self.params.p1, self.params.p2), self._p, strict=False):
+            if weight:
+                p += np.float32(weight) * earlier
+        return np.asarray(p, np.float32)
+
+    @property
+    def _threshold(self) -> float:
+        """What G has to reach."""
+        return self.params.t_de / self.params.c_de
+
+    def _group(self, s: FloatImage) -> FloatImage:
+        """G̃ of S."""
+        ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=BORDER)
+        omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega
+        g = cv2.multiply(s, ce, dst=ce, scale=1.0 / omega)
+        cv2.threshold(g, just_below(self._threshold), 0.0, cv2.THRESH_TOZERO, dst=g)
+        return np.asarray(g, np.float32)
