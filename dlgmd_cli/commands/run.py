@@ -9,11 +9,11 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice, engine_option, model_options
 from dlgmd_cli.commands._types import Output, output_options
-from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -80,9 +80,9 @@ def run(
         for warning in warnings:
             warn(f"{input_path}: {warning}")
         if complete and recording.n_valid == 0:
-            raise _too_short(input_path, source, choice.label, options, detector.first_valid_frame)
+            raise too_short(input_path, source, choice.label, options, detector.first_valid_frame)
         record = {
-            **_facts(source, len(recording)),
+            **facts(source, len(recording)),
             "model": choice.model,
             "engine": detector.engine_name,
             **choice.params.to_dict(),
@@ -120,46 +120,6 @@ def _compute(
             raise
         return False
     return True
-
-
-def _too_short(
-    name: str, source: "Source", label: str, options: InputChoice, first_valid: int
-) -> SourceError:
-    """The error for an input that ends before the model can answer."""
-    n_read = source.progress.n_decoded
-    if options.start or options.end is not None or options.fps is not None:
-        return SourceError(
-            name,
-            f"--start, --end and --fps leave fewer than the {first_valid + 1} frames that "
-            f"{label} needs",
-            f"Its last frame read is at {source.progress.last_time_s:.3f} s.",
-        )
-    return SourceError(
-        name,
-        f"{n_read} frame{'s' * (n_read > 1)}, but {label} needs at least {first_valid + 1}",
-        "Use a longer clip.",
-    )
-
-
-def _facts(source: "Source", n_processed: int) -> dict[str, Any]:
-    """What run.yaml says of the input and of what was made of it."""
-    info = source.info
-    return {
-        "input": {
-            "path": info.path,
-            "width": info.width,
-            "height": info.height,
-            "fps": info.fps,
-            "frames": source.progress.n_decoded,
-            "duration_s": source.progress.last_time_s + 1.0 / info.fps,
-            "decoder": info.decoder,
-        },
-        "processed": {
-            "width": source.size_wh[0],
-            "height": source.size_wh[1],
-            "frames": n_processed,
-        },
-    }
 
 
 def _write(

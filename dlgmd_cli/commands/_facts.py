@@ -1,0 +1,49 @@
+"""What records and errors say of an input, the same for every command that reads one."""
+
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.errors import SourceError
+
+if TYPE_CHECKING:
+    from dlgmd_cli.sources.prepare import Source
+
+
+def too_short(
+    name: str, source: "Source", label: str, options: InputChoice, first_valid: int
+) -> SourceError:
+    """The error for an input that ends before the model can answer."""
+    n_read = source.progress.n_decoded
+    if options.start or options.end is not None or options.fps is not None:
+        return SourceError(
+            name,
+            f"--start, --end and --fps leave fewer than the {first_valid + 1} frames that "
+            f"{label} needs",
+            f"Its last frame read is at {source.progress.last_time_s:.3f} s.",
+        )
+    return SourceError(
+        name,
+        f"{n_read} frame{'s' * (n_read > 1)}, but {label} needs at least {first_valid + 1}",
+        "Use a longer clip.",
+    )
+
+
+def facts(source: "Source", n_processed: int) -> dict[str, Any]:
+    """What run.yaml says of the input and of what was made of it."""
+    info = source.info
+    return {
+        "input": {
+            "path": info.path,
+            "width": info.width,
+            "height": info.height,
+            "fps": info.fps,
+            "frames": source.progress.n_decoded,
+            "duration_s": source.progress.last_time_s + 1.0 / info.fps,
+            "decoder": info.decoder,
+        },
+        "processed": {
+            "width": source.size_wh[0],
+            "height": source.size_wh[1],
+            "frames": n_processed,
+        },
+    }
