@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dlgmd_cli.app import COMMANDS
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.params import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -39,9 +39,14 @@ def test_commands_run_as_written(dlgmd, clips, line):
     assert result.exit_code == 0, result.output
 
 
-def test_table_of_parameters():
-    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", README, flags=re.MULTILINE))
-    specs, defaults = DlgmdParameters.specs(), DlgmdParameters.defaults()
+@pytest.mark.parametrize(
+    ("heading", "kind"),
+    [("D-LGMD", DlgmdParameters), ("LGMD", LgmdParameters), ("EMD-LGMD", EmdLgmdParameters)],
+)
+def test_table_of_parameters(heading, kind):
+    (section,) = re.findall(rf"^### {heading}\n(.*?)^##", README, flags=re.DOTALL | re.MULTILINE)
+    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", section, flags=re.MULTILINE))
+    specs, defaults = kind.specs(), kind.defaults()
     assert list(rows) == list(specs)
     for key, row in rows.items():
         symbol, unit, default, allowed, meaning = (part.strip() for part in row.split("|"))

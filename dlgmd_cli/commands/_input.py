@@ -65,7 +65,7 @@ input_options = OptionGroup(
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class InputChoice:
     """What is read of an input, and which normalised membrane potential is thresholded."""
 

@@ -2,6 +2,7 @@
 
 import signal
 import threading
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -23,6 +24,16 @@ class Interrupts:
     def hold(self) -> None:
         """From now on, only count."""
         self._raises = False
+
+    def ends(self, work: Callable[[], None], n_kept: Callable[[], int]) -> bool:
+        """Do `work`; False if a Ctrl-C ended it, with `n_kept` frames computed, at least one."""
+        try:
+            work()
+        except KeyboardInterrupt:
+            if n_kept() == 0:
+                raise
+            return False
+        return True
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.count += 1

@@ -9,6 +9,7 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._drawing import save_plots
 from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
@@ -16,11 +17,8 @@ from dlgmd_cli.commands._model import ModelChoice, engine_option, model_options
 from dlgmd_cli.commands._types import Output, output_options
 
 if TYPE_CHECKING:
-    from dlgmd_cli.models.base import Model
     from dlgmd_cli.results.folder import ResultFolder
     from dlgmd_cli.results.tables import Result
-    from dlgmd_cli.runs.single import Recording
-    from dlgmd_cli.sources.prepare import Source
 
 _NEEDED_LATER = (
     "dlgmd_cli.models.tiled",
@@ -66,14 +64,17 @@ def run(
         Interrupts() as interrupts,
     ):
         from dlgmd_cli.results.measures import doubts, summarise
-        from dlgmd_cli.runs.single import Recording, read_recording
+        from dlgmd_cli.runs import single
 
-        recording = Recording()
-        complete = _compute(source, detector, recording, options.n_expected(source.info))
+        recording = single.Recording()
+        with progress(source.info.name, options.n_expected(source.info)) as on_frame:
+            complete = interrupts.ends(
+                lambda: single.run(source, detector, recording, on_frame), lambda: len(recording)
+            )
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")
-        result = read_recording(
+        result = single.read_recording(
             recording, source.size_wh, choice.params, by_sequence=options.by_sequence
         )
         warnings = [*source.progress.warnings, *doubts(result, source.info.decoder)]
@@ -106,22 +107,6 @@ def _folder(output: Output, name: str) -> "ResultFolder":
     return ResultFolder(output.out, name, overwrite=output.overwrite)
 
 
-def _compute(
-    source: "Source", detector: "Model", recording: "Recording", n_expected: int | None
-) -> bool:
-    """Run the model over the source; False if Ctrl-C ended it, with what was computed kept."""
-    from dlgmd_cli.runs import single
-
-    try:
-        with progress(source.info.name, n_expected) as on_frame:
-            single.run(source, detector, recording, on_frame)
-    except KeyboardInterrupt:
-        if len(recording) == 0:
-            raise
-        return False
-    return True
-
-
 def _write(
     result: "Result",
     record: dict[str, Any],
@@ -134,17 +119,11 @@ def _write(
     from dlgmd_cli.results.tables import write_tables
 
     write_tables(folder, result)
-    allowed = interrupts.count
     if formats:
-        from dlgmd_cli.plots.style import save_figure
         from dlgmd_cli.plots.traces import PLOTS
 
-        for name, plot in PLOTS.items():
-            if interrupts.count > allowed:
-                break
-            figure = plot(result)
-            for suffix in formats:
-                save_figure(figure, folder / f"{name}.{suffix}")
+        plots = {name: partial(plot, result) for name, plot in PLOTS.items()}
+        save_plots(folder, plots, formats, interrupts)
     write_record(folder, record, engines=[record["engine"]])
 
 

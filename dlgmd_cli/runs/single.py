@@ -23,14 +23,12 @@ class Recording:
 
     def __init__(self) -> None:
         self._values = array("d")
-        self.n_valid = 0
 
     def __len__(self) -> int:
         return len(self._values) // _COLUMNS
 
     def append(self, frame: Frame, response: Response) -> None:
         """Add one frame's response."""
-        self.n_valid += response.is_valid
         # One call, so that Ctrl-C finds the row whole or absent.
         self._values.extend(
             (
@@ -42,6 +40,15 @@ class Recording:
                 response.mp,
             )
         )
+
+    def cut(self, n_frames: int) -> None:
+        """Forget what comes after the first `n_frames`."""
+        del self._values[n_frames * _COLUMNS :]
+
+    @property
+    def n_valid(self) -> int:
+        """How many frames the model could answer to."""
+        return int(np.count_nonzero(~np.isnan(self.columns()[-1])))
 
     def columns(self) -> npt.NDArray[np.float64]:
         """A copy, shape (6, n): frame, time_s, p_sum, s_sum, attenuation_db, mp."""

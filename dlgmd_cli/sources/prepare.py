@@ -196,9 +196,9 @@ class Source:
         """The pictures that were chosen, as decoded; each is valid until `n_kept` more of them."""
         return self._reader.pictures(self._selection.begin(), n_kept)
 
-    def frame(self, picture: Picture) -> Frame:
-        """What models take of a picture."""
-        grey = to_grey(picture.image, self.size_wh, picture.levels)
+    def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
+        """What models take of a picture, at another size than the source's own if given."""
+        grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
         return Frame(picture.index, picture.time_s, grey)
 
     def __iter__(self) -> Iterator[Frame]:

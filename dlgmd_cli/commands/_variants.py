@@ -1,0 +1,135 @@
+"""The options of a comparison: which models, with which parameters, and what they are called."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import click
+
+from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
+from dlgmd_cli.commands._types import OptionGroup
+from dlgmd_cli.errors import printable
+from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One curve of a comparison.
+
+    Attributes
+    ----------
+    label : str
+        What it is called: `set9`, `set9/released`, `lgmd`, or a file's stem.
+    params : Parameters
+        Its parameters.
+    engine : str or None
+        The engine of the run that its file records, if it does.
+    size : InputChoice
+        The processed size of that run, if its file records one.
+    """
+
+    label: str
+    params: Parameters
+    engine: str | None
+    size: InputChoice
+
+
+def _variants(
+    set_names: tuple[str, ...],
+    configs: tuple[Path, ...],
+    models: tuple[str, ...],
+    formulations: tuple[str, ...],
+    no_ffi_gd: bool,
+) -> list[Variant]:
+    """Every variant that the options ask for, each once."""
+    derives = bool(formulations) or no_ffi_gd
+    if not (set_names or configs or models):
+        set_names = (DEFAULT_SET,)
+        # To what a bare comparison would be with, if there is nothing else.
+        models = () if derives else tuple(PARAMETERS)
+    chosen = [ModelChoice(name, None, (), None, None) for name in dict.fromkeys(set_names)]
+    files = list(dict.fromkeys(configs))
+    chosen += [ModelChoice(None, path, (), None, None) for path in files]
+    chosen += [ModelChoice(None, None, (), name, None) for name in dict.fromkeys(models)]
+    labels = [choice.label for choice in chosen]
+    for place, path in enumerate(files, start=len(set(set_names))):
+        if labels.count(path.stem) > 1:
+            labels[place] = f"{path.absolute().parent.name}/{path.stem}"
+    alike = map(_variant, chosen, labels)
+    found = list(_told_apart(dict.fromkeys(alike)))
+    if derives and not any(isinstance(one.params, DlgmdParameters) for one in found):
+        raise click.UsageError(
+            "--formulation and --no-ffi-gd are of the D-LGMD, and none is compared. Add --set."
+        )
+    derived = [each for one in found for each in _derived(one, formulations, no_ffi_gd)]
+    return list({one.label: one for one in derived}.values())
+
+
+def _told_apart(variants: Iterable[Variant]) -> Iterator[Variant]:
+    """Those of one label with a number."""
+    seen: Counter[str] = Counter()
+    for one in variants:
+        seen[one.label] += 1
+        number = seen[one.label]
+        yield one if number == 1 else replace(one, label=f"{one.label}-{number}")
+
+
+def _variant(choice: ModelChoice, label: str) -> Variant:
+    """A choice as it is, under its label."""
+    recorded = InputChoice.from_options({}, choice.recorded_options, choice.origin)
+    size = InputChoice(scale=recorded.scale, size=recorded.size)
+    return Variant(printable(label), choice.params, choice.recorded_engine, size)
+
+
+def _derived(one: Variant, formulations: tuple[str, ...], no_ffi_gd: bool) -> Iterator[Variant]:
+    """A variant, and if it is a D-LGMD also its other formulations and without FFI-GD."""
+    yield one
+    if not isinstance(one.params, DlgmdParameters):
+        return
+    kin = [one]
+    for formulation in dict.fromkeys(formulations):
+        if formulation != one.params.formulation:
+            params = replace(one.params, formulation=formulation)
+            kin.append(replace(one, label=f"{one.label}/{formulation}", params=params))
+    yield from kin[1:]
+    for each in kin:
+        if no_ffi_gd and one.params.ffi_gd:
+            params = replace(each.params, ffi_gd=False)
+            yield replace(each, label=f"{each.label}/no-ffi-gd", params=params)
+
+
+variant_options = OptionGroup(
+    "variants",
+    _variants,
+    click.option(
+        "--set",
+        "set_names",
+        multiple=True,
+        metavar="N",
+        help="One of the paper's sets; repeatable.",
+    ),
+    click.option(
+        "--config",
+        "configs",
+        multiple=True,
+        type=click.Path(path_type=Path),
+        help="A YAML file of parameters; of a run.yaml also its processed size. Repeatable.",
+    ),
+    click.option(
+        "--model",
+        "models",
+        multiple=True,
+        type=click.Choice(list(PARAMETERS)),
+        help="A model with its published values; repeatable.  [default: all three]",
+    ),
+    click.option(
+        "--formulation",
+        "formulations",
+        multiple=True,
+        type=click.Choice(FORMULATIONS),
+        help="Every D-LGMD in this formulation too; repeatable.",
+    ),
+    click.option("--no-ffi-gd", is_flag=True, help="Every D-LGMD without the threshold of G too."),
+)

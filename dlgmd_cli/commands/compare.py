@@ -1,0 +1,265 @@
+"""`dlgmd compare`: one video through many models, decoded once."""
+
+import json
+import math
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dlgmd_cli.commands._ahead import import_ahead
+from dlgmd_cli.commands._annotations import annotation_options
+from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._drawing import save_plots
+from dlgmd_cli.commands._facts import facts, too_short
+from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._interrupts import Interrupts
+from dlgmd_cli.commands._model import engine_option
+from dlgmd_cli.commands._types import Output, output_options
+from dlgmd_cli.commands._variants import Variant, variant_options
+from dlgmd_cli.params import DlgmdParameters
+
+if TYPE_CHECKING:
+    from dlgmd_cli.models.base import Model
+    from dlgmd_cli.results.annotations import Annotations
+    from dlgmd_cli.results.tables import Result
+    from dlgmd_cli.runs.compare import Entry
+    from dlgmd_cli.sources.prepare import Source
+
+_NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
+_NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_agg")
+
+
+@click.command(
+    cls=Command,
+    epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
+)
+@click.argument("input_path", metavar="INPUT")
+@variant_options
+@engine_option
+@input_options
+@annotation_options
+@output_options
+@click.option("--json", "as_json", is_flag=True, help="Print the summaries as one JSON object.")
+def compare(
+    input_path: str,
+    variants: list[Variant],
+    engine: str | None,
+    given: dict[str, Any],
+    annotations: "Annotations",
+    output: Output,
+    as_json: bool,
+) -> None:
+    """Run many models over one video, which is decoded once.
+
+    INPUT is as in 'dlgmd run'. Without --set, --config and --model, set 9 is compared with the
+    other models.
+
+    Writes OUT/NAME/compare.csv, a figure of the membrane potentials, each normalised by its own
+    sequence unless --normalise says otherwise, one of the attenuations, and compare.yaml. Spikes
+    and collisions in the summary are those of 'dlgmd run'.
+    """
+    options = InputChoice.from_options(given, {}, "")
+    models = [_create(variant, engine) for variant in variants]
+    import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
+    from dlgmd_cli.results.folder import COMPARISON, ResultFolder
+
+    with (
+        options.open(input_path) as source,
+        ResultFolder(
+            output.out, source.info.name, COMPARISON, overwrite=output.overwrite
+        ) as folder,
+        Interrupts() as interrupts,
+    ):
+        from dlgmd_cli.runs.compare import Entry
+        from dlgmd_cli.runs.compare import compare as feed
+
+        entries = [
+            Entry(model, _size(variant, options, source))
+            for variant, model in zip(variants, models, strict=True)
+        ]
+        recording = entries[0].recording
+        with progress(source.info.name, options.n_expected(source.info)) as on_frame:
+            complete = interrupts.ends(
+                lambda: feed(source, entries, on_frame), lambda: len(recording)
+            )
+        interrupts.hold()
+        if not complete:
+            say("Interrupted; writing what was computed.")
+        results = _read(variants, entries, by_sequence=options.by_sequence)
+        warnings = [
+            *source.progress.warnings,
+            *_doubts(results, source.info.decoder),
+            *annotations.outside(int(recording.columns()[0][0]), int(recording.columns()[0][-1])),
+        ]
+        for warning in warnings:
+            warn(f"{input_path}: {warning}")
+        if complete and not any(entry.recording.n_valid for entry in entries):
+            first = min(range(len(models)), key=lambda i: models[i].first_valid_frame)
+            label, needed = variants[first].label, models[first].first_valid_frame
+            raise too_short(input_path, source, label, options, needed)
+        record = {
+            "input": facts(source, len(recording))["input"],
+            "models": [
+                _described(variant, entry, results[variant.label], annotations)
+                for variant, entry in zip(variants, entries, strict=True)
+            ],
+            "options": options.to_record(),
+            "warnings": warnings,
+            "complete": complete,
+        }
+        column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
+        folder.save(
+            partial(_write, results, record, annotations, column, output.formats, interrupts)
+        )
+    _show(record, annotations, folder.target, as_json)
+    if not complete or interrupts.count:
+        kept = f"the {len(recording)} frames before it"
+        say(f"{folder.target} holds {'all frames, but not all plots' if complete else kept}.")
+        raise click.exceptions.Exit(EXIT_INTERRUPTED)
+
+
+def _create(variant: Variant, engine: str | None) -> "Model":
+    """A variant's model; an engine that it does not have is only for those that do."""
+    from dlgmd_cli.models.base import create_model
+
+    is_dlgmd = isinstance(variant.params, DlgmdParameters)
+    wanted = engine or variant.engine or "auto"
+    return create_model(variant.params, engine=wanted if is_dlgmd else "auto", tell=say)
+
+
+def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int, int]:
+    """At which size a variant sees the input: as asked for, else as its file records it."""
+    from dlgmd_cli.sources.prepare import processed_size
+
+    own = variant.size
+    if (options.scale or options.size or own.scale or own.size) is None:
+        return source.size_wh
+    chosen = own if (options.scale or options.size) is None else options
+    info = source.info
+    return processed_size(info.width, info.height, scale=chosen.scale, size_wh=chosen.size)
+
+
+def _read(
+    variants: list[Variant], entries: "list[Entry]", *, by_sequence: bool
+) -> "dict[str, Result]":
+    """Everything that follows from the recordings, by label."""
+    from dlgmd_cli.runs.single import read_recording
+
+    return {
+        variant.label: read_recording(
+            entry.recording, entry.size_wh, variant.params, by_sequence=by_sequence
+        )
+        for variant, entry in zip(variants, entries, strict=True)
+    }
+
+
+def _doubts(results: "Mapping[str, Result]", decoder: str) -> list[str]:
+    """What looks wrong, a line each; with the label where it is not so of every result."""
+    from dlgmd_cli.results.measures import doubts
+
+    of_each = {label: doubts(result, decoder) for label, result in results.items()}
+    lines = []
+    for label, found in of_each.items():
+        for line in found:
+            is_common = all(line in others for others in of_each.values())
+            lines.append(line if is_common else f"{label}: {line}")
+    return list(dict.fromkeys(lines))
+
+
+def _described(
+    variant: Variant, entry: "Entry", result: "Result", annotations: "Annotations"
+) -> dict[str, Any]:
+    """What compare.yaml says of one model."""
+    from dlgmd_cli.results.measures import distinguishability, sharpness, summarise
+
+    summary = {**summarise(result), "sharpness": _number(sharpness(result))}
+    if annotations.false_positive_frame is not None:
+        ratio = distinguishability(result, annotations.false_positive_frame)
+        summary["distinguishability"] = _number(ratio)
+    return {
+        "label": variant.label,
+        "model": entry.model.name,
+        "engine": entry.model.engine_name,
+        "width": entry.size_wh[0],
+        "height": entry.size_wh[1],
+        **variant.params.to_dict(),
+        "summary": summary,
+    }
+
+
+def _number(value: float) -> float | None:
+    """None for what is undefined."""
+    return None if math.isnan(value) else value
+
+
+def _write(
+    results: "Mapping[str, Result]",
+    record: dict[str, Any],
+    annotations: "Annotations",
+    column: str,
+    formats: tuple[str, ...],
+    interrupts: Interrupts,
+    folder: Path,
+) -> None:
+    """Fill `folder` with the files of a comparison; a Ctrl-C meanwhile only spares the plots."""
+    from dlgmd_cli.results.comparison import write_comparison
+    from dlgmd_cli.results.folder import COMPARISON
+    from dlgmd_cli.results.record import write_record
+
+    write_comparison(folder / "compare.csv", results)
+    if formats:
+        from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp
+
+        plots = {
+            "compare-mp": partial(overlay_mp, results, annotations, column=column),
+            "compare-attenuation": partial(overlay_attenuation, results, annotations),
+        }
+        save_plots(folder, plots, formats, interrupts)
+    write_record(folder, record, COMPARISON, engines=[one["engine"] for one in record["models"]])
+
+
+def _show(record: dict[str, Any], annotations: "Annotations", target: Path, as_json: bool) -> None:
+    """The summaries on stdout."""
+    if as_json:
+        summaries = {one["label"]: _finite(one["summary"]) for one in record["models"]}
+        facts = {"result": str(target), "complete": record["complete"]}
+        click.echo(json.dumps({**facts, "models": summaries}))
+        return
+    header = ["model", "peak frame", "first spike", "first collision", "sharpness"]
+    if annotations.false_positive_frame is not None:
+        header.append("distinguishability")
+    print_table(tuple(header), [_row(one, len(header)) for one in record["models"]])
+    if any(_is_infinite(one["summary"]) for one in record["models"]):
+        click.echo(
+            "inf: no membrane potential within 5 frames of the false positive, none to mistake."
+        )
+    click.echo(click.format_filename(target))
+
+
+def _row(described: dict[str, Any], n_columns: int) -> tuple[str, ...]:
+    """One model's row of the table, a dash for what there is not."""
+    summary = described["summary"]
+    formats = {
+        "mp_max_frame": "{}",
+        "first_spike_time_s": "{:.3f} s",
+        "first_collision_frame": "frame {}",
+        "sharpness": "{:.3f}",
+        "distinguishability": "{:.4g}",
+    }
+    cells = [
+        "–" if summary.get(key) is None or not summary["mp_max"] else shape.format(summary[key])
+        for key, shape in formats.items()
+    ]
+    return (described["label"], *cells)[:n_columns]
+
+
+def _is_infinite(summary: dict[str, Any]) -> bool:
+    return summary.get("distinguishability") == math.inf
+
+
+def _finite(summary: dict[str, Any]) -> dict[str, Any]:
+    """A summary that JSON can hold: infinity has no number there."""
+    return {**summary, "distinguishability": "inf"} if _is_infinite(summary) else summary

@@ -1,0 +1,62 @@
+"""One input through many models: decoded once, and P computed once for each size."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from dlgmd_cli.models.base import Model
+from dlgmd_cli.models.ensemble import Ensemble
+from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
+from dlgmd_cli.runs.single import Recording
+from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.sources.prepare import Source
+
+
+@dataclass
+class Entry:
+    """A model that takes part, and what it answered so far.
+
+    `size_wh` is the width and height in px of the frames that it is fed.
+    """
+
+    model: Model
+    size_wh: tuple[int, int]
+    recording: Recording = field(default_factory=Recording)
+
+
+def compare(
+    source: Source,
+    entries: Sequence[Entry],
+    on_frame: Callable[[int], None] = lambda n_decoded: None,
+) -> None:
+    """Feed every frame of `source` to every model and keep the responses.
+
+    Parameters
+    ----------
+    source : Source
+        Where the frames come from; its own size does not matter.
+    entries : sequence of Entry
+        At least one. Whatever ends the comparison, their recordings hold what was computed, the
+        same frames in each.
+    on_frame : callable, optional
+        Called after each frame with the number of frames of the input that are done.
+    """
+    sizes = list(dict.fromkeys(entry.size_wh for entry in entries))
+    groups = [[entry for entry in entries if entry.size_wh == size] for size in sizes]
+    ensembles = [Ensemble([entry.model for entry in group]) for group in groups]
+
+    def frames() -> Iterator[list[Frame]]:
+        # Many models keep this thread's counterpart busy, so that frames are made here.
+        for picture in source.pictures():
+            yield [source.frame(picture, size) for size in sizes]
+
+    try:
+        with opencv_threads(1), ReadAhead(frames()) as ahead:
+            for of_each_size in ahead:
+                for group, ensemble, frame in zip(groups, ensembles, of_each_size, strict=True):
+                    for entry, response in zip(group, ensemble.step(frame.grey), strict=True):
+                        entry.recording.append(frame, response)
+                on_frame(of_each_size[0].index + 1)
+    finally:
+        n_frames = min(len(entry.recording) for entry in entries)
+        for entry in entries:
+            entry.recording.cut(n_frames)
