@@ -4,20 +4,23 @@ import csv
 import json
 import math
 import os
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
+from dlgmd_cli.results.annotations import Annotations
 
 from dlgmd_cli.commands._variants import _variants
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.photoreceptors import Photoreceptors
 from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.plots import overlays
 from dlgmd_cli.runs.compare import Entry, compare
 from dlgmd_cli.sources.open import open_source
-from dlgmd_cli.sources.opencv_video import OpenCVVideo
+from dlgmd_cli.sources.opencv_video import OpenCVDecoder
 
 COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
 PLOTS = ["compare-attenuation.png", "compare-mp.png"]
@@ -113,12 +116,7 @@ def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
 
 def test_labels(tmp_path):
     assert labels() == ["set9", "lgmd", "emd-lgmd"]
-    assert labels(sets=("3", "9", "3"), models=("lgmd", "dlgmd")) == [
-        "set3",
-        "set9",
-        "lgmd",
-        "set9-2",
-    ]
+    assert labels(sets=("3", "9", "3"), models=("lgmd", "dlgmd")) == ["set3", "set9", "lgmd"]
     assert labels(formulations=("released", "default")) == ["set9", "set9/released"]
     assert labels(no_ffi_gd=True) == ["set9", "set9/no-ffi-gd"]
     assert labels(sets=("1",), formulations=("equations",), no_ffi_gd=True) == [
@@ -139,7 +137,7 @@ def test_labels(tmp_path):
 
 
 def test_one_decode_and_one_p(dlgmd, clips, monkeypatch):
-    counts = {"picture": 0, "take": 0}
+    counts = Counter()
 
     def counting(kind, name):
         original = getattr(kind, name)
@@ -150,14 +148,18 @@ def test_one_decode_and_one_p(dlgmd, clips, monkeypatch):
 
         monkeypatch.setattr(kind, name, wrapped)
 
-    counting(OpenCVVideo, "picture")
+    counting(OpenCVDecoder, "picture")
     counting(Photoreceptors, "take")
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    of_run = counts.copy()
+    assert of_run["take"] == 20
+    counts.clear()
     result = dlgmd(
         *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--model", "lgmd"],
         *["--formulation", "released", "--no-plots"],
     )
     assert result.exit_code == 0, result.output
-    assert counts == {"picture": 20, "take": 20}
+    assert counts == of_run
 
 
 def test_a_run_s_file_brings_its_size(dlgmd, clips, tmp_path):
@@ -214,6 +216,31 @@ def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
         record(tmp_path / "dlgmd-out/late")["models"][0]["summary"]["distinguishability"]
         == math.inf
     )
+
+
+@pytest.mark.parametrize(
+    ("options", "column"),
+    [
+        ([], "mp_seq"),
+        (["--normalise", "sequence"], "mp_seq"),
+        (["--normalise", "absolute"], "mp_abs"),
+    ],
+)
+def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
+    shown = []
+    original = overlays.overlay_mp
+
+    def overlay_mp(results, annotations, **options):
+        shown.append((list(results), annotations, options))
+        return original(results, annotations, **options)
+
+    monkeypatch.setattr(overlays, "overlay_mp", overlay_mp)
+    marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
+    result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd", *marks, *options)
+    assert result.exit_code == 0, result.output
+    ((labels_shown, annotations, others),) = shown
+    assert labels_shown == ["set1", "lgmd"] and others["column"] == column
+    assert annotations == Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
 
 
 def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
@@ -287,14 +314,14 @@ def test_ctrl_c_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
 
 def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
     entries = [Entry(create_model(PARAMETERS[name]()), (32, 24)) for name in ("dlgmd", "lgmd")]
-    respond = entries[1].model.respond
+    append = entries[1].recording.append
 
-    def failing(view, **options):
-        if view.frame == 7:
+    def failing(frame, response):
+        if frame.index == 7:
             raise KeyboardInterrupt
-        return respond(view, **options)
+        append(frame, response)
 
-    entries[1].model.respond = failing
+    entries[1].recording.append = failing
     with open_source(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
         compare(source, entries)
     assert [len(entry.recording) for entry in entries] == [7, 7]

@@ -134,6 +134,25 @@ def test_lgmd_is_switched_off_above_its_threshold_only():
     assert potentials[0] == 0.0 and potentials[1] == potentials[2] > 0.0
 
 
+def test_reset_forgets_what_persists():
+    model = LGMD(LgmdParameters(p1=0.4, p2=0.3))
+    frames = CLIPS["drifting 9x12"]
+    first = [model.step(frame).s_sum for frame in frames]
+    model.reset()
+    np.testing.assert_array_equal([model.step(frame).s_sum for frame in frames], first)
+
+
+def test_a_cell_exactly_at_the_threshold_passes_the_lgmd():
+    def last(**changes):
+        params = LgmdParameters(w_i=0.0, c_de=1.0, t_ffi=255.0, **changes)
+        steps = map(LGMD(params).step, (np.full((1, 1), v, np.float32) for v in (0.2, 0.3, 0.9)))
+        return [response.mp for response in steps][-1]
+
+    g = last(t_de=0.0)
+    passed = [last(t_de=g * factor) for factor in (1 - 1e-6, 1 - 1e-12, 1, 1 + 1e-12, 1 + 1e-6)]
+    assert g > 100.0 and passed == [g, g, g, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("clip", CLIPS)
 def test_emd_agrees_with_its_equations(clip):
     check_emd(CLIPS[clip])

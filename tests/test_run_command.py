@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import signal
 import subprocess
@@ -561,3 +562,43 @@ def test_a_real_sigint_in_a_real_process(tmp_path):
     assert record["complete"] is False
     assert 0 < record["processed"]["frames"] < 3000
     assert os.listdir(tmp_path / "dlgmd-out") == ["long"]
+
+
+def test_other_models(dlgmd, clips, tmp_path):
+    for name in ("lgmd", "emd-lgmd"):
+        result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name)
+        assert result.exit_code == 0, result.output
+        folder = tmp_path / name / "loom"
+        record = yaml.safe_load((folder / "run.yaml").read_text(encoding="utf-8"))
+        assert record["model"] == name and record["engine"] == "opencv"
+        with (folder / "mp.csv").open(newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["mp"]]
+        for row in rows:
+            mean = float(row["mp"]) / (32 * 24)
+            if name == "lgmd":
+                expected = 1 / (1 + math.exp(-mean))
+            else:
+                expected = mean / (mean + record["kappa"])
+            assert float(row["mp_abs"]) == pytest.approx(expected, rel=1e-6)
+        assert record["summary"]["mp_max"] > 0.0
+        again = dlgmd(
+            *["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"],
+            *["--overwrite"],
+        )
+        assert again.exit_code == 0, again.output
+        assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--set", 3], "--set is of the D-LGMD, not of --model lgmd."),
+        (["--formulation", "released"], "--formulation is of the D-LGMD, not of lgmd."),
+        (["--param", "r=3"], "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
+        (["--engine", "numba"], "the model lgmd has no engine 'numba'"),
+        (["--param", "p1=0.9", "--param", "p2=0.2"], "makes every change grow for ever"),
+    ],
+)
+def test_options_that_another_model_does_not_have(dlgmd, clips, options, message):
+    result = dlgmd("run", clips / "loom.avi", "--model", "lgmd", *options)
+    assert result.exit_code == 2 and message in result.stderr

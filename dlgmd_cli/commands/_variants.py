@@ -53,9 +53,10 @@ def _variants(
     files = list(dict.fromkeys(configs))
     chosen += [ModelChoice(None, path, (), None, None) for path in files]
     chosen += [ModelChoice(None, None, (), name, None) for name in dict.fromkeys(models)]
-    labels = [choice.label for choice in chosen]
+    given = [choice.label for choice in chosen]
+    labels = list(given)
     for place, path in enumerate(files, start=len(set(set_names))):
-        if labels.count(path.stem) > 1:
+        if given.count(path.stem) > 1:
             labels[place] = f"{path.absolute().parent.name}/{path.stem}"
     alike = map(_variant, chosen, labels)
     found = list(_told_apart(dict.fromkeys(alike)))

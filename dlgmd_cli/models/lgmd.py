@@ -59,7 +59,7 @@ class LGMD(Detector):
             self._p = []
             return undefined(layers=Layers() if layers else None)
         p = self._photoreceptors(view)
-        self._p = [p, *self._p[:2]]
+        self._p = [p, *self._p[:1]]
         p_sum = cv2.norm(p, cv2.NORM_L1)
         if view.frame < self.first_valid_frame:
             return undefined(p_sum, Layers(p.copy()) if layers else None)
