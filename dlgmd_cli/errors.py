@@ -44,6 +44,10 @@ class FrameError(DlgmdError):
     """A frame that the model cannot take: wrong shape or type."""
 
 
+class ResultError(DlgmdError):
+    """A stored result that cannot be read."""
+
+
 class OutputError(DlgmdError):
     """A result that cannot be written."""
 

@@ -119,6 +119,17 @@ class Output:
         return cls(out, () if no_plots else tuple(dict.fromkeys(formats)), overwrite)
 
 
+format_option = click.option(
+    "--format",
+    "formats",
+    type=click.Choice(["png", "pdf", "svg"]),
+    multiple=True,
+    default=["png"],
+    show_default=True,
+    help="Format of the plots; repeatable.",
+)
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an earlier result.")
+
 output_options = OptionGroup(
     "output",
     Output.from_options,
@@ -129,15 +140,7 @@ output_options = OptionGroup(
         show_default=True,
         help="Where results go.",
     ),
-    click.option(
-        "--format",
-        "formats",
-        type=click.Choice(["png", "pdf", "svg"]),
-        multiple=True,
-        default=["png"],
-        show_default=True,
-        help="Format of the plots; repeatable.",
-    ),
+    format_option,
     click.option("--no-plots", is_flag=True, help="Draw no plots."),
-    click.option("--overwrite", is_flag=True, help="Replace an earlier result."),
+    overwrite_option,
 )

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -11,10 +11,17 @@ from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, told apart by all common kinds of colour vision.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_BLUE = "#666666", "#A6CFE8"
 
-COLUMN_WIDTH_IN = 3.5
+# A figure is as wide as one column of a paper, or as two.
+Width = Literal["one", "two"]
+WIDTHS: tuple[str, ...] = get_args(Width)
+_WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
+
+# Of axes over time, in inches: the room left of them for the labels, and right of them.
+LEFT_IN, _RIGHT_IN = 0.55, 0.18
 
 # x, y, width and height of something on a figure, in inches from its lower left corner.
 Box = tuple[float, float, float, float]
@@ -46,18 +53,39 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float) -> Figure:
+def figure_width_in(width: Width) -> float:
+    """Width of a figure, in inches.
+
+    Raises
+    ------
+    ValueError
+        If `width` is neither "one" nor "two".
+    """
+    if width not in _WIDTH_IN:
+        raise ValueError(f"width is {width!r}, neither 'one' nor 'two'")
+    return _WIDTH_IN[width]
+
+
+def axes_width_in(width: Width) -> float:
+    """Width of axes over time on such a figure, in inches."""
+    return figure_width_in(width) - LEFT_IN - _RIGHT_IN
+
+
+def new_figure(height_in: float, width: Width = "one") -> Figure:
     """A figure as wide as a column. Without a layout engine, which takes a third of the time."""
-    return Figure(figsize=(COLUMN_WIDTH_IN, height_in))
+    return Figure(figsize=(figure_width_in(width), height_in))
 
 
 def add_axes(figure: Figure, box: Box) -> Axes:
     """Axes whose frame stands exactly at `box`."""
+    return figure.add_axes(fractions(figure, box))
+
+
+def fractions(figure: Figure, box: Box) -> Box:
+    """`box` as fractions of the figure."""
     x, y, width, height = box
     figure_width, figure_height = figure.get_size_inches()
-    return figure.add_axes(
-        (x / figure_width, y / figure_height, width / figure_width, height / figure_height)
-    )
+    return x / figure_width, y / figure_height, width / figure_width, height / figure_height
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -70,4 +98,4 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with house_style():
-        figure.savefig(path, dpi=DPI, metadata=undated.get(path.suffix, {}))
+        figure.savefig(path, dpi=DPI, metadata=undated.get(path.suffix.lower(), {}))

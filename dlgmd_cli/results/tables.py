@@ -38,7 +38,7 @@ class Result:
     level : array
         The normalised membrane potential that drives the spikes.
     threshold : array
-        What it was held against.
+        What it was held against; NaN where spikes were not asked for.
     spike, collision : bool array
         Whether it spikes, and whether the spikes amount to a collision alarm.
     """
@@ -55,6 +55,11 @@ class Result:
     threshold: Series
     spike: Flags
     collision: Flags
+
+    @property
+    def has_spikes(self) -> bool:
+        """Whether spikes were looked for; if not, none of them is no finding."""
+        return not bool(np.isnan(self.threshold).all())
 
 
 def cell(value: Any) -> str:

@@ -1,0 +1,211 @@
+"""`dlgmd plot`: figures from stored results, without decoding."""
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dlgmd_cli.commands._annotations import annotation_options
+from dlgmd_cli.commands._console import Command, warn
+from dlgmd_cli.commands._figures import letters_checked
+from dlgmd_cli.commands._labels import numbered, told_apart
+from dlgmd_cli.commands._types import format_option, overwrite_option
+from dlgmd_cli.errors import ResultError
+from dlgmd_cli.results.annotations import Annotations
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dlgmd_cli.plots.style import Width
+    from dlgmd_cli.results.tables import Result
+
+KINDS = ("mp", "attenuation", "spikes", "overview")
+_FORMATS = ("png", "pdf", "svg")
+_COLUMNS = {None: "level", "absolute": "mp_abs", "sequence": "mp_seq"}
+_MAX_NAME, _MAX_NAME_BYTES = 100, 200
+
+
+@click.command(
+    cls=Command,
+    epilog="Example: dlgmd plot attenuation dlgmd-out/flight --mark 40:pitching --format pdf",
+)
+@click.argument("kind", metavar="KIND", type=click.Choice(KINDS))
+@click.argument(
+    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@annotation_options
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="TEXT",
+    help="Name of a result in the legend; as often as there are results.  "
+    "[default: names of the folders]",
+)
+@click.option(
+    "--normalise",
+    type=click.Choice(["absolute", "sequence"]),
+    help="Which MP is drawn.  [default: the one that drove the spikes]",
+)
+@click.option(
+    "--width",
+    type=click.Choice(["one", "two"]),
+    default="one",
+    show_default=True,
+    help="Columns of a paper that the figure is as wide as.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("dlgmd-out"),
+    show_default=True,
+    help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
+)
+@format_option
+@overwrite_option
+def plot(
+    kind: str,
+    paths: tuple[Path, ...],
+    annotations: Annotations,
+    labels: tuple[str, ...],
+    normalise: str | None,
+    width: "Width",
+    out: Path,
+    formats: tuple[str, ...],
+    overwrite: bool,
+) -> None:
+    """Draw stored results: membrane potential, attenuation, spikes, or all of them.
+
+    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run' or 'dlgmd
+    compare' wrote, or a compare.csv; several are drawn on the same axes.
+
+    Writes OUT/KIND-NAME.png, or what --out and --format say.
+    """
+    if normalise and kind not in ("mp", "overview"):
+        raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
+    _check_labels(labels)
+    targets = _targets(out, f"{kind}-{_file_name(paths)}", formats)
+    from dlgmd_cli.results.files import appearing, refuse_existing
+
+    for target in targets:
+        refuse_existing(target, overwrite=overwrite)
+    results = _named(_read(paths), labels)
+    _look_for_spikes(kind, paths, results)
+    _warn_of_annotations(annotations, results)
+    with letters_checked():
+        figure = _draw(kind, results, annotations, _COLUMNS[normalise], width)
+        with appearing(*targets) as files:
+            from dlgmd_cli.plots.style import save_figure
+
+            for file in files:
+                save_figure(figure, file)
+    for target in targets:
+        click.echo(click.format_filename(target))
+
+
+def _check_labels(labels: tuple[str, ...]) -> None:
+    """Refuse labels that name nothing, or two things."""
+    if not all(label.strip() for label in labels):
+        raise click.UsageError("--label: a label may not be empty.")
+    if len(set(labels)) < len(labels):
+        raise click.UsageError("--label: two results may not have the same label.")
+
+
+def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
+    """The files to write: `out` itself if it ends like a figure, otherwise some within it."""
+    suffix = out.suffix.lower().removeprefix(".")
+    if suffix not in _FORMATS:
+        return [out / f"{stem}.{form}" for form in dict.fromkeys(formats)]
+    source = click.get_current_context().get_parameter_source("formats")
+    if source is click.core.ParameterSource.COMMANDLINE and set(formats) != {suffix}:
+        raise click.UsageError(
+            f"--out ends in {out.suffix}, and --format says otherwise. Give one of them."
+        )
+    return [out]
+
+
+def _home(path: Path) -> Path:
+    """What a result is named after: its folder, or the file if that has a name of its own."""
+    if path.suffix.lower() != ".csv":
+        return path
+    return path.absolute().parent if path.stem == "compare" else path.with_suffix("")
+
+
+def _file_name(paths: Iterable[Path]) -> str:
+    """The names of all results, cut off where they get too long for a file."""
+    names = [Path(os.path.abspath(_home(path))).name or "root" for path in paths]
+    name = "-".join(names)[:_MAX_NAME]
+    while len(os.fsencode(name)) > _MAX_NAME_BYTES:
+        name = name[:-1]
+    return name
+
+
+def _read(paths: Sequence[Path]) -> list[tuple[str, "Result"]]:
+    """Every result with a name; those of several comparisons say which one they are from."""
+    from dlgmd_cli.results.read import comparison_at, read_comparison, read_result
+
+    comparisons = [comparison_at(path) for path in paths]
+    n_comparisons = len(paths) - comparisons.count(None)
+    results = []
+    for path, comparison, name in zip(
+        paths, comparisons, told_apart([_home(path) for path in paths]), strict=True
+    ):
+        if comparison is None:
+            results.append((name, read_result(path)))
+        else:
+            prefix = f"{name}: " if n_comparisons > 1 else ""
+            results += [
+                (f"{prefix}{label}", result)
+                for label, result in read_comparison(comparison).items()
+            ]
+    return results
+
+
+def _named(results: list[tuple[str, "Result"]], labels: tuple[str, ...]) -> dict[str, "Result"]:
+    """The results by their labels, or by their names."""
+    if labels and len(labels) != len(results):
+        raise click.UsageError(
+            f"--label is given {len(labels)} time{'s' * (len(labels) > 1)}, "
+            f"for {len(results)} result{'s' * (len(results) > 1)}."
+        )
+    names = labels or numbered([name for name, _ in results])
+    return {name: result for name, (_, result) in zip(names, results, strict=True)}
+
+
+def _look_for_spikes(kind: str, paths: Sequence[Path], results: dict[str, "Result"]) -> None:
+    """Say which results hold no spikes, if they are to be drawn."""
+    if kind not in ("spikes", "overview"):
+        return
+    without = [name for name, result in results.items() if not result.has_spikes]
+    if kind == "spikes" and len(without) == len(results):
+        raise ResultError(
+            str(paths[0]),
+            "a comparison holds no spikes",
+            "Draw its mp or attenuation, or the spikes of a run.",
+        )
+    if without:
+        warn(f"no spikes are drawn of {', '.join(without)}: a comparison holds none")
+
+
+def _warn_of_annotations(annotations: Annotations, results: dict[str, "Result"]) -> None:
+    """Say which annotations the figure cannot show."""
+    from dlgmd_cli.plots.timeline import Timeline
+
+    for line in annotations.outside(*Timeline.of(results.values()).frames):
+        warn(line)
+
+
+def _draw(
+    kind: str, results: dict[str, "Result"], annotations: Annotations, column: str, width: "Width"
+) -> "Figure":
+    """The figure of that kind."""
+    from dlgmd_cli.plots import overlays, overview
+
+    if kind == "attenuation":
+        return overlays.overlay_attenuation(results, annotations, width=width)
+    if kind == "spikes":
+        return overlays.overlay_spikes(results, annotations, width=width)
+    draw = overlays.overlay_mp if kind == "mp" else overview.plot_overview
+    return draw(results, annotations, column=column, width=width)
