@@ -16,8 +16,6 @@ from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.annotations import Annotations
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from dlgmd_cli.plots.style import Width
     from dlgmd_cli.results.tables import Result
 
@@ -94,13 +92,8 @@ def plot(
     results = _named(_read(paths), labels)
     _look_for_spikes(kind, paths, results)
     _warn_of_annotations(annotations, results)
-    with letters_checked():
-        figure = _draw(kind, results, annotations, _COLUMNS[normalise], width)
-        with appearing(*targets) as files:
-            from dlgmd_cli.plots.style import save_figure
-
-            for file in files:
-                save_figure(figure, file)
+    with letters_checked(), appearing(*targets) as files:
+        _write(files, kind, results, annotations, _COLUMNS[normalise], width)
     for target in targets:
         click.echo(click.format_filename(target))
 
@@ -197,15 +190,25 @@ def _warn_of_annotations(annotations: Annotations, results: dict[str, "Result"])
         warn(line)
 
 
-def _draw(
-    kind: str, results: dict[str, "Result"], annotations: Annotations, column: str, width: "Width"
-) -> "Figure":
-    """The figure of that kind."""
-    from dlgmd_cli.plots import overlays, overview
+def _write(
+    files: Iterable[Path],
+    kind: str,
+    results: dict[str, "Result"],
+    annotations: Annotations,
+    column: str,
+    width: "Width",
+) -> None:
+    """The figure of that kind, into every file."""
+    from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp, overlay_spikes
+    from dlgmd_cli.plots.overview import plot_overview
+    from dlgmd_cli.plots.style import save_figure
 
     if kind == "attenuation":
-        return overlays.overlay_attenuation(results, annotations, width=width)
-    if kind == "spikes":
-        return overlays.overlay_spikes(results, annotations, width=width)
-    draw = overlays.overlay_mp if kind == "mp" else overview.plot_overview
-    return draw(results, annotations, column=column, width=width)
+        figure = overlay_attenuation(results, annotations, width=width)
+    elif kind == "spikes":
+        figure = overlay_spikes(results, annotations, width=width)
+    else:
+        draw = overlay_mp if kind == "mp" else plot_overview
+        figure = draw(results, annotations, column=column, width=width)
+    for file in files:
+        save_figure(figure, file)

@@ -15,7 +15,7 @@ _SIZE_PT = 7
 _EM_IN = _SIZE_PT / 72
 # Of an entry, in em: the line, the room right of it, the room to the next; and outside of all.
 _SHORT_HANDLE, _LONG_HANDLE, _PAD, _SPACING, _BORDER = 1.6, 3.2, 0.8, 1.2, 0.4
-_ROW_PITCH_IN = 0.127
+_ROW_PITCH_IN = 0.137
 _MAX_TEXT_IN = 2.4
 
 

@@ -101,7 +101,7 @@ class Marks:
         for time_s, text, look in self._points:
             top = text.foot_in + 0.8 * _ROW_IN
             for axes, up_to in ((strip, top / self.height_in), *((axes, 1.0) for axes in panels)):
-                axes.axvline(time_s, 0.0, up_to, zorder=0.9, **look)
+                axes.axvline(time_s, 0.0, up_to, zorder=0.9, clip_on=False, **look)
         for _, text in self._texts():
             self._write(strip, text)
 

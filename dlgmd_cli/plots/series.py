@@ -38,12 +38,12 @@ LOOKS: tuple[tuple[str, Any], ...] = (
     (GREEN, _DASH_DOT),
     (BLACK, _DOTTED),
     (PURPLE, _LONG_DASHED),
-    (GREEN, _DASH_DOT_DOT),
+    (BLUE, _DASH_DOT_DOT),
     (ORANGE, _SOLID),
     (BLACK, _DASHED),
     (SKY_BLUE, _DASH_DOT),
     (PURPLE, _DOTTED),
-    (BLUE, _LONG_DASHED),
+    (GREEN, _LONG_DASHED),
     (ORANGE, _DASH_DOT_DOT),
 )
 # After the label of a line that is nowhere defined.

@@ -191,12 +191,12 @@ def _faults(columns: dict[str, Series]) -> Iterator[tuple[str, Flags]]:
     yield "is earlier than the row before it", np.diff(time_s, prepend=-_MAX_NUMBER) < 0
     for name, values in columns.items():
         if name in _FLAGS:
-            yield f"has a {name} that is neither 0 nor 1", (values != 0) & (values != 1)
+            yield f"has neither 0 nor 1 as {name}", (values != 0) & (values != 1)
         else:
             allowed = np.isnan(values) | (np.abs(values) < _MAX_NUMBER)
             if name == "attenuation_db":
                 allowed |= values == -np.inf
-            yield f"has a {name} beyond all bounds", ~allowed
+            yield f"is beyond all bounds in {name}", ~allowed
 
 
 def _bad_row(path: Path, line: int, why: str) -> ResultError:
