@@ -184,6 +184,12 @@ def test_damage_of_a_comparison(tmp_path):
         read_comparison(write_comparison(path))
 
 
+def test_a_path_that_no_system_has(tmp_path):
+    for read in (comparison_at, read_result, read_comparison):
+        with pytest.raises(ResultError):
+            read(tmp_path / "a\0b")
+
+
 def test_which_of_several_results_a_folder_stands_for(tmp_path):
     for path in (tmp_path / "none", tmp_path):
         with pytest.raises(ResultError, match="Give one that 'dlgmd run' wrote"):
