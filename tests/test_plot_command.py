@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_plots import make_result
-from test_read_results import write_comparison
+from test_read_results import compare_csv
 
 from dlgmd_cli.commands import plot as plot_module
 from dlgmd_cli.commands._labels import numbered, told_apart
@@ -30,7 +30,7 @@ def make_run(path, **changes):
 
 def make_comparison(path, *rows):
     os.makedirs(path, exist_ok=True)
-    return write_comparison(Path(path, "compare.csv"), *(rows or ROWS))
+    return compare_csv(Path(path, "compare.csv"), *(rows or ROWS))
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.read import COMPARED, comparison_at, read_comparison, read_result
+from dlgmd_cli.results.comparison import COMPARISON_COLUMNS, write_comparison
+from dlgmd_cli.results.read import comparison_at, read_comparison, read_result
 from dlgmd_cli.results.tables import TABLES, Result, cell, write_tables
 
 NAN, INF = np.nan, np.inf
@@ -142,13 +143,13 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, content):
             read_result(folder)
 
 
-def write_comparison(path, *rows):
-    path.write_text("\n".join([",".join(COMPARED), *rows, ""]), encoding="utf-8")
+def compare_csv(path, *rows):
+    path.write_text("\n".join([",".join(COMPARISON_COLUMNS), *rows, ""]), encoding="utf-8")
     return path
 
 
 def test_a_comparison_has_a_result_per_label(tmp_path):
-    path = write_comparison(
+    path = compare_csv(
         tmp_path / "compare.csv",
         "set9,0,0,,,,",
         "lgmd,0,0,1,0.5,0.25,-3",
@@ -169,6 +170,17 @@ def test_a_comparison_has_a_result_per_label(tmp_path):
     assert make_result().has_spikes
 
 
+def test_what_a_comparison_wrote_reads_back(tmp_path):
+    written = {"set9": make_result(), "a,\nb ü": make_result(4), "lgmd": make_result(1)}
+    write_comparison(tmp_path / "compare.csv", written)
+    results = read_comparison(tmp_path / "compare.csv")
+    assert list(results) == list(written)
+    for label, result in results.items():
+        for column in COMPARISON_COLUMNS[1:]:
+            expected = as_written(getattr(written[label], column))
+            assert np.array_equal(getattr(result, column), expected, equal_nan=True)
+
+
 def test_damage_of_a_comparison(tmp_path):
     path = tmp_path / "compare.csv"
     for row, message in (
@@ -177,11 +189,11 @@ def test_damage_of_a_comparison(tmp_path):
         ("set9,1,0,1,1,1,-3", "does not come after the row before it"),
         ('"set9,2,0,1,1,1,-3', "line 3: it has not 7 cells"),
     ):
-        write_comparison(path, "set9,1,0,1,1,1,-3", row)
+        compare_csv(path, "set9,1,0,1,1,1,-3", row)
         with pytest.raises(ResultError, match=re.escape(message)):
             read_comparison(path)
     with pytest.raises(ResultError, match="it holds no frames"):
-        read_comparison(write_comparison(path))
+        read_comparison(compare_csv(path))
 
 
 def test_a_path_that_no_system_has(tmp_path):
@@ -194,7 +206,7 @@ def test_which_of_several_results_a_folder_stands_for(tmp_path):
     for path in (tmp_path / "none", tmp_path):
         with pytest.raises(ResultError, match="Give one that 'dlgmd run' wrote"):
             comparison_at(path)
-    comparison = write_comparison(tmp_path / "compare.csv", "set9,0,0,1,1,1,-3")
+    comparison = compare_csv(tmp_path / "compare.csv", "set9,0,0,1,1,1,-3")
     assert comparison_at(tmp_path) == comparison == comparison_at(comparison)
     write_tables(tmp_path, make_result())
     assert comparison_at(tmp_path) is None

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.results.comparison import COMPARISON_COLUMNS
 from dlgmd_cli.results.folder import COMPARISON, RUN
 from dlgmd_cli.results.tables import TABLES, Flags, Result, Series
 
-COMPARED = ("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db")
 (_COMPARE_CSV,) = (name for name in COMPARISON.names if name.endswith(".csv"))
 
 _FLAGS = ("spike", "collision")
@@ -109,8 +109,8 @@ def read_comparison(path: Path) -> dict[str, Result]:
         If it cannot be read, or is no such file.
     """
     results = {}
-    for label, values in _read(path, COMPARED, labelled=True).items():
-        columns = _columns(values, COMPARED[1:], path)
+    for label, values in _read(path, COMPARISON_COLUMNS, labelled=True).items():
+        columns = _columns(values, COMPARISON_COLUMNS[1:], path)
         undefined = np.full(len(columns["frame"]), np.nan)
         never = np.zeros(len(undefined))
         columns.update(dict.fromkeys(("p_sum", "s_sum", "threshold"), undefined))
