@@ -147,7 +147,7 @@ def test_lines_differ_without_colour_and_carry_their_names():
 )
 def test_no_text_touches_another_or_leaves_the_figure(marks, spans, width):
     annotations = Annotations(
-        tuple(marks), tuple((min(span), max(span), "within") for span in spans), 24, 22
+        tuple(marks), tuple((min(span), max(span), "as long as it takes") for span in spans), 24, 22
     )
     figure = plot_mp(make_result(), annotations, width=width)
     figure.draw_without_rendering()
@@ -171,6 +171,14 @@ def test_a_line_ends_at_its_text_and_passes_below_those_it_would_cross():
         assert text.y0 < end < text.y1 + 3
 
 
+def test_no_line_goes_through_a_text_that_stands_lower():
+    marks = ((2, "spans the next one"), (14, "a text, over it"), (20, "and the last"))
+    extents = boxes(plot_mp(make_result(), Annotations(marks), width="one"))
+    first, second, last = extents.values()
+    assert first.x1 < last.x0 and first.x1 > second.x0  # so that only the line is in its way
+    assert last.y1 < second.y0 and second.y1 < first.y0
+
+
 def test_long_texts_are_cut_in_the_middle_and_dollars_are_no_formula():
     long = "from here on " * 8
     figure = plot_mp(make_result(), Annotations(((3, long), (20, "$5 to $\\frac{6$"))))
@@ -178,6 +186,14 @@ def test_long_texts_are_cut_in_the_middle_and_dollars_are_no_formula():
     assert shown.startswith("from here") and shown.endswith("here on ") and "…" in shown
     figure.draw_without_rendering()
     assert dollars == r"\$5 to \$\frac{6\$"
+
+
+def test_a_text_over_a_band_at_the_edge_stays_on_the_figure():
+    text = "a text that is much wider than its band"
+    for span in ((0, 2, text), (37, 39, text)):
+        figure = plot_mp(make_result(), Annotations(spans=(span,)))
+        box = boxes(figure)[text]
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.width
 
 
 def test_frames_outside_are_left_out_and_spans_cut_off():
