@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
-from dlgmd_cli.results.annotations import Annotations
 
 from dlgmd_cli.commands._variants import _variants
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.photoreceptors import Photoreceptors
 from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.plots import overlays
+from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.runs.compare import Entry, compare
 from dlgmd_cli.sources.open import open_source
 from dlgmd_cli.sources.opencv_video import OpenCVDecoder

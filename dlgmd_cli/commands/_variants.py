@@ -89,16 +89,15 @@ def _derived(one: Variant, formulations: tuple[str, ...], no_ffi_gd: bool) -> It
     yield one
     if not isinstance(one.params, DlgmdParameters):
         return
-    kin = [one]
-    for formulation in dict.fromkeys(formulations):
+    kin = {one.label: one.params}
+    for formulation in formulations:
         if formulation != one.params.formulation:
-            params = replace(one.params, formulation=formulation)
-            kin.append(replace(one, label=f"{one.label}/{formulation}", params=params))
-    yield from kin[1:]
-    for each in kin:
-        if no_ffi_gd and one.params.ffi_gd:
-            params = replace(each.params, ffi_gd=False)
-            yield replace(each, label=f"{each.label}/no-ffi-gd", params=params)
+            kin[f"{one.label}/{formulation}"] = replace(one.params, formulation=formulation)
+    if no_ffi_gd and one.params.ffi_gd:
+        for label, params in list(kin.items()):
+            kin[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
+    for label, params in list(kin.items())[1:]:
+        yield replace(one, label=label, params=params)
 
 
 variant_options = OptionGroup(

@@ -12,8 +12,8 @@ import click
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._annotations import annotation_options
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
-from dlgmd_cli.commands._drawing import save_plots
 from dlgmd_cli.commands._facts import facts, too_short
+from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import engine_option
