@@ -25,7 +25,7 @@ ONLY_IN = {
     "rich": {"commands"},
     "matplotlib": {"plots"},
     "numba": {"models"},
-    "av": {"sources"},
+    "av": {"sources", "results"},
     "yaml": {"presets", "results", "commands"},
 }
 

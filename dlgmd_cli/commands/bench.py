@@ -148,7 +148,8 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
         yield given
         return
     from dlgmd_cli.paper.speed import PAPER_SIZE_WH
-    from dlgmd_cli.stimuli.encode import count_frames, encode
+    from dlgmd_cli.results.video import encode
+    from dlgmd_cli.sources.count import count_frames
     from dlgmd_cli.stimuli.pan import pan_frames
 
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
