@@ -8,10 +8,10 @@ from pathlib import Path
 from dlgmd_cli.errors import OutputError, OutputExistsError
 
 
-def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputExistsError if `path` may not be written over."""
+def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
+    """Raise OutputExistsError if `path`, which `option` asks for, may not be written over."""
     if path.is_dir() or (path.exists() and not overwrite):
-        mend = "Choose another --out." if path.is_dir() else "Add --overwrite to replace it."
+        mend = f"Choose another {option}." if path.is_dir() else "Add --overwrite to replace it."
         raise OutputExistsError(str(path), "it stands here already", mend)
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dlgmd_cli.errors import OutputError
 
 Image = npt.NDArray[np.uint8]
-Write = Callable[[Image], None]
+Write = Callable[[Image], Any]
 
 _FOURCC = {"mpeg4": "mp4v", "ffv1": "FFV1"}
 # What MPEG-4 can count to within a second.

@@ -76,14 +76,14 @@ def run(
     """
     model.reset()
     # The decoder has threads of its own; OpenCV's would only be in its way.
-    with opencv_threads(1), _frames_ahead(source) as frames:
+    with opencv_threads(1), frames_ahead(source) as frames:
         for frame in frames:
             recording.append(frame, model.step(frame.grey))
             on_frame(frame.index + 1)
 
 
 @contextmanager
-def _frames_ahead(source: Source) -> Iterator[Iterable[Frame]]:
+def frames_ahead(source: Source) -> Iterator[Iterable[Frame]]:
     """The frames, with the work of making them where there is time for it.
 
     On frames that are not reduced the model takes longer than the decoder, otherwise the decoder,
