@@ -6,6 +6,7 @@ from dlgmd_cli.commands._input import InputChoice
 from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
+    from dlgmd_cli.sources.base import Frame
     from dlgmd_cli.sources.prepare import Source
 
 
@@ -28,17 +29,23 @@ def too_short(
     )
 
 
-def facts(source: "Source", n_processed: int) -> dict[str, Any]:
-    """What run.yaml says of the input and of what was made of it."""
-    info = source.info
+def facts(source: "Source", n_processed: int, last: "Frame | None" = None) -> dict[str, Any]:
+    """What a record says of the input and of what was made of it.
+
+    `last` is the frame that the reading was stopped at, if it was: decoding may be ahead of it.
+    """
+    info, progress = source.info, source.progress
+    n_read, last_s = progress.n_decoded, progress.last_time_s
+    if last is not None:
+        n_read, last_s = last.index + 1, last.time_s
     return {
         "input": {
             "path": info.path,
             "width": info.width,
             "height": info.height,
             "fps": info.fps,
-            "frames": source.progress.n_decoded,
-            "duration_s": source.progress.last_time_s + 1.0 / info.fps,
+            "frames": n_read,
+            "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
         },
         "processed": {

@@ -44,6 +44,49 @@ class Time(click.ParamType):
         return hours * 3600 + minutes * 60 + seconds
 
 
+class FrameNumbers(click.ParamType):
+    """Numbers of frames, as 1,50,65: each once, in order."""
+
+    name = "N,N,…"
+
+    def __init__(self, n_max: int) -> None:
+        self._n_max = n_max
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...]:
+        """`65, 1,50` -> (1, 50, 65)."""
+        if isinstance(value, tuple):
+            return value
+        parts = [part.strip() for part in str(value).split(",")]
+        for part in parts:
+            if re.fullmatch(r"\d{1,9}", part, re.ASCII) is None:
+                self.fail(f"{part[:40]!r} is no number of a frame. Write 1,50,65.", param, ctx)
+        frames = tuple(sorted({int(part) for part in parts}))
+        if len(frames) > self._n_max:
+            self.fail(
+                f"{len(frames)} frames are too many for one sheet. Choose up to {self._n_max}.",
+                param,
+                ctx,
+            )
+        return frames
+
+
+class VideoFile(click.ParamType):
+    """Where a video is to be written."""
+
+    name = "FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """A path that ends in .mp4."""
+        path = Path(value)
+        if path.suffix.lower() != ".mp4":
+            self.fail(f"{str(value)[:80]!r} does not end in .mp4. Write film.mp4.", param, ctx)
+        if "\0" in str(value):
+            self.fail("a file's name holds no NUL.", param, ctx)
+        return path
+
+
 class FiniteRange(click.FloatRange):
     """A range of numbers that leaves out NaN and infinity."""
 

@@ -9,10 +9,11 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.heat import FloatImage, Scale, strongest
-from dlgmd_cli.plots.style import COLUMN_WIDTH_IN, DPI, GREY, add_axes, house_style
+from dlgmd_cli.plots.pixels import drawable
+from dlgmd_cli.plots.style import DPI, GREY, add_axes, house_style
 from dlgmd_cli.results.layers import LayerSheet
 
-WIDTHS_IN = {"one": COLUMN_WIDTH_IN, "two": 7.16}
+WIDTHS_IN = {"one": 3.5, "two": 7.16}
 
 # Of the sheet, in inches: the names left of the tiles, the room right of them, and the gaps.
 _NAMES, _BESIDE, _GAP, _EDGE = 0.42, 0.62, 0.05, 0.04
@@ -50,9 +51,9 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
     n_frames, *shape = sheet.luminance.shape
     cell_width, tile_wh = _tile_size(n_frames, (shape[0], shape[1]), WIDTHS_IN[width])
     row_height = max(tile_wh[1], _MIN_ROW)
-    label = _LABEL if sheet.label else 0.0
+    above = _TITLE + (_LABEL if sheet.label else 0.0)
     content = _NAMES + n_frames * (cell_width + _GAP) + _BESIDE
-    size = content, label + _TITLE + 4 * (row_height + _GAP) + _EDGE
+    size = content, above + 4 * (row_height + _GAP) + _EDGE
     rows = (
         ("Input", sheet.luminance, "luminance"),
         ("P", sheet.p, sheet.units[0]),
@@ -61,7 +62,7 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
     )
     with house_style():
         figure = Figure(figsize=size, dpi=DPI)
-        top = size[1] - label - _TITLE
+        top = size[1] - above
         _write_titles(figure, sheet, cell_width, top)
         for number, (name, images, unit) in enumerate(rows):
             bottom = top - (number + 1) * row_height - number * _GAP
@@ -78,7 +79,8 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
                 box = (x, bottom + 0.06, _BAR_WIDTH, row_height - 0.12)
                 _add_bar(figure, picture, box, scale, unit)
         if sheet.label:
-            _text(figure, _NAMES, size[1] - 0.03, sheet.label, va="top", color=GREY, fontsize=7)
+            label = drawable(sheet.label, int((content - _NAMES) / _CHARACTER))
+            _text(figure, _NAMES, size[1] - 0.03, label, va="top", color=GREY, fontsize=7)
     return figure
 
 

@@ -61,6 +61,11 @@ class LayerRecording:
         self.last = frame
         return self.whole or frame.index < max(self.wanted)
 
+    @property
+    def has_all(self) -> bool:
+        """Whether every frame wanted came."""
+        return len(self.shots) == len(self.wanted)
+
     def _measure(self, response: Response) -> None:
         """Widen the extremes."""
         for name in LAYERS:
