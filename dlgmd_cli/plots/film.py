@@ -38,7 +38,7 @@ _HEADER_Y, _TITLE_ROOM = 14, 34
 _BAR_GAP, _BAR_HEIGHT, _BAR_ROOM = 12, 10, 104
 _BOTTOM = 34
 # Room beyond the trace's ends for half of a number on the time axis.
-_MARGIN = 28
+_MARGIN = 30
 _UNDEFINED = "#DDDDDD"
 # Radius of the dot that marks the present.
 _DOT = 6
@@ -206,8 +206,9 @@ class Film:
         axes.set_facecolor(_UNDEFINED)
         axes.set_axis_off()
         axes.add_patch(Rectangle((0, 0), 1, 1, color=_UNDEFINED, linewidth=0))
-        middle = _panel_x(number, 0), _PANELS_Y + height / 2
-        _text(figure, *middle, "undefined", ha="center", va="center", color=GREY)
+        if number > 0:
+            look: Any = {"ha": "center", "va": "center", "color": GREY, "clip_on": True}
+            axes.text(0.5, 0.5, "undefined", **look)
 
     def _draw_bar(self, figure: Figure, x: int, scale: Scale, unit: str) -> None:
         """A colour bar below a panel; words, where all values are 0."""

@@ -23,7 +23,7 @@ _MAX_TILE = 1.9
 # A tick label, or a unit on its side, needs that much height.
 _MIN_ROW = 0.62
 # How wide a character of a title is.
-_CHARACTER = 0.058
+_CHARACTER = 0.062
 _UNDEFINED = "#DDDDDD"
 
 
@@ -110,7 +110,8 @@ def _write_titles(figure: Figure, sheet: LayerSheet, cell_width: float, top: flo
     else:
         _text(figure, _EDGE, top + 0.17, "frame", fontsize=7)
         _text(figure, _EDGE, top + 0.05, "time (s)", fontsize=7)
-    fontsize = min(7.0, 7.0 * (cell_width + _GAP) / (_CHARACTER * max(map(len, numbers + times))))
+    widest = _CHARACTER * (max(map(len, numbers + times)) + 1)
+    fontsize = min(7.0, 7.0 * (cell_width + _GAP) / widest)
     for column, lines in enumerate(zip(numbers, times, strict=True)):
         x = _NAMES + column * (cell_width + _GAP) + cell_width / 2
         for line, y in zip(lines, (0.17, 0.05), strict=True):
@@ -135,7 +136,8 @@ def _draw_tile(
             ha="center",
             va="center",
             color=GREY,
-            fontsize=min(6.5, 72 * tile_wh[0] / 5.5),
+            fontsize=6.5,
+            bbox={"facecolor": _UNDEFINED, "edgecolor": "none", "pad": 1},
         )
         return None
     is_input = scale.colours == "gray"
@@ -143,6 +145,7 @@ def _draw_tile(
     # average the others away, or pick some.
     width_px, height_px = (max(1, int(side * DPI)) for side in tile_wh)
     shown = image if is_input else strongest(image, height_px, width_px)
+    fits = shown.shape[0] <= height_px and shown.shape[1] <= width_px
     low, high = scale.limits
     return axes.imshow(
         shown,
@@ -150,7 +153,7 @@ def _draw_tile(
         vmin=low,
         vmax=high,
         aspect="auto",
-        interpolation="auto" if is_input else "nearest",
+        interpolation="nearest" if fits else "auto",
     )
 
 

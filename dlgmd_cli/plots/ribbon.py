@@ -11,8 +11,9 @@ from dlgmd_cli.plots.pixels import BgrImage, film_style, pixel_figure, rasterise
 from dlgmd_cli.plots.style import BLUE, GREY, ORANGE
 from dlgmd_cli.results.tables import Result
 
-# What the ribbon shows at once, in seconds, unless the film is shorter.
+# What the ribbon shows at once: so many seconds, and frames at least, unless the film is shorter.
 WINDOW_S = 10.0
+MIN_FRAMES = 50
 # Of the normalised membrane potential, from the bottom to the top.
 LEVELS = (-0.03, 1.05)
 # Below the trace, for the numbers of the time axis.
@@ -54,7 +55,9 @@ class Ribbon:
         self.interval_s = float(np.median(np.diff(times))) if times.size > 1 else 1.0
         # The last frame, too, lasts some time.
         self._first_s, self._end_s = float(times[0]), float(times[-1]) + self.interval_s
-        self.window_s = min(WINDOW_S, self._end_s - self._first_s)
+        self.window_s = min(
+            max(WINDOW_S, MIN_FRAMES * self.interval_s), self._end_s - self._first_s
+        )
         self._length = lru_cache(maxsize=3)(self._draw)
 
     def place(self, time_s: float) -> int:
