@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -176,6 +177,14 @@ def test_lengths_of_the_ribbon_join():
     whole = shifted.cut(1000 + 1170 // 2, 400, 10**6)
     assert joined.shape == (280, 400, 3) and is_colour(joined, ORANGE).sum() > 50
     assert np.count_nonzero(np.abs(joined.astype(int) - whole).max(axis=2) > 40) == 0
+
+
+def test_a_line_crosses_lengths_without_any_frame():
+    regular = make_result(100, spikes=())
+    times = np.append(regular.time_s[:-1], 35.0)
+    ribbon = Ribbon(replace(regular, time_s=times), 1170, 280)
+    for left in (1170 + 100, 2 * 1170 + 100):
+        assert is_colour(ribbon.cut(left, 300, 10**6), BLUE).any(axis=0).all()
 
 
 def test_what_is_drawn_of_the_ribbon_does_not_follow_its_length(monkeypatch):

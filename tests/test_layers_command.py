@@ -10,10 +10,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, HEIGHT, N_FRAMES, WIDTH, looming_frames, write_video
+from conftest import FPS, N_FRAMES, WIDTH, looming_frames, write_video
 
 from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.plots.film import Film
+from dlgmd_cli.runs.layers import LayerRecording, run_layers
 
 FILES = {"layers.yaml", "layers.png"}
 
@@ -60,29 +63,48 @@ def test_a_sheet_and_its_record(dlgmd, clips):
     assert written["sigma_e"] == load_set(9).sigma_e and "versions" in written
 
 
-def test_arrays_are_the_library_s(dlgmd, clips):
-    arguments = ("--frames", "0,2,18", "--npz", "--set", 7, "--no-plots")
-    assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
-    assert set(os.listdir("dlgmd-out/loom")) == {"layers.yaml", "layers.npz"}
+def test_arrays_are_the_library_s(dlgmd, tmp_path):
+    write_video(tmp_path / "looms.avi", looming_frames(30, 96, 54))
+    arguments = ("--frames", "0,2,28", "--npz", "--set", 7, "--no-plots")
+    assert dlgmd("layers", "looms.avi", *arguments).exit_code == 0
+    assert set(os.listdir("dlgmd-out/looms")) == {"layers.yaml", "layers.npz"}
     model, expected = DLGMD(load_set(7)), {}
-    with open_source(clips / "loom.avi") as source:
+    with open_source("looms.avi") as source:
         for frame in source:
             response = model.step(frame.grey, layers=True)
             expected[frame.index] = frame, response.layers
-    with np.load("dlgmd-out/loom/layers.npz") as arrays:
-        assert arrays["frame"].tolist() == [0, 2, 18]
+    with np.load("dlgmd-out/looms/layers.npz") as arrays:
+        assert arrays["frame"].tolist() == [0, 2, 28]
         assert arrays["units"].tolist() == list(DLGMD.layer_units)
-        assert arrays["p"].shape == (3, HEIGHT, WIDTH)
-        for row, number in enumerate((0, 2, 18)):
+        assert arrays["p"].shape == (3, 54, 96)
+        for row, number in enumerate((0, 2, 28)):
             frame, layers = expected[number]
             assert arrays["time_s"][row] == frame.time_s
             assert np.array_equal(arrays["luminance"][row], frame.luminance)
             for name in "psg":
                 layer = getattr(layers, name)
-                wanted = np.full((HEIGHT, WIDTH), np.nan) if layer is None else layer
+                wanted = np.full((54, 96), np.nan) if layer is None else layer
                 assert np.array_equal(arrays[name][row], wanted, equal_nan=True)
         assert np.isnan(arrays["p"][0]).all() and not np.isnan(arrays["p"][1]).any()
         assert np.isnan(arrays["s"][1]).all() and arrays["g"][2].max() > 0
+
+
+@pytest.mark.parametrize("model", ["dlgmd", "lgmd"])
+def test_scales_hold_the_layers_of_every_frame(tmp_path, model):
+    write_video(tmp_path / "looms.avi", looming_frames(30, 96, 54))
+    detector = create_model(PARAMETERS[model]())
+    recording, seen = LayerRecording((), whole=True), {name: [] for name in "psg"}
+    with open_source(tmp_path / "looms.avi") as source:
+        run_layers(source, detector, recording)
+        detector.reset()
+        for frame in source:
+            layers = detector.step(frame.grey, layers=True).layers
+            for name, values in seen.items():
+                if getattr(layers, name) is not None:
+                    values.append(getattr(layers, name))
+    for name, values in seen.items():
+        assert recording.lowest[name] == np.min(values)
+        assert recording.highest[name] == np.max(values) > 0
 
 
 @pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])

@@ -223,7 +223,7 @@ def test_words_neither_overlap_nor_leave_the_figure(n, start, shape):
 
 
 def test_any_name_can_be_drawn(tmp_path):
-    figure = plot_layers(make_sheet(2, label="$x^{ · \x07飞行\n" + "y" * 500))
+    figure = plot_layers(make_sheet(2, label="$x^{$ · \x07飞行\n" + "y" * 500))
     save_figure(figure, tmp_path / "x.svg")
     assert (tmp_path / "x.svg").stat().st_size > 1000
     assert drawable("a$\x00飞") == "a$□□"
