@@ -222,6 +222,7 @@ def test_words_neither_overlap_nor_leave_the_figure(n, start, shape):
         assert box.x1 <= figure.bbox.x1 and box.y0 >= 0
 
 
+@pytest.mark.filterwarnings("ignore:Glyph")  # the command says it in one line
 def test_any_name_can_be_drawn(tmp_path):
     figure = plot_layers(make_sheet(2, label="$x^{$ · \x07飞行\n" + "y" * 500))
     save_figure(figure, tmp_path / "x.svg")

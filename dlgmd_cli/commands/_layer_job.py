@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli.commands._console import progress, warn
 from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.errors import SourceError
 
@@ -45,7 +46,7 @@ class LayerJob:
         self._result: Result | None = None
         self._warnings: list[str] = []
 
-    def compute(self, frames: tuple[int, ...], *, whole: bool) -> None:
+    def compute(self, frames: tuple[int, ...], interrupts: Interrupts, *, whole: bool) -> None:
         """Run the model; Ctrl-C ends it, with what was computed kept."""
         from dlgmd_cli.runs import layers as runs
 
@@ -54,15 +55,12 @@ class LayerJob:
         if not whole:
             n_wanted = max(frames) + 1
             n_expected = n_wanted if n_expected is None else min(n_expected, n_wanted)
-        try:
-            with progress(self._source.info.name, n_expected) as on_frame:
-                runs.run_layers(self._source, self._detector, self.recording, on_frame)
-        except KeyboardInterrupt:
-            if not self.recording.shots:
-                raise
-            self.complete = False
-        else:
-            self.complete = True
+        recording = self.recording
+        with progress(self._source.info.name, n_expected) as on_frame:
+            self.complete = interrupts.ends(
+                lambda: runs.run_layers(self._source, self._detector, recording, on_frame),
+                lambda: len(recording.shots),
+            )
 
     def draw_conclusions(self) -> None:
         """Read the potential out, for a film; warn; raise SourceError if no frame is left."""

@@ -10,6 +10,7 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, say
+from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._film import render_film, reserved
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
@@ -83,11 +84,11 @@ def layers(
         Interrupts() as interrupts,
     ):
         job = LayerJob(input_path, source, detector, choice, options)
-        job.compute(frames or (), whole=video is not None)
+        job.compute(frames or (), interrupts, whole=video is not None)
         interrupts.hold()
         job.draw_conclusions()
         if folder is not None:
-            folder.save(partial(_write, job.sheet(), job.record(), output.formats, npz))
+            folder.save(partial(_write, job.sheet(), job.record(), output.formats, npz, interrupts))
             click.echo(click.format_filename(folder.target))
         if not job.complete or interrupts.count:
             _say_what_is_kept(job.recording, folder, video)
@@ -119,9 +120,14 @@ def _folder(
 
 
 def _write(
-    sheet: "LayerSheet", record: dict[str, Any], formats: tuple[str, ...], npz: bool, folder: Path
+    sheet: "LayerSheet",
+    record: dict[str, Any],
+    formats: tuple[str, ...],
+    npz: bool,
+    interrupts: Interrupts,
+    folder: Path,
 ) -> None:
-    """Fill `folder` with the files of a sheet."""
+    """Fill `folder` with the files of a sheet; a Ctrl-C meanwhile only spares the picture."""
     from dlgmd_cli.results.folder import LAYERS
     from dlgmd_cli.results.layers import write_npz
     from dlgmd_cli.results.record import write_record
@@ -131,11 +137,8 @@ def _write(
         write_npz(folder / "layers.npz", sheet)
     if formats:
         from dlgmd_cli.plots.layers import plot_layers
-        from dlgmd_cli.plots.style import save_figure
 
-        figure = plot_layers(sheet)
-        for suffix in formats:
-            save_figure(figure, folder / f"layers.{suffix}")
+        save_plots(folder, {"layers": partial(plot_layers, sheet)}, formats, interrupts)
 
 
 def _say_what_is_kept(

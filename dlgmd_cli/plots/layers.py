@@ -9,11 +9,9 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.heat import FloatImage, Scale, strongest
-from dlgmd_cli.plots.pixels import drawable
-from dlgmd_cli.plots.style import DPI, GREY, add_axes, house_style
+from dlgmd_cli.plots.style import DPI, GREY, Width, add_axes, figure_width_in, house_style
+from dlgmd_cli.plots.text import shortened
 from dlgmd_cli.results.layers import LayerSheet
-
-WIDTHS_IN = {"one": 3.5, "two": 7.16}
 
 # Of the sheet, in inches: the names left of the tiles, the room right of them, and the gaps.
 _NAMES, _BESIDE, _GAP, _EDGE = 0.42, 0.62, 0.05, 0.04
@@ -27,7 +25,7 @@ _CHARACTER = 0.062
 _UNDEFINED = "#DDDDDD"
 
 
-def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
+def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
     """Input, P, S and G, a row each, with a column a frame and a colour bar a row.
 
     All tiles of a row share one scale, from 0 to the greatest value in the row; where values have
@@ -40,7 +38,7 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
     sheet : LayerSheet
         At least one frame; up to 12 are readable at the width of two columns, up to 5 at that of
         one.
-    width : {"two", "one"}
+    width : "two" or "one"
         How many columns of a paper the figure may be wide; few frames make it narrower.
 
     Returns
@@ -49,7 +47,7 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
         At the resolution at which tiles have the pixels that cells were chosen for.
     """
     n_frames, *shape = sheet.luminance.shape
-    cell_width, tile_wh = _tile_size(n_frames, (shape[0], shape[1]), WIDTHS_IN[width])
+    cell_width, tile_wh = _tile_size(n_frames, (shape[0], shape[1]), figure_width_in(width))
     row_height = max(tile_wh[1], _MIN_ROW)
     above = _TITLE + (_LABEL if sheet.label else 0.0)
     content = _NAMES + n_frames * (cell_width + _GAP) + _BESIDE
@@ -79,7 +77,7 @@ def plot_layers(sheet: LayerSheet, width: str = "two") -> Figure:
                 box = (x, bottom + 0.06, _BAR_WIDTH, row_height - 0.12)
                 _add_bar(figure, picture, box, scale, unit)
         if sheet.label:
-            label = drawable(sheet.label, int((content - _NAMES) / _CHARACTER))
+            label = shortened(sheet.label, content - _NAMES, 7)
             _text(figure, _NAMES, size[1] - 0.03, label, va="top", color=GREY, fontsize=7)
     return figure
 
