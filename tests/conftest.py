@@ -37,6 +37,17 @@ def write_video(path: Path, frames, fps=FPS, fourcc="MJPG") -> Path:
     return path
 
 
+def read_video(path: Path):
+    """Frame rate and every frame of a video."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    rate, frames = capture.get(cv2.CAP_PROP_FPS), []
+    while True:
+        is_read, frame = capture.read()
+        if not is_read:
+            return rate, frames
+        frames.append(frame)
+
+
 @pytest.fixture(scope="module", params=["opencv", "numba"])
 def each_engine(request):
     """Every model of the module is computed by each engine in turn, whatever the frames' size."""

@@ -44,6 +44,16 @@ def test_help_and_usage_errors_import_nothing_heavy():
         ["run", "x", "--scale", "5"],
         ["run", "x", "--engine", "cuda"],
         ["bench", "--radius", "99"],
+        ["plot", "--help"],
+        ["plot", "mp"],
+        ["plot", "mp", "x", "--mark", "y"],
+        ["plot", "mp", "x", "--label", ""],
+        ["compare", "--help"],
+        ["compare", "x", "--model", "y"],
+        ["compare", "x", "--span", "3"],
+        ["layers", "--help"],
+        ["layers", "x", "--frames", "a"],
+        ["layers", "x", "--video", "x.avi"],
         ["nonsense"],
     ):
         program = (

@@ -4,9 +4,9 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
+from conftest import read_video
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film, FilmFacts
@@ -239,21 +239,11 @@ def write(path, n=12, codec="mpeg4", fps=25.0):
     return path
 
 
-def read(path):
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    rate, frames = capture.get(cv2.CAP_PROP_FPS), []
-    while True:
-        is_read, frame = capture.read()
-        if not is_read:
-            return rate, frames
-        frames.append(frame)
-
-
 @pytest.mark.parametrize("codec", CODECS)
 @pytest.mark.parametrize("fps", [25.0, 29.97, 59.94, 1.0, 240.0])
 def test_a_video_comes_back(tmp_path, codec, fps):
     path = write(tmp_path / "x.mp4", codec=codec, fps=playable_fps(fps))
-    rate, frames = read(path)
+    rate, frames = read_video(path)
     assert rate == pytest.approx(fps, rel=1e-3)
     assert len(frames) == count_frames(path) == 12
     for k, frame in enumerate(frames):

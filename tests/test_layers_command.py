@@ -2,15 +2,13 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, N_FRAMES, WIDTH, looming_frames, write_video
+from conftest import FPS, N_FRAMES, WIDTH, looming_frames, read_video, write_video
 
 from dlgmd_cli import DLGMD, load_set, open_source
 from dlgmd_cli.models.base import create_model
@@ -23,17 +21,6 @@ FILES = {"layers.yaml", "layers.png"}
 
 def record(folder="dlgmd-out/loom"):
     return yaml.safe_load(Path(folder, "layers.yaml").read_text(encoding="utf-8"))
-
-
-def frames_of(path):
-    """Rate, and every frame of a video."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    rate, frames = capture.get(cv2.CAP_PROP_FPS), []
-    while True:
-        is_read, frame = capture.read()
-        if not is_read:
-            return rate, frames
-        frames.append(frame)
 
 
 def interrupt_at(monkeypatch, call, *, target=DLGMD, name="step"):
@@ -112,7 +99,7 @@ def test_every_model_has_layers(dlgmd, clips, model):
     arguments = ("--model", model, "--frames", "1,15", "--video", "film.mp4", "--npz")
     assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
     assert record()["model"] == model
-    assert len(frames_of("film.mp4")[1]) == N_FRAMES
+    assert len(read_video("film.mp4")[1]) == N_FRAMES
     with np.load("dlgmd-out/loom/layers.npz") as arrays:
         assert arrays["p"][1].min() < 0  # signed
 
@@ -229,7 +216,7 @@ def test_a_film_shows_what_happens(dlgmd, tmp_path):
     assert result.exit_code == 0, result.output
     assert result.stdout == "film.mp4\n" and result.stderr == ""
     assert os.listdir("dlgmd-out/looms") and not Path("dlgmd-out/looms/layers.yaml").exists()
-    rate, film = frames_of("film.mp4")
+    rate, film = read_video("film.mp4")
     assert rate == pytest.approx(FPS) and len(film) == 30
     assert {picture.shape for picture in film} == {(720, 1280, 3)}
     for row in (5, 29):
@@ -251,7 +238,7 @@ def test_a_film_shows_what_happens(dlgmd, tmp_path):
 def test_the_rate_of_a_film_is_that_of_what_was_processed(dlgmd, clips):
     arguments = ("--video", "film.mp4", "--fps", "12.5")
     assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
-    rate, film = frames_of("film.mp4")
+    rate, film = read_video("film.mp4")
     assert rate == pytest.approx(12.5) and len(film) == 10
 
 
@@ -260,7 +247,7 @@ def test_a_rate_that_no_player_shows_is_changed_with_a_warning(dlgmd, pictures):
     result = dlgmd("layers", pictures, *arguments)
     assert result.exit_code == 0
     assert "film.mp4 plays at 240 frames a second, not at 5000." in result.stderr
-    assert frames_of("film.mp4")[0] == pytest.approx(240)
+    assert read_video("film.mp4")[0] == pytest.approx(240)
 
 
 def test_sheet_and_film_come_from_one_command(dlgmd, clips):
@@ -270,7 +257,7 @@ def test_sheet_and_film_come_from_one_command(dlgmd, clips):
     folder, film = result.stdout.splitlines()
     assert folder == os.path.join("dlgmd-out", "loom") and record()["frames"] == [4]
     assert record()["input"]["frames"] == N_FRAMES
-    assert Path(film) == Path("new/film.mp4") and len(frames_of(film)[1]) == N_FRAMES
+    assert Path(film) == Path("new/film.mp4") and len(read_video(film)[1]) == N_FRAMES
     assert os.listdir("new") == ["film.mp4"]
 
 
@@ -282,7 +269,7 @@ def test_an_earlier_film_is_kept(dlgmd, clips):
     assert Path("film.mp4").read_text() == "mine"
     arguments = ("--video", "film.mp4", "--overwrite")
     assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
-    assert len(frames_of("film.mp4")[1]) == N_FRAMES
+    assert len(read_video("film.mp4")[1]) == N_FRAMES
 
 
 def test_a_film_never_replaces_its_input(dlgmd, clips):
@@ -318,7 +305,7 @@ def test_a_still_scene_is_doubted_and_shown(dlgmd, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     arguments = ("--frames", "5", "--video", "film.mp4", "--normalise", "sequence")
     result = dlgmd("layers", "still.avi", *arguments)
-    assert result.exit_code == 0 and len(frames_of("film.mp4")[1]) == 6
+    assert result.exit_code == 0 and len(read_video("film.mp4")[1]) == 6
     assert "no picture differs from the one before it" in result.stderr
     assert "cannot be normalised by its own sequence" in result.stderr
 
@@ -365,7 +352,7 @@ def test_an_interrupted_film_is_whole_as_far_as_it_goes(dlgmd, clips, monkeypatc
     assert result.exit_code == 130
     assert result.stderr == "Interrupted; film.mp4 holds the first 8 of 20 frames.\n"
     assert result.stdout == "film.mp4\n" and os.listdir(".") == ["film.mp4"]
-    assert len(frames_of("film.mp4")[1]) == 8
+    assert len(read_video("film.mp4")[1]) == 8
 
 
 def test_an_input_that_changes_between_the_passes(dlgmd, clips, monkeypatch):
@@ -389,7 +376,7 @@ def test_an_input_that_changes_between_the_passes(dlgmd, clips, monkeypatch):
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4")
     assert result.exit_code == 0
     assert "read a second time, it gives only 11 of 20 frames; film.mp4 ends" in result.stderr
-    assert len(frames_of("film.mp4")[1]) == 11
+    assert len(read_video("film.mp4")[1]) == 11
 
 
 @pytest.mark.parametrize(("name", "content"), [("no.mp4", None), ("bad.mp4", b"not a video")])
@@ -408,55 +395,3 @@ def test_names_of_all_kinds(dlgmd, clips):
         result = dlgmd("layers", name, "--frames", "9,99", "--video", "film.mp4", "--overwrite")
         assert result.exit_code == 0, result.output
         assert "\x1b" not in result.stderr
-
-
-def test_usage_errors_import_nothing_heavy():
-    for arguments in (
-        ["layers", "--help"],
-        ["layers", "x"],
-        ["layers", "x", "--frames", "a"],
-        ["layers", "x", "--video", "x.avi"],
-    ):
-        program = (
-            "import sys\n"
-            "from dlgmd_cli.app import main\n"
-            f"sys.argv = ['dlgmd', *{arguments!r}]\n"
-            "try:\n    main()\n"
-            "except SystemExit: pass\n"
-            "heavy = {'av', 'cv2', 'matplotlib', 'numba', 'numpy'}\n"
-            "print(sorted(heavy & set(sys.modules)))\n"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, check=True
-        )
-        assert done.stdout.splitlines()[-1] == "[]", arguments
-
-
-PROGRAM = """
-import resource, sys
-from dlgmd_cli.app import cli
-try:
-    cli(["layers", sys.argv[1], "--video", sys.argv[1] + ".mp4"], prog_name="dlgmd")
-except SystemExit as end:
-    assert not end.code
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kB on Linux only")
-def test_a_longer_film_in_the_same_memory(tmp_path):
-    frames = looming_frames(100)
-    write_video(tmp_path / "short.avi", frames)
-    write_video(tmp_path / "long.avi", frames * 5)
-    peak_kb = {}
-    for name in ("short", "long"):
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, f"{name}.avi"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        peak_kb[name] = int(done.stdout.splitlines()[-1])
-    # 400 pictures of 2.8 MB would be 1.1 GB.
-    assert peak_kb["long"] - peak_kb["short"] < 50_000

@@ -10,22 +10,32 @@ PROGRAM = """
 import resource, sys
 from dlgmd_cli.app import cli
 try:
-    cli(["run", sys.argv[1], "--no-plots"], prog_name="dlgmd")
+    cli(sys.argv[1:], prog_name="dlgmd")
 except SystemExit as end:
-    assert end.code == 0
+    assert not end.code
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kB on Linux only")
-def test_a_hundred_times_the_frames_in_the_same_memory(tmp_path):
-    frames = looming_frames(200)
+@pytest.mark.parametrize(
+    ("n_frames", "longer", "command"),
+    [
+        (200, 100, ["run", "{}.avi", "--no-plots"]),
+        (200, 50, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        # 400 more pictures of 2.8 MB would be 1.1 GB.
+        (100, 5, ["layers", "{}.avi", "--video", "{}.mp4"]),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else None,
+)
+def test_many_times_the_frames_in_the_same_memory(tmp_path, n_frames, longer, command):
+    frames = looming_frames(n_frames)
     write_video(tmp_path / "short.avi", frames)
-    write_video(tmp_path / "long.avi", frames * 100)
+    write_video(tmp_path / "long.avi", frames * longer)
     peak_kb = {}
     for name in ("short", "long"):
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, f"{name}.avi"],
+            [sys.executable, "-c", PROGRAM, *(word.format(name) for word in command)],
             cwd=tmp_path,
             capture_output=True,
             text=True,

@@ -193,23 +193,6 @@ def test_wrong_usage(dlgmd, arguments, message):
     assert os.listdir(".") == ["one"]
 
 
-def test_usage_errors_import_nothing_heavy():
-    for arguments in (["--help"], ["mp"], ["mp", "x", "--mark", "y"], ["mp", "x", "--label", ""]):
-        program = (
-            "import sys\n"
-            "from dlgmd_cli.app import main\n"
-            f"sys.argv = ['dlgmd', 'plot', *{arguments!r}]\n"
-            "try:\n    main()\n"
-            "except SystemExit: pass\n"
-            "heavy = {'av', 'cv2', 'matplotlib', 'numba', 'numpy', 'yaml'}\n"
-            "print(sorted(heavy & set(sys.modules)))\n"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, check=True
-        )
-        assert done.stdout.splitlines()[-1] == "[]", arguments
-
-
 def test_drawing_needs_no_decoder():
     program = (
         "import sys, dlgmd_cli.commands.plot, dlgmd_cli.plots.overview, dlgmd_cli.results.read"
