@@ -12,7 +12,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.commands._console import Settings, errors_as_one_line
 from dlgmd_cli.params import nearest
 
-COMMANDS = ("run", "plot", "compare", "layers", "kernels", "sets", "synth", "bench")
+COMMANDS = ("run", "plot", "compare", "sweep", "layers", "kernels", "sets", "synth", "bench")
 
 
 class LazyGroup(click.Group):

@@ -40,6 +40,10 @@ class MissingExtraError(DlgmdError):
     """A package that is asked for and not installed."""
 
 
+class WorkerError(DlgmdError):
+    """A process that was to share the work and died."""
+
+
 class FrameError(DlgmdError):
     """A frame that the model cannot take: wrong shape or type."""
 

@@ -14,7 +14,7 @@ from dlgmd_cli.params import DlgmdParameters, Parameters, ParametersT
 MAX_CONFIG_BYTES = 100_000
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
-    {"input", "processed", "frames", "versions", "warnings", "complete", "summary"}
+    {"input", "processed", "frames", "sweep", "versions", "warnings", "complete", "summary"}
 )
 
 

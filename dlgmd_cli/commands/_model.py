@@ -35,6 +35,13 @@ class ModelChoice:
         Options of the run that wrote the file, if a run did.
     recorded_engine : str or None
         The engine of that run.
+
+    Parameters
+    ----------
+    set_name, config, pairs, model, formulation
+        What the `MODEL_OPTIONS` say.
+    base : Config, optional
+        Where D-LGMD parameters come from if no set or file is named, in place of set 9.
     """
 
     def __init__(
@@ -44,6 +51,7 @@ class ModelChoice:
         pairs: tuple[str, ...],
         model: str | None,
         formulation: str | None,
+        base: "Config | None" = None,
     ) -> None:
         from dlgmd_cli import presets  # brings in yaml
 
@@ -51,7 +59,7 @@ class ModelChoice:
             raise click.UsageError("--set and --config exclude each other. Give one of them.")
         if model not in (DEFAULT_MODEL, None) and set_name is not None:
             raise click.UsageError(f"--set is of the D-LGMD, not of --model {model}.")
-        file = _file(set_name, config, model)
+        file = _file(set_name, config, model, base)
         self.origin, self.recorded_options = file.name, file.options
         if file.engine not in (*ENGINES, None):
             raise ParameterError(
@@ -69,6 +77,8 @@ class ModelChoice:
             )
         if config is not None:
             self.label = config.stem
+        elif file is base:
+            self.label = file.name
         else:
             self.label = (
                 self.model if self.model != DEFAULT_MODEL else f"set{set_name or DEFAULT_SET}"
@@ -94,14 +104,18 @@ class ModelChoice:
         return self.params
 
 
-def _file(set_name: str | None, config: Path | None, model: str | None) -> "Config":
-    """The file that the parameters come from: the user's, or a preset."""
+def _file(
+    set_name: str | None, config: Path | None, model: str | None, base: "Config | None"
+) -> "Config":
+    """The file that the parameters come from: the user's, or a preset; `base` for the default."""
     from dlgmd_cli import presets
 
     if config is not None:
         return presets.load_config(config)
     if model not in (DEFAULT_MODEL, None):
         return presets.load_model_preset(model)
+    if base is not None and set_name is None:
+        return base
     try:
         return presets.load_preset(set_name if set_name is not None else DEFAULT_SET)
     except ParameterError as error:
@@ -109,9 +123,7 @@ def _file(set_name: str | None, config: Path | None, model: str | None) -> "Conf
         raise ParameterError("Invalid value for '--set'", error.why, mend) from None
 
 
-model_options = OptionGroup(
-    "choice",
-    ModelChoice,
+MODEL_OPTIONS = (
     click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
     click.option(
         "--config",
@@ -136,6 +148,7 @@ model_options = OptionGroup(
         help="How latency meets whole frames.  [default: default]",
     ),
 )
+model_options = OptionGroup("choice", ModelChoice, *MODEL_OPTIONS)
 
 engine_option = click.option(
     "--engine",

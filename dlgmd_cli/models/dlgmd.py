@@ -37,6 +37,9 @@ class DLGMD(Detector):
         `auto`, which takes Numba for large frames where it is installed.
     tell : callable, optional
         Called with a message before the engine is compiled, which takes some seconds.
+    groups : bool
+        Compute the grouping layer. Without it, attenuation comes faster, and there is no membrane
+        potential: `mp` is NaN, and `layers` cannot be had.
 
     Attributes
     ----------
@@ -60,7 +63,9 @@ class DLGMD(Detector):
         params: DlgmdParameters | None = None,
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
+        groups: bool = True,
     ) -> None:
+        self._groups = groups
         self.params = params if params is not None else DlgmdParameters()
         self.engine_name = self._asked_engine = engine
         self._tell = tell
@@ -81,7 +86,9 @@ class DLGMD(Detector):
             return undefined(view.p_sum(0), Layers(_p_layer(view)) if layers else None)
         ffi = view.p_sum(self._ffi_delay)
         t_de = self._threshold(ffi)
-        grouping = Grouping(self.params.k, t_de, math.inf if self._literal else 1.0)
+        grouping = None
+        if self._groups:
+            grouping = Grouping(self.params.k, t_de, math.inf if self._literal else 1.0)
         room = Grouped(*(aligned(view.history[0].shape) for _ in range(2))) if layers else None
         s_sum, mp = self._engine.respond(view.history, grouping, room)
         shown = Layers(_p_layer(view), *room) if room else None

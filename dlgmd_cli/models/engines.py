@@ -54,7 +54,7 @@ class Engine(Protocol):
     """Made for one wiring and for images of one size and type."""
 
     def respond(
-        self, history: History, grouping: Grouping, layers: Grouped | None = None
+        self, history: History, grouping: Grouping | None, layers: Grouped | None = None
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame, in units of luminance.
 
@@ -65,8 +65,8 @@ class Engine(Protocol):
         ----------
         history : History
             P(t) and as many before it as the largest delay of the wiring.
-        grouping : Grouping
-            Constants of this frame's grouping layer.
+        grouping : Grouping or None
+            Constants of this frame's grouping layer; None to leave it out, ΣG is NaN then.
         layers : Grouped, optional
             Filled with S and G.
         """

@@ -1,5 +1,6 @@
 """The compiled engine: one pass over memory for all sums of a frame."""
 
+import math
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,8 @@ MIN_ROWS, MAX_ROWS = 8, 64
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
 _NOWHERE = np.empty((0, 0), np.float32)
+# The loops group in the same pass as they sum; leaving that out would save nothing.
+_UNGROUPED = Grouping(1.0, 0.0, 1.0)
 
 
 class FusedEngine:
@@ -58,13 +61,13 @@ class FusedEngine:
         self._pool = ThreadPoolExecutor(max(1, n_bands - 1), "dlgmd-band")
 
     def respond(
-        self, history: History, grouping: Grouping, layers: Grouped | None = None
+        self, history: History, grouping: Grouping | None, layers: Grouped | None = None
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame; bands of rows are worked on at the same time."""
         newer = np.array([history.position(s.delay) for s in self._sources], np.int64)
         older = [history.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         given = (history.stack, newer, np.array(older, np.int64), self._reach, self._plan)
-        rest = (self._edges, _floats32(grouping), *(layers or (_NOWHERE, _NOWHERE)))
+        rest = (self._edges, _floats32(grouping or _UNGROUPED), *(layers or (_NOWHERE, _NOWHERE)))
 
         def work(band: int) -> tuple[float, float]:
             rows = self._bands[band : band + 2]
@@ -80,7 +83,8 @@ class FusedEngine:
             # One after the other: a thread that compiles cannot be interrupted.
             answers = [self._first(work), *map(work, range(1, len(self._memory)))]
             self._is_ready = True
-        return sum(s for s, _ in answers), sum(g for _, g in answers)
+        g_sum = sum(g for _, g in answers) if grouping else math.nan
+        return sum(s for s, _ in answers), g_sum
 
     def _first(self, work: Callable[[int], tuple[float, float]]) -> tuple[float, float]:
         """Work on the first band, for which the loops are compiled or loaded."""

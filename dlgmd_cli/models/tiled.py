@@ -1,5 +1,6 @@
 """The default engine: OpenCV's filters, on tiles that stay in the processor's cache."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby, pairwise
@@ -68,14 +69,16 @@ class TiledEngine:
         self._memory = [aligned((largest,)) for _ in range(3)]
 
     def respond(
-        self, history: History, grouping: Grouping, layers: Grouped | None = None
+        self, history: History, grouping: Grouping | None, layers: Grouped | None = None
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame, tile by tile."""
-        s_sum = g_sum = 0.0
+        s_sum, g_sum = 0.0, 0.0 if grouping else math.nan
         for tile in self._tiles:
             s, part, spare = (self._image(place, tile.shape) for place in range(3))
             self._summate(history, tile, s, part, spare)
             s_sum += cv2.sumElems(s[tile.core])[0]
+            if grouping is None:
+                continue
             around = part[tile.grouped]
             sum_4x4(s[tile.grouped], out=around)
             g = spare[tile.core]
