@@ -157,9 +157,10 @@ class Cubes:
 
     def too_short(self, tape: "Tape", label: str, n_needed: int) -> ParameterError:
         """Blames the number of frames, or what it follows from."""
+        n_frames = tape.lengths[0]
         return ParameterError(
             "--frames",
-            f"{tape.lengths[0]} frames of each cube, but {label} needs at least {n_needed}",
+            f"{n_frames} frame{'s' * (n_frames > 1)} of each cube, but {label} needs at least {n_needed}",
             "Choose more of them, slower cubes, or a wider --size.",
         )
 

@@ -62,7 +62,8 @@ def scale_of(
 ) -> tuple[Colormap, Normalize] | None:
     """Colours for the finite values; where they have signs, zero is in the middle of them.
 
-    Without signs, a wide range is logarithmic. What is below `floor` looks as if it was there. None if no value is finite.
+    Without signs, a wide range is logarithmic. What is below `floor` looks as if it was there.
+    None if no value is finite.
     """
     finite = np.maximum(values[np.isfinite(values)], floor)
     if finite.size == 0:

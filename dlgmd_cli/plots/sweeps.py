@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -36,6 +37,8 @@ from dlgmd_cli.results.tables import Series
 _LEFT, _BESIDE, _BOTTOM, _ABOVE, _LINE, _NAMES = 0.46, 0.56, 0.4, 0.28, 0.15, 0.32
 _BAR_GAP, _BAR_WIDTH, _HEAD = 0.06, 0.08, 0.12
 _COLUMNS = {"one": 2, "two": 4}
+# What is left below this is rounding, as in the plots of a run.
+SILENT_DB = -60.0
 
 
 class Measure(NamedTuple):
@@ -51,7 +54,12 @@ class Measure(NamedTuple):
 
 MEASURES = {
     "attenuation_db": Measure(
-        "Attenuation", "dB", "no valid frame", "−∞ dB: nothing passes", is_signed=True, floor=-30.0
+        "Attenuation",
+        "dB",
+        "no valid frame",
+        f"nothing passes (< −{-SILENT_DB:g} dB)",
+        is_signed=True,
+        floor=-30.0,
     ),
     "mp_max": Measure("Peak MP", "", "no valid frame"),
     "sharpness": Measure("Sharpness", "", "no response"),
@@ -73,9 +81,9 @@ class Panel(NamedTuple):
 def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
     """Heat maps over both parameters, one a speed or one a measure, each with its own colours.
 
-    Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does. What
-    is no finite number, or was not computed, has no colour but a pattern, which the legend
-    explains.
+    Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does, and
+    below -60 dB nothing passes. What is no finite number, or cannot be computed, has no colour but
+    grey or a pattern, which the legend explains.
 
     Parameters
     ----------
@@ -116,7 +124,9 @@ def _panels(result: SweepResult) -> list[Panel]:
     """What there is to draw."""
     if result.speeds_px:
         measure = MEASURES["attenuation_db"]
-        maps = zip(result.speeds_px, result.columns["attenuation_db"], strict=True)
+        passing = result.columns["attenuation_db"]
+        passing = np.where(passing < SILENT_DB, -np.inf, passing)
+        maps = zip(result.speeds_px, passing, strict=True)
         return [Panel(f"{speed:g} px/frame", measure, values) for speed, values in maps]
     return [
         Panel(measure.title, measure, result.columns[column][0])
@@ -128,7 +138,7 @@ def _panels(result: SweepResult) -> list[Panel]:
 
 def _draw(axes: Axes, panel: Panel, result: SweepResult) -> QuadMesh | None:
     """One map, coloured where there are finite values; None if there are none."""
-    axes.set_title(panel.title, fontsize=8, pad=3)
+    axes.set_title(panel.title, fontsize=8, pad=3, loc="left")
     axes.spines["right"].set_visible(True)
     x, y = edges(result.grid.x), edges(result.grid.y)
     for look, cells in looks_of(panel.values, result.is_possible).items():
@@ -155,6 +165,8 @@ def _add_bar(figure: Figure, picture: QuadMesh, box: Box, unit: str) -> None:
     )
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.ax.minorticks_off()
+    if not isinstance(norm, LogNorm):  # powers of ten have labels of their own
+        bar.set_ticklabels([f"{tick:g}".replace("-", "−") for tick in bar.get_ticks()])
     bar.ax.set_title(unit, fontsize=6.5, color=GREY, pad=3)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
 
