@@ -416,7 +416,7 @@ def test_an_internal_error_keeps_the_points(dlgmd, monkeypatch):
     result = dlgmd("sweep", *TINY, "--jobs", 1)
     assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
     kept = re.search(r"keeps (\d+) of 6 points", result.stderr)
-    monkeypatch.undo()
+    monkeypatch.setattr(DLGMD, "respond", respond)
     again = dlgmd("sweep", *TINY)
     assert again.exit_code == 0 and again.stderr == f"{kept[1]} of 6 points were there already.\n"
 

@@ -160,7 +160,8 @@ class Cubes:
         n_frames = tape.lengths[0]
         return ParameterError(
             "--frames",
-            f"{n_frames} frame{'s' * (n_frames > 1)} of each cube, but {label} needs at least {n_needed}",
+            f"{n_frames} frame{'s' * (n_frames > 1)} of each cube, but {label} needs at least "
+            f"{n_needed}",
             "Choose more of them, slower cubes, or a wider --size.",
         )
 

@@ -1,0 +1,205 @@
+"""The figure of a sweep: every cell where its values lie, and none without a meaning."""
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.colors import LogNorm, TwoSlopeNorm
+
+from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.params.axis import Axis, Grid
+from dlgmd_cli.plots.grid_axes import edges, name
+from dlgmd_cli.plots.shades import IMPOSSIBLE, INFINITE, MINUS_INFINITE, UNDEFINED
+from dlgmd_cli.plots.style import save_figure
+from dlgmd_cli.plots.sweeps import plot_sweep
+from dlgmd_cli.results.sweeps import SweepResult, extremes
+
+NAN, INF = np.nan, np.inf
+
+
+def axis(text):
+    return Axis.parse(text, DlgmdParameters)
+
+
+def result_of(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
+    grid = Grid(axis(x), axis(y))
+    columns = {key: np.array(c, dtype=float).reshape(-1, *grid.shape) for key, c in columns.items()}
+    there = np.ones(grid.shape, dtype=bool) if possible is None else np.array(possible, dtype=bool)
+    return SweepResult(grid, tuple(speeds), columns, there, np.ones_like(there))
+
+
+def attenuation(values, speeds=(1.0,), **options):
+    return result_of({"attenuation_db": values}, speeds=speeds, **options)
+
+
+def maps(figure):
+    """Axes of the heat maps, by title."""
+    return {axes.get_title("left"): axes for axes in figure.axes if axes.get_title("left")}
+
+
+def mesh(axes):
+    (found,) = [c for c in axes.collections if isinstance(c, QuadMesh)]
+    return found
+
+
+def marked(axes, look):
+    """Area of the cells that have a look."""
+    area = 0.0
+    for collection in axes.collections:
+        if isinstance(collection, PolyCollection) and (collection.get_hatch() or "") == look.hatch:
+            for path in collection.get_paths():
+                width, height = path.get_extents().size
+                area += width * height
+    return area
+
+
+def legend(figure):
+    return [text.get_text() for one in figure.legends for text in one.get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("r=2:4:1", [1.5, 2.5, 3.5, 4.5]),
+        ("a=1,2,4", [0.5, 1.5, 3.0, 5.0]),
+        ("a=3", [1.5, 4.5]),
+        ("alpha=0", [-0.5, 0.5]),
+        ("ffi_gd=true,false", [-0.5, 0.5, 1.5]),
+        ("kappa=1e-4,1e-3,1e-2", np.array([1e-4, 1e-3, 1e-2, 1e-1]) / np.sqrt(10)),
+    ],
+)
+def test_cells_reach_halfway_to_their_neighbours(text, expected):
+    assert np.allclose(edges(axis(text)), expected)
+
+
+def test_values_are_drawn_where_they_belong():
+    values = np.arange(6.0).reshape(2, 3) - 2.5
+    (axes,) = maps(plot_sweep(attenuation(values, x="r=2,3,8", y="a=1,4"))).values()
+    drawn = mesh(axes)
+    assert np.array_equal(drawn.get_array(), values)
+    corners = drawn.get_coordinates()
+    assert np.allclose(corners[0, :, 0], [1.5, 2.5, 5.5, 10.5])
+    assert np.allclose(corners[:, 0, 1], [-0.5, 2.5, 5.5])
+    assert axes.get_xlim() == (1.5, 10.5) and axes.get_ylim() == (-0.5, 5.5)
+
+
+@pytest.mark.parametrize(("width", "inches"), [("one", 3.5), ("two", 7.16)])
+def test_a_panel_a_speed_each_with_its_own_bar(width, inches):
+    values = [np.full(6, 1.0) * speed * np.arange(6) for speed in (1, 2, 3, 4)]
+    figure = plot_sweep(attenuation(values, speeds=(1.0, 2.0, 3.0, 4.0)), width)
+    assert figure.get_size_inches()[0] == inches
+    assert list(maps(figure)) == [f"{v} px/frame" for v in (1, 2, 3, 4)]
+    assert len(figure.axes) == 8
+    assert [mesh(axes).norm.vmax for axes in maps(figure).values()] == [5, 10, 15, 20]
+    assert [axes.get_title() for axes in figure.axes].count("dB") == 4
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
+    assert all(b.x0 >= 0 and b.y0 >= 0 for b in boxes)
+    assert all(b.x1 <= figure.bbox.x1 and b.y1 <= figure.bbox.y1 for b in boxes)
+
+
+def test_zero_is_in_the_middle_of_the_colours():
+    (axes,) = maps(plot_sweep(attenuation([-12, -6, 0, 1, 2, 3]))).values()
+    norm = mesh(axes).norm
+    assert isinstance(norm, TwoSlopeNorm) and (norm.vmin, norm.vcenter, norm.vmax) == (-12, 0, 3)
+    for values, is_blue in (([-6, -5, -4, -3, -2, -1], True), ([1, 2, 3, 4, 5, 6], False)):
+        (axes,) = maps(plot_sweep(attenuation(values))).values()
+        red, _, blue, _ = mesh(axes).cmap(0.5)
+        assert (blue > red) == is_blue
+
+
+def test_what_is_weaker_than_30_db_looks_alike_and_the_bar_says_so():
+    figure = plot_sweep(attenuation([-50, -30, -6, 1, 2, 3]))
+    (axes,) = maps(figure).values()
+    assert mesh(axes).norm.vmin == -30
+    bar = next(a for a in figure.axes if a.get_title() == "dB")
+    assert any(len(patch.get_path().vertices) < 5 for patch in bar.patches)  # its pointed end
+    figure = plot_sweep(attenuation([-29, -20, -6, 1, 2, 3]))
+    bar = next(a for a in figure.axes if a.get_title() == "dB")
+    assert not bar.patches
+
+
+def test_cells_without_a_number_are_told_apart():
+    values = [-INF, -80, NAN, NAN, -3, 2]
+    figure = plot_sweep(attenuation(values, possible=[[1, 1, 1], [0, 1, 1]]))
+    (axes,) = maps(figure).values()
+    assert mesh(axes).get_array().count() == 2
+    assert marked(axes, MINUS_INFINITE) == pytest.approx(2.0)
+    assert marked(axes, UNDEFINED) == marked(axes, IMPOSSIBLE) == pytest.approx(1.0)
+    assert legend(figure) == ["nothing passes (< −60 dB)", "no valid frame", "no such parameters"]
+    assert legend(plot_sweep(attenuation(np.arange(6)))) == []
+
+
+def test_a_panel_a_measure():
+    columns = {
+        "mp_max": [1, 2, 3, 4, 5, 0],
+        "mp_max_frame": [9] * 6,
+        "sharpness": [0.1, 0.2, 0.3, 0.4, 0.5, NAN],
+        "distinguishability": [1, 10, 1e3, 1e5, INF, NAN],
+        "first_collision_frame": [7, 8, 9, 10, 11, NAN],
+    }
+    figure = plot_sweep(result_of(columns))
+    panels = maps(figure)
+    assert list(panels) == ["Peak MP", "Sharpness", "Distinguishability", "First collision"]
+    assert isinstance(mesh(panels["Distinguishability"]).norm, LogNorm)
+    assert not isinstance(mesh(panels["Peak MP"]).norm, LogNorm)
+    assert marked(panels["Distinguishability"], INFINITE) == pytest.approx(1.0)
+    assert legend(figure) == ["undefined", "∞: none at the false positive"]
+    columns["distinguishability"] = [NAN] * 6
+    assert list(maps(plot_sweep(result_of(columns)))) == [
+        *("Peak MP", "Sharpness", "First collision")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [
+        ("sigma_e=1", r"σ$_{\mathrm{E}}$ (px)"),
+        ("beta=1", "β (1/frames)"),
+        ("a=1", "a"),
+        ("t0=1", r"T$_{\mathrm{0}}$"),
+        ("ffi_gd=true", "FFI-GD"),
+        ("formulation=default", "formulation"),
+    ],
+)
+def test_labels_are_symbols_with_units(text, label):
+    assert name(axis(text)) == label
+
+
+def test_only_the_outer_maps_have_labels():
+    figure = plot_sweep(attenuation(np.arange(24), speeds=(1, 2, 3, 4), x="sigma_e=1,2,3"))
+    labels = [(axes.get_xlabel() != "", axes.get_ylabel() != "") for axes in maps(figure).values()]
+    assert labels == [(False, True), (False, False), (True, True), (True, False)]
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+@pytest.mark.parametrize(
+    ("x", "y", "values"),
+    [
+        ("r=4", "a=1", [NAN]),
+        ("r=4", "a=1", [0.0]),
+        ("r=4", "a=1:3:1", [-INF, -INF, -INF]),
+        ("formulation=default,equations", "ffi_gd=true,false", [1e-30, 2.0, 1e30, NAN]),
+        ("kappa=1e-6,1e-3,1", "a=1", [-1.0, -1.0, -1.0]),
+    ],
+)
+def test_every_grid_can_be_drawn(tmp_path, x, y, values, suffix):
+    figure = plot_sweep(attenuation(values, x=x, y=y))
+    save_figure(figure, tmp_path / f"sweep.{suffix}")
+    assert (tmp_path / f"sweep.{suffix}").stat().st_size > 1000
+
+
+def test_a_large_grid_is_drawn_quickly_and_small(tmp_path):
+    values = np.random.default_rng(1).normal(size=4 * 90_000)
+    values[::3] = NAN
+    result = attenuation(values, (1, 2, 3, 4), x="a=0.1:30:0.1", y="sigma_e=0.1:30:0.1")
+    save_figure(plot_sweep(result), tmp_path / "sweep.png")
+    assert (tmp_path / "sweep.png").stat().st_size < 2e6
+
+
+def test_extremes():
+    table = extremes(attenuation([[3, -INF, NAN, 1, 2, 0], [NAN] * 6], speeds=(1, 2.5)))
+    assert table == [
+        *[("attenuation_db, 1 px/frame", "-inf", "r 3, a 1", "3", "r 2, a 1")],
+        *[("attenuation_db, 2.5 px/frame", "–", "", "–", "")],
+    ]
