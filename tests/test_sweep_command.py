@@ -89,7 +89,13 @@ def test_cubes_at_three_points_are_what_run_says_of_their_clips(dlgmd):
         assert found[sigma_e, sigma_i, speed] == f"{summary['mean_attenuation_db']:.9g}"
 
 
-@pytest.mark.parametrize("options", [[], ["--normalise", "sequence", "--size", "24x18"]])
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--normalise", "sequence", "--size", "24x18", "--param", "kappa=100", "--param", "n_sp=1"],
+    ],
+)
 def test_a_video_at_three_points_is_what_run_says(dlgmd, clips, options):
     grid = ["--x", "r=2:6:2", "--y", "sigma_i=1,5", "--param", "a=0.8"]
     result = dlgmd("sweep", clips / "loom.avi", *grid, *options, "--no-plots", "--jobs", 1)
@@ -108,6 +114,7 @@ def test_a_video_at_three_points_is_what_run_says(dlgmd, clips, options):
             value = summary[column]
             shown = "" if value is None else f"{value:.9g}"
             assert found[r, sigma_i][column] == shown, column
+        assert found[r, sigma_i]["first_collision_frame"] != "" or not options
         mp = [float(row["mp"]) for row in rows("dlgmd-out/loom/mp.csv") if row["mp"]]
         mean = np.mean(mp) / max(mp)
         assert float(found[r, sigma_i]["sharpness"]) == pytest.approx(mean, rel=1e-6)
@@ -392,6 +399,17 @@ def test_two_sweeps_into_one_folder(dlgmd, undisturbed):
     )
     running.communicate(timeout=120)
     assert Path(CUBES, "sweep.csv").read_bytes() == undisturbed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_interrupted_while_the_workers_start(dlgmd):
+    running = process(*LONG, "--jobs", 2)
+    until(lambda: workers_of(running.pid), running)
+    time.sleep(0.1)  # in the midst of importing
+    os.killpg(running.pid, signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130 and "Traceback" not in errors
+    assert errors.startswith("Interrupted")
 
 
 def test_interrupted_before_the_first_point(dlgmd, monkeypatch):
