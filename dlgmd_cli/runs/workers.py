@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
@@ -60,8 +61,9 @@ class Workers(Generic[TaskT, AnswerT]):
 
     def __enter__(self) -> Callable[[Iterable[TaskT]], Iterator[tuple[TaskT, AnswerT]]]:
         try:
-            for _ in range(self._count):
-                self._start()
+            with _interrupts_later():
+                for _ in range(self._count):
+                    self._start()
             for connection in self._processes:
                 self._receive(connection)
         except BaseException:
@@ -77,8 +79,7 @@ class Workers(Generic[TaskT, AnswerT]):
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._prepare), daemon=True)
-        with _without_interrupts():
-            process.start()
+        process.start()
         theirs.close()  # so that the pipe breaks when the process dies
         self._processes[ours] = process
 
@@ -135,11 +136,31 @@ class Workers(Generic[TaskT, AnswerT]):
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Hold Ctrl-C back; a process that is started meanwhile will never see it."""
+def _interrupts_later() -> Iterator[None]:
+    """Put Ctrl-C off until the end; a process that is started meanwhile never sees it."""
+    if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
+        yield
+        return
+    caught: list[Any] = []
+    handler = signal.signal(signal.SIGINT, lambda *signalled: caught.append(signalled))
+    try:
+        with _sigint_masked():
+            yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if caught and callable(handler):
+        handler(*caught[0])
+
+
+@contextmanager
+def _sigint_masked() -> Iterator[None]:
+    """Keep SIGINT from this thread, and for good from processes that it starts meanwhile."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    from multiprocessing import resource_tracker  # where there are no masks it cannot be had
+
+    resource_tracker.ensure_running()  # as it starts, it would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
