@@ -12,6 +12,8 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import DlgmdParameters, Parameters, ParametersT
 
 MAX_CONFIG_BYTES = 100_000
+# Of lists and mappings within each other; run.yaml has four.
+MAX_DEPTH = 20
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
     {"input", "processed", "frames", "sweep", "versions", "warnings", "complete", "summary"}
@@ -173,8 +175,13 @@ def _read(path: Path) -> str:
 
 def _parse(name: str, text: str) -> Any:
     """The document in `text`; tags and references, which no configuration needs, are refused."""
+    depth = 0
     try:
         for event in yaml.parse(text, Loader=_Loader):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > MAX_DEPTH:  # the parser's time grows with its square
+                raise ParameterError(name, "its values are nested too deeply", _SHOW_HINT)
             tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None)
             if tag is not None or anchor is not None:
                 what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
