@@ -5,6 +5,7 @@ import re
 import runpy
 import shlex
 import shutil
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -70,16 +71,25 @@ def test_table_of_parameters(heading, kind):
         assert default == (shown if isinstance(shown, str) else f"{shown:g}")
 
 
-def test_python_runs_as_written(monkeypatch, tmp_path, capsys):
-    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    monkeypatch.chdir(ROOT)
-    script = tmp_path / "readme.py"
-    script.write_text(code, encoding="utf-8")
-    runpy.run_path(str(script))
+def test_python_runs_as_written(dlgmd, tmp_path, capsys):
+    shutil.copytree(ROOT / "sample_videos", "sample_videos")
+    assert dlgmd("run", "sample_videos/looming-ball.mp4", "--no-plots").exit_code == 0
+    for number, code in enumerate(re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)):
+        script = tmp_path / f"readme{number}.py"
+        script.write_text(code, encoding="utf-8")
+        runpy.run_path(str(script))
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == 75
     potential = [float(line.split()[1]) for line in printed]
     assert math.isnan(potential[2]) and max(potential[3:30]) < 1.0 < max(potential[60:])
+    assert Path("attenuation.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_figures_are_where_the_readme_says():
+    places = re.findall(r"`(\w+)\.((?:plot|overlay)_\w+)`", README)
+    assert len(places) >= 10
+    for module, function in places:
+        assert callable(getattr(import_module(f"dlgmd_cli.plots.{module}"), function))
 
 
 def test_links_lead_somewhere():
