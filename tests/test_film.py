@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film, FilmFacts
 from dlgmd_cli.plots.heat import Scale
+from dlgmd_cli.plots.pixels import pixel_figure, rasterised
 from dlgmd_cli.plots.ribbon import Ribbon
 from dlgmd_cli.plots.style import BLUE, ORANGE
 from dlgmd_cli.results.tables import Result
@@ -316,3 +317,10 @@ except (OSError, OutputError) as error:
 )
 def test_playable_rates(fps, expected):
     assert playable_fps(fps) == expected
+
+
+def test_a_figure_has_the_pixels_asked_for():
+    sides = range(20, 420)
+    for height in sides:
+        assert rasterised(pixel_figure(30, height)).shape == (height, 30, 3)
+        assert rasterised(pixel_figure(height, 30)).shape == (30, height, 3)

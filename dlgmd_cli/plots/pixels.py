@@ -37,7 +37,9 @@ def film_style() -> Iterator[None]:
 
 def pixel_figure(width: int, height: int) -> Figure:
     """An empty figure of `width` x `height` px."""
-    return Figure(figsize=(width / PIXEL_DPI, height / PIXEL_DPI), dpi=PIXEL_DPI)
+    # Matplotlib cuts off what its inches, times the resolution, lack of a whole pixel.
+    width_in, height_in = ((side + 0.01) / PIXEL_DPI for side in (width, height))
+    return Figure(figsize=(width_in, height_in), dpi=PIXEL_DPI)
 
 
 def rasterised(figure: Figure) -> BgrImage:
