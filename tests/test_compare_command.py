@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import signal
 from collections import Counter
 from pathlib import Path
 
@@ -171,8 +172,8 @@ def test_a_run_s_file_brings_its_size(dlgmd, clips, tmp_path):
     assert done.exit_code == 0, done.output
     folder = tmp_path / "dlgmd-out/loom"
     sizes = {one["label"]: (one["width"], one["height"]) for one in record(folder)["models"]}
-    assert sizes == {"set9": (32, 24), "loom/run": (16, 12), "loom/run-2": (9, 7)}
-    for label, name in (("loom/run", "half"), ("loom/run-2", "tiny")):
+    assert sizes == {"set9": (32, 24), "half/loom/run": (16, 12), "tiny/loom/run": (9, 7)}
+    for label, name in (("half/loom/run", "half"), ("tiny/loom/run", "tiny")):
         expected = [row["mp"] for row in table(tmp_path / name / "loom" / "mp.csv")]
         assert [row["mp"] for row in rows(folder)[label]] == expected
     again = dlgmd(
@@ -334,3 +335,68 @@ def test_a_label_with_odd_letters_stays_one_cell(dlgmd, clips, tmp_path):
     assert result.exit_code == 0, result.output
     assert list(rows(tmp_path / "dlgmd-out" / "loom")) == ['a,"b"\\n$x^']
     assert Path("dlgmd-out/loom/compare-mp.png").stat().st_size > 1000
+
+
+def test_equal_labels_of_different_models_are_numbered(tmp_path):
+    for name, width in (("set3", 0.7), ("set9", 0.9)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
+    configs = tuple(tmp_path / name / "released.yaml" for name in ("set3", "set9"))
+    found = {one.label: one.params for one in _variants(("9",), configs, (), ("released",), False)}
+    assert list(found)[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
+    assert found["set9/released"].sigma_e == 1.5
+    assert found["set9/released (2)"].sigma_e == 0.9
+
+
+def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(dlgmd, clips):
+    done = dlgmd("run", clips / "loom.avi", "--fps", 10, "--scale", 0.5, "--no-plots", "--out", "a")
+    assert done.exit_code == 0
+    result = dlgmd("compare", clips / "loom.avi", "--config", "a/loom/run.yaml", "--no-plots")
+    assert result.exit_code == 0
+    assert "of a/loom/run.yaml the recorded fps is not taken over; give" in result.stderr
+
+
+def test_no_frame_at_all(dlgmd, clips):
+    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--start", 100)
+    assert result.exit_code == 1
+    assert "--start, --end and --fps leave fewer than the 4 frames that set9" in result.stderr
+
+
+def test_a_model_without_an_answer_is_warned_of(dlgmd, clips):
+    result = dlgmd("compare", clips / "short.avi", "--set", 9, "--set", 1, "--no-plots")
+    assert result.exit_code == 0
+    assert "set9 needs at least 4 frames, and gives no answer" in result.stderr
+    assert "set1 needs" not in result.stderr
+
+
+def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
+    write_video(tmp_path / "still.avi", [np.full((24, 32), 200, np.uint8)] * 9)
+    (tmp_path / "low.yaml").write_text("model: lgmd\nt_mp: 0.5\n")
+    result = dlgmd("compare", "still.avi", "--config", "low.yaml", "--no-plots")
+    (row,) = [line.split() for line in result.stdout.splitlines() if line.startswith(" low")]
+    assert row == ["low", "–", "0.080", "s", "frame", "3", "–"]
+
+
+def test_an_engine_that_no_model_has(dlgmd, clips):
+    result = dlgmd("compare", clips / "loom.avi", "--model", "lgmd", "--engine", "opencv")
+    assert result.exit_code == 2
+    assert "--engine is of the D-LGMD, and none is compared. Add --set." in result.stderr
+
+
+@pytest.mark.parametrize("spared", [True, False])
+def test_a_late_ctrl_c_says_what_is_there(dlgmd, clips, tmp_path, monkeypatch, spared):
+    name = "overlay_mp" if spared else "overlay_attenuation"
+    original = getattr(overlays, name)
+
+    def interrupted(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(overlays, name, interrupted)
+    result = dlgmd("compare", clips / "loom.avi", "--set", 1)
+    assert result.exit_code == 130
+    kept = "all frames, but not all plots" if spared else "the whole result"
+    assert f"holds {kept}." in result.stderr
+    folder = tmp_path / "dlgmd-out" / "loom"
+    assert record(folder)["complete"] is True
+    assert (folder / "compare-attenuation.png").exists() is not spared

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -395,3 +397,31 @@ def test_names_of_all_kinds(dlgmd, clips):
         result = dlgmd("layers", name, "--frames", "9,99", "--video", "film.mp4", "--overwrite")
         assert result.exit_code == 0, result.output
         assert "\x1b" not in result.stderr
+
+
+def test_a_film_among_the_files_of_the_sheet_is_refused_at_once(dlgmd, clips):
+    film = "dlgmd-out/loom/film.mp4"
+    result = dlgmd("layers", clips / "loom.avi", "--frames", "5", "--video", film)
+    assert result.exit_code == 2
+    assert "--video lies in" in result.stderr and not os.path.exists("dlgmd-out")
+    # Without a sheet it may lie there, and later results leave it alone.
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    assert dlgmd("layers", clips / "loom.avi", "--video", film).exit_code == 0
+    assert dlgmd("run", clips / "loom.avi", "--no-plots", "--overwrite").exit_code == 0
+    assert dlgmd("layers", clips / "loom.avi", "--frames", "5").exit_code == 0
+    assert len(read_video(film)[1]) == N_FRAMES
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_a_full_stdout_costs_no_film(clips, tmp_path):
+    program = [sys.executable, "-m", "dlgmd_cli", "layers", str(clips / "loom.avi")]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*program, "--frames", "5", "--video", "film.mp4"],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 1 and "film.mp4" not in done.stderr
+    assert len(read_video(tmp_path / "film.mp4")[1]) == N_FRAMES

@@ -49,6 +49,11 @@ def undecided(answer, params):
     return bool(near.any()) or abs(answer.ffi - params["t_ffi"]) < 1e-4
 
 
+def silenced(layer):
+    """What a switched-off cell groups: nothing."""
+    return None if layer is None else np.zeros_like(layer)
+
+
 def insist(decided):
     assert decided, "choose another seed"
 
@@ -63,7 +68,7 @@ def check_lgmd(frames, demand=insist, **changes):
         LGMD(LgmdParameters(**params)),
         answers,
         frames,
-        lambda one: {"p": one.p, "s": one.s, "g": one.g},
+        lambda one: {"p": one.p, "s": one.s, "g": one.g if one.mp != 0.0 else silenced(one.g)},
         ("p_sum", "s_sum", "mp", "ffi"),
         {"p": p_peak, "s": p_peak * (1 + params["w_i"]), "g": 4 * g_peak},
     )

@@ -207,9 +207,9 @@ def test_drawing_needs_no_decoder():
 
 
 DAMAGES = {
-    "nothing there": (None, "there is no such folder. Give one that 'dlgmd run' wrote."),
+    "nothing there": (None, "there is no such folder or file. Give one that 'dlgmd run' wrote."),
     "no result": (lambda folder: folder.mkdir(), "there is no result in this folder."),
-    "escapes": ("bad\x1b[31m\n", "bad\\x1b[31m\\n: there is no such folder."),
+    "escapes": ("bad\x1b[31m\n", "bad\\x1b[31m\\n: there is no such folder or file."),
     "half": (
         lambda folder: (make_run(folder), (folder / "spikes.csv").unlink()),
         "spikes.csv: this file is missing",
@@ -304,7 +304,10 @@ def test_a_comparison_has_labels_of_its_own(dlgmd, drawn):
 
 def test_a_run_goes_before_a_comparison_in_the_same_folder(dlgmd, drawn):
     make_run("both"), make_comparison("both")
-    assert dlgmd("plot", "mp", "both").exit_code == 0 and list(drawn[-1][0]) == ["both"]
+    result = dlgmd("plot", "mp", "both")
+    assert result.exit_code == 0 and list(drawn[-1][0]) == ["both"]
+    given = os.path.join("both", "compare.csv")
+    assert result.stderr == f"Drawing the run in both; give {given} for the comparison.\n"
     assert drawn[-1][0]["both"].has_spikes
     assert dlgmd("plot", "mp", "both/compare.csv", "--overwrite").exit_code == 0
     assert list(drawn[-1][0]) == ["set9", "lgmd"]
@@ -341,3 +344,56 @@ def test_a_bug_is_one_line_too(dlgmd, monkeypatch):
     result = dlgmd("plot", "mp", "one")
     assert result.exit_code == 1 and result.stderr.startswith("Error: internal error (ZeroDivision")
     assert not os.listdir("dlgmd-out")
+
+
+def test_one_file_of_a_result_is_not_it(dlgmd):
+    make_run("one")
+    result = dlgmd("plot", "mp", "one/mp.csv")
+    assert result.exit_code == 1
+    assert "it is one file of a result. Give the folder that holds it." in result.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_is_not_waited_for(dlgmd):
+    make_run("one")
+    os.unlink("one/mp.csv")
+    os.mkfifo("one/mp.csv")
+    os.mkfifo("pipe.csv")
+    for path in ("one", "pipe.csv"):
+        result = dlgmd("plot", "mp", path)
+        assert result.exit_code == 1 and "it is not a file" in result.stderr
+
+
+def test_a_comparison_is_drawn_as_it_drew_itself(dlgmd, drawn):
+    make_comparison("cmp"), make_run("run")
+    for paths, options, column in (
+        (["cmp"], [], "mp_seq"),
+        (["cmp"], ["--normalise", "absolute"], "mp_abs"),
+        (["cmp", "run"], [], "level"),
+    ):
+        result = dlgmd("plot", "mp", *paths, *options, "--overwrite")
+        assert result.exit_code == 0 and drawn[-1][2]["column"] == column
+
+
+def test_different_normalisations_are_warned_of(dlgmd):
+    values = vars(make_result())
+    make_run("absolute", mp_seq=values["level"] / 2), make_run("sequence", mp_seq=values["level"])
+    line = "the results were normalised in different ways"
+    assert line in dlgmd("plot", "mp", "absolute", "sequence", "--overwrite").stderr
+    assert line not in dlgmd("plot", "attenuation", "absolute", "sequence").stderr
+    assert (
+        line
+        not in dlgmd(
+            "plot",
+            "mp",
+            "absolute",
+            "sequence",
+            "--label",
+            "a",
+            "--label",
+            "b",
+            "--normalise",
+            "absolute",
+            "--overwrite",
+        ).stderr
+    )

@@ -194,7 +194,11 @@ def test_what_is_no_result_is_never_replaced(tmp_path):
     with ResultFolder(tmp_path, "clip") as folder:
         folder.save(fill)
     (tmp_path / "clip" / "notes.txt").write_text("precious")
-    with pytest.raises(OutputExistsError, match=r"notes\.txt"):
+    with ResultFolder(tmp_path, "clip", overwrite=True) as folder:
+        folder.save(fill)
+    assert (tmp_path / "clip" / "notes.txt").read_text() == "precious"
+    (tmp_path / "clip" / "more").mkdir()
+    with pytest.raises(OutputExistsError, match="other files, such as more"):
         ResultFolder(tmp_path, "clip", overwrite=True)
     (tmp_path / "link").symlink_to(frames)
     with pytest.raises(OutputExistsError):

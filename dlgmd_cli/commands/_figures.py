@@ -43,6 +43,7 @@ def save_plots(
     with letters_checked():
         for name, plot in plots.items():
             if interrupts.count > allowed:
+                interrupts.spared_plots = True
                 break
             figure = plot()
             for suffix in formats:

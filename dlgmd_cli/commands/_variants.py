@@ -1,13 +1,13 @@
 """The options of a comparison: which models, with which parameters, and what they are called."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
 from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import printable
@@ -28,12 +28,18 @@ class Variant:
         The engine of the run that its file records, if it does.
     size : InputChoice
         The processed size of that run, if its file records one.
+    origin : str
+        The file that it is from.
+    left_out : tuple of str
+        The other options of that run, which a comparison does not take over.
     """
 
     label: str
     params: Parameters
     engine: str | None
     size: InputChoice
+    origin: str
+    left_out: tuple[str, ...]
 
 
 def _variants(
@@ -49,39 +55,43 @@ def _variants(
         set_names = (DEFAULT_SET,)
         # To what a bare comparison would be with, if there is nothing else.
         models = () if derives else tuple(PARAMETERS)
-    chosen = [ModelChoice(name, None, (), None, None) for name in dict.fromkeys(set_names)]
     files = list(dict.fromkeys(configs))
-    chosen += [ModelChoice(None, path, (), None, None) for path in files]
-    chosen += [ModelChoice(None, None, (), name, None) for name in dict.fromkeys(models)]
-    given = [choice.label for choice in chosen]
-    labels = list(given)
-    for place, path in enumerate(files, start=len(set(set_names))):
-        if given.count(path.stem) > 1:
-            labels[place] = f"{path.absolute().parent.name}/{path.stem}"
-    alike = map(_variant, chosen, labels)
-    found = list(_told_apart(dict.fromkeys(alike)))
+    found = [_variant(_choice(set_name=name)) for name in set_names]
+    found += [
+        _variant(_choice(config=path), label)
+        for path, label in zip(files, _file_labels(files), strict=True)
+    ]
+    found += [_variant(_choice(model=name)) for name in models]
     if derives and not any(isinstance(one.params, DlgmdParameters) for one in found):
         raise click.UsageError(
             "--formulation and --no-ffi-gd are of the D-LGMD, and none is compared. Add --set."
         )
-    derived = [each for one in found for each in _derived(one, formulations, no_ffi_gd)]
-    return list({one.label: one for one in derived}.values())
+    every = dict.fromkeys(each for one in found for each in _derived(one, formulations, no_ffi_gd))
+    labels = numbered([one.label for one in every])
+    return [replace(one, label=label) for one, label in zip(every, labels, strict=True)]
 
 
-def _told_apart(variants: Iterable[Variant]) -> Iterator[Variant]:
-    """Those of one label with a number."""
-    seen: Counter[str] = Counter()
-    for one in variants:
-        seen[one.label] += 1
-        number = seen[one.label]
-        yield one if number == 1 else replace(one, label=f"{one.label}-{number}")
+def _choice(
+    set_name: str | None = None, config: Path | None = None, model: str | None = None
+) -> ModelChoice:
+    """The parameters of one set, file or model."""
+    return ModelChoice(set_name, config, (), model, None)
 
 
-def _variant(choice: ModelChoice, label: str) -> Variant:
+def _file_labels(files: list[Path]) -> list[str]:
+    """The files' stems; of those that are alike, as much of the path as tells them apart."""
+    alike = [path for path in files if [other.stem for other in files].count(path.stem) > 1]
+    apart = dict(zip(alike, told_apart([path.with_suffix("") for path in alike]), strict=True))
+    return [apart.get(path, path.stem) for path in files]
+
+
+def _variant(choice: ModelChoice, label: str | None = None) -> Variant:
     """A choice as it is, under its label."""
     recorded = InputChoice.from_options({}, choice.recorded_options, choice.origin)
     size = InputChoice(scale=recorded.scale, size=recorded.size)
-    return Variant(printable(label), choice.params, choice.recorded_engine, size)
+    left_out = tuple(key for key in recorded.to_record() if key not in ("scale", "size"))
+    label = printable(label or choice.label)
+    return Variant(label, choice.params, choice.recorded_engine, size, choice.origin, left_out)
 
 
 def _derived(one: Variant, formulations: tuple[str, ...], no_ffi_gd: bool) -> Iterator[Variant]:

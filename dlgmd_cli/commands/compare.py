@@ -11,7 +11,7 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
 from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import InputChoice, input_options
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.annotations import Annotations
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.compare import Entry
+    from dlgmd_cli.runs.single import Recording
     from dlgmd_cli.sources.prepare import Source
 
 _NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
@@ -62,6 +63,8 @@ def compare(
     and collisions in the summary are those of 'dlgmd run'.
     """
     options = InputChoice.from_options(given, {}, "")
+    if engine and not any(isinstance(one.params, DlgmdParameters) for one in variants):
+        raise click.UsageError("--engine is of the D-LGMD, and none is compared. Add --set.")
     models = [_create(variant, engine) for variant in variants]
     import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     from dlgmd_cli.results.folder import COMPARISON, ResultFolder
@@ -88,18 +91,22 @@ def compare(
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")
-        results = _read(variants, entries, by_sequence=options.by_sequence)
-        warnings = [
-            *source.progress.warnings,
-            *_doubts(results, source.info.decoder),
-            *annotations.outside(int(recording.columns()[0][0]), int(recording.columns()[0][-1])),
-        ]
-        for warning in warnings:
-            warn(f"{input_path}: {warning}")
         if complete and not any(entry.recording.n_valid for entry in entries):
+            for warning in source.progress.warnings:
+                warn(f"{input_path}: {warning}")
             first = min(range(len(models)), key=lambda i: models[i].first_valid_frame)
             label, needed = variants[first].label, models[first].first_valid_frame
             raise too_short(input_path, source, label, options, needed)
+        results = _read(variants, entries, by_sequence=options.by_sequence)
+        warnings = [
+            *_left_out(variants),
+            *source.progress.warnings,
+            *_doubts(results, source.info.decoder),
+            *_unanswered(variants, entries),
+            *annotations.outside(*_ends(recording)),
+        ]
+        for warning in warnings:
+            warn(f"{input_path}: {warning}")
         record = {
             "input": facts(source, len(recording))["input"],
             "models": [
@@ -115,10 +122,7 @@ def compare(
             partial(_write, results, record, annotations, column, output.formats, interrupts)
         )
     _show(record, annotations, folder.target, as_json)
-    if not complete or interrupts.count:
-        kept = f"the {len(recording)} frames before it"
-        say(f"{folder.target} holds {'all frames, but not all plots' if complete else kept}.")
-        raise click.exceptions.Exit(EXIT_INTERRUPTED)
+    interrupts.conclude(folder.target, len(recording), complete=complete)
 
 
 def _create(variant: Variant, engine: str | None) -> "Model":
@@ -154,6 +158,32 @@ def _read(
         )
         for variant, entry in zip(variants, entries, strict=True)
     }
+
+
+def _left_out(variants: list[Variant]) -> list[str]:
+    """Which recorded options of which file are not the comparison's, a line a file."""
+    return [
+        f"of {one.origin} the recorded {', '.join(one.left_out)} {verb} not taken over; give "
+        "such options here"
+        for one in {one.origin: one for one in variants if one.left_out}.values()
+        for verb in ["is" if len(one.left_out) == 1 else "are"]
+    ]
+
+
+def _unanswered(variants: list[Variant], entries: "list[Entry]") -> list[str]:
+    """Which models never had a full history, a line each."""
+    return [
+        f"{variant.label} needs at least {entry.model.first_valid_frame + 1} frames, and gives "
+        "no answer"
+        for variant, entry in zip(variants, entries, strict=True)
+        if entry.recording.n_valid == 0
+    ]
+
+
+def _ends(recording: "Recording") -> tuple[int, int]:
+    """Numbers of the first and the last frame."""
+    frames = recording.columns()[0]
+    return int(frames[0]), int(frames[-1])
 
 
 def _doubts(results: "Mapping[str, Result]", decoder: str) -> list[str]:
@@ -241,7 +271,9 @@ def _show(record: dict[str, Any], annotations: "Annotations", target: Path, as_j
 
 def _row(described: dict[str, Any], n_columns: int) -> tuple[str, ...]:
     """One model's row of the table, a dash for what there is not."""
-    summary = described["summary"]
+    summary = dict(described["summary"])
+    if not summary["mp_max"]:  # the first of frames that are all alike is no peak
+        summary["mp_max_frame"] = None
     formats = {
         "mp_max_frame": "{}",
         "first_spike_time_s": "{:.3f} s",
@@ -250,7 +282,7 @@ def _row(described: dict[str, Any], n_columns: int) -> tuple[str, ...]:
         "distinguishability": "{:.4g}",
     }
     cells = [
-        "–" if summary.get(key) is None or not summary["mp_max"] else shape.format(summary[key])
+        "–" if summary.get(key) is None else shape.format(summary[key])
         for key, shape in formats.items()
     ]
     return (described["label"], *cells)[:n_columns]

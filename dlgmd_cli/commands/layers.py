@@ -1,7 +1,8 @@
 """`dlgmd layers`: what a model's layers hold, as a contact sheet, as arrays, or as a video."""
 
 import math
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,8 +79,9 @@ def layers(
     detector = choice.create(engine, tell=say)
     import_ahead(_NEEDED_LATER)
     with (
+        _printed_at_the_end() as made,
         options.open(input_path) as source,
-        _folder(output, source.info.name, frames) as folder,
+        _folder(output, source.info.name, frames, video) as folder,
         reserved(video, source.info.path, overwrite=output.overwrite) as film_file,
         Interrupts() as interrupts,
     ):
@@ -89,7 +91,7 @@ def layers(
         job.draw_conclusions()
         if folder is not None:
             folder.save(partial(_write, job.sheet(), job.record(), output.formats, npz, interrupts))
-            click.echo(click.format_filename(folder.target))
+            made.append(folder.target)
         if not job.complete or interrupts.count:
             _say_what_is_kept(job.recording, folder, video)
             raise click.exceptions.Exit(EXIT_INTERRUPTED)
@@ -108,15 +110,31 @@ def layers(
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
 
 
+@contextmanager
+def _printed_at_the_end() -> Iterator[list[Path]]:
+    """Paths for stdout, whatever comes; by then nothing else is being written that could fail."""
+    paths: list[Path] = []
+    try:
+        yield paths
+    finally:
+        for path in paths:
+            click.echo(click.format_filename(path))
+
+
 def _folder(
-    output: Output, name: str, frames: tuple[int, ...] | None
+    output: Output, name: str, frames: tuple[int, ...] | None, video: Path | None
 ) -> "AbstractContextManager[ResultFolder | None]":
     """Where the sheet goes, refused at once if it may not; None if there is to be none."""
     if frames is None:
         return nullcontext()
     from dlgmd_cli.results.folder import LAYERS, ResultFolder
 
-    return ResultFolder(output.out, name, LAYERS, overwrite=output.overwrite)
+    folder = ResultFolder(output.out, name, LAYERS, overwrite=output.overwrite)
+    if video is not None and video.resolve().parent == folder.target.resolve():
+        raise click.UsageError(
+            f"--video lies in {folder.target}, where the sheet goes. Choose another place."
+        )
+    return folder
 
 
 def _write(

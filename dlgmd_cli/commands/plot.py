@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import Command, warn
+from dlgmd_cli.commands._console import Command, say, warn
 from dlgmd_cli.commands._figures import letters_checked
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._types import format_option, overwrite_option
@@ -90,10 +90,15 @@ def plot(
     for target in targets:
         refuse_existing(target, overwrite=overwrite)
     results = _named(_read(paths), labels)
+    column = _COLUMNS[normalise]
+    if column == "level" and not any(result.has_spikes for result in results.values()):
+        column = "mp_seq"  # as in the figure that 'dlgmd compare' draws
     _look_for_spikes(kind, paths, results)
+    if column == "level" and kind != "attenuation":
+        _look_for_normalisations(results)
     _warn_of_annotations(annotations, results)
     with letters_checked(), appearing(*targets) as files:
-        _write(files, kind, results, annotations, _COLUMNS[normalise], width)
+        _write(files, kind, results, annotations, column, width)
     for target in targets:
         click.echo(click.format_filename(target))
 
@@ -147,6 +152,8 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, "Result"]]:
     ):
         if comparison is None:
             results.append((name, read_result(path)))
+            if (path / "compare.csv").exists():
+                say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
         else:
             prefix = f"{name}: " if n_comparisons > 1 else ""
             results += [
@@ -179,7 +186,25 @@ def _look_for_spikes(kind: str, paths: Sequence[Path], results: dict[str, "Resul
             "Draw its mp or attenuation, or the spikes of a run.",
         )
     if without:
-        warn(f"no spikes are drawn of {', '.join(without)}: a comparison holds none")
+        shown = ", ".join(name[:40] for name in without[:3])
+        more = f" and {len(without) - 3} more" if len(without) > 3 else ""
+        warn(f"no spikes are drawn of {shown}{more}: a comparison holds none")
+
+
+def _look_for_normalisations(results: dict[str, "Result"]) -> None:
+    """Say that levels are not alike."""
+    import numpy as np
+
+    by_sequence = {
+        np.array_equal(result.level, result.mp_seq, equal_nan=True)
+        for result in results.values()
+        if result.has_spikes
+    }
+    if len(by_sequence) > 1:
+        warn(
+            "the results were normalised in different ways before they were held against the "
+            "threshold; --normalise draws them alike"
+        )
 
 
 def _warn_of_annotations(annotations: Annotations, results: dict[str, "Result"]) -> None:

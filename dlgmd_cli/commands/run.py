@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands._ahead import import_ahead
-from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, progress, say, warn
+from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
 from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import InputChoice, input_options
@@ -94,10 +94,7 @@ def run(
         }
         folder.save(partial(_write, result, record, output.formats, interrupts))
     _show(record, folder.target, as_json)
-    if not complete or interrupts.count:
-        kept = f"the {len(recording)} frames before it"
-        say(f"{folder.target} holds {'all frames, but not all plots' if complete else kept}.")
-        raise click.exceptions.Exit(EXIT_INTERRUPTED)
+    interrupts.conclude(folder.target, len(recording), complete=complete)
 
 
 def _folder(output: Output, name: str) -> "ResultFolder":

@@ -26,7 +26,7 @@ class LGMD(Detector):
         S(t) = P(t) - w_i P(t-1) ∗ w
         Ce = S ∗ ones(3, 3)/9,  ω = delta_c + max|Ce| / c_omega,  G = S · Ce / ω
         G̃ = G where c_de G ≥ t_de, else 0
-        K = Σ|G̃|, 0 where FFI(t) = Σ|P(t-1)| / n_cell is above t_ffi
+        K = Σ|G̃|; G̃ is 0 throughout where FFI(t) = Σ|P(t-1)| / n_cell is above t_ffi
 
     Parameters
     ----------
@@ -66,7 +66,9 @@ class LGMD(Detector):
         s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=BORDER)
         g = self._group(s)
         ffi = cv2.norm(self._p[1], cv2.NORM_L1) / p.size
-        mp = cv2.norm(g, cv2.NORM_L1) if ffi <= self.params.t_ffi else 0.0
+        if ffi > self.params.t_ffi:
+            g[:] = 0.0
+        mp = cv2.norm(g, cv2.NORM_L1)
         shown = Layers(p.copy(), s, g) if layers else None
         return Response(p_sum, cv2.norm(s, cv2.NORM_L1), mp, ffi, self._threshold, shown)
 

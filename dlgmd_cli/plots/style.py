@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -97,5 +98,9 @@ def save_figure(figure: Figure, path: Path) -> None:
         If it cannot be written.
     """
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    suffix = path.suffix.lower()
+    # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
+    drawn = BytesIO()
     with house_style():
-        figure.savefig(path, dpi=DPI, metadata=undated.get(path.suffix.lower(), {}))
+        figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
+    path.write_bytes(drawn.getvalue())

@@ -37,7 +37,7 @@ KINDS = (RUN, COMPARISON, LAYERS)
 class ResultFolder:
     """Context manager: proves at once that it can write, and is filled by `save`.
 
-    What other commands made of the same input stays as it is.
+    What other commands made of the same input stays as it is, and so do other files beside it.
 
     Parameters
     ----------
@@ -74,11 +74,15 @@ class ResultFolder:
             raise OutputExistsError(
                 str(self.target), "this is no folder of results", "Choose another --out."
             )
-        found = {path.name for path in self.target.iterdir()}
-        rest = set(found)
-        for kind in KINDS:
-            if kind.record in found:
-                rest -= kind.names
+        found = {path.name: path.is_dir() for path in self.target.iterdir()}
+        # Beside a result, other files are kept; a folder of a user's is not taken for one.
+        is_result = any(kind.record in found for kind in KINDS)
+        strays = frozenset() if self._kind.record in found else self._kind.names
+        rest = [
+            name
+            for name, is_folder in found.items()
+            if is_folder or not is_result or name in strays
+        ]
         if rest:
             shown = min(rest)
             raise OutputExistsError(

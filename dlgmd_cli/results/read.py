@@ -38,11 +38,15 @@ def comparison_at(path: Path) -> Path | None:
         If there is no such folder or file, or no result in it.
     """
     try:
-        if path.is_file():
-            return path
-        if not path.is_dir():
+        if path.name in (RUN.record, *TABLES) and path.is_file():
             raise ResultError(
-                str(path), "there is no such folder", "Give one that 'dlgmd run' wrote."
+                str(path), "it is one file of a result", "Give the folder that holds it."
+            )
+        if path.exists() and not path.is_dir():
+            return path
+        if not path.exists():
+            raise ResultError(
+                str(path), "there is no such folder or file", "Give one that 'dlgmd run' wrote."
             )
         if any((path / name).exists() for name in (RUN.record, *TABLES)):
             return None
@@ -130,10 +134,13 @@ def _read(path: Path, expected: tuple[str, ...], *, labelled: bool) -> dict[str,
     """The numbers of every label, row after row; the only label is "" unless `labelled`."""
     values: dict[str, array[float]] = {}
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe keeps one waiting
+            raise ResultError(str(path), "it is not a file", _REMAKE)
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(_lines(file, path))
             if tuple(next(rows, ())) != expected:
-                raise ResultError(str(path), f"its columns are not {','.join(expected)}", _REMAKE)
+                mend = "Give what 'dlgmd run' or 'dlgmd compare' wrote." if labelled else _REMAKE
+                raise ResultError(str(path), f"its columns are not {','.join(expected)}", mend)
             for row in rows:
                 label = row.pop(0) if labelled and row else ""
                 if len(row) != len(expected) - labelled:
