@@ -1,6 +1,5 @@
 """`dlgmd compare`: one video through many models, decoded once."""
 
-import json
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -11,7 +10,8 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
+from dlgmd_cli.commands._compared import show_comparison
+from dlgmd_cli.commands._console import Command, progress, say, warn
 from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import InputChoice, input_options
@@ -121,7 +121,7 @@ def compare(
         folder.save(
             partial(_write, results, record, annotations, column, output.formats, interrupts)
         )
-    _show(record, annotations, folder.target, as_json)
+    show_comparison(record, folder.target, as_json=as_json)
     interrupts.conclude(folder.target, len(recording), complete=complete)
 
 
@@ -249,49 +249,3 @@ def _write(
         }
         save_plots(folder, plots, formats, interrupts)
     write_record(folder, record, COMPARISON, engines=[one["engine"] for one in record["models"]])
-
-
-def _show(record: dict[str, Any], annotations: "Annotations", target: Path, as_json: bool) -> None:
-    """The summaries on stdout."""
-    if as_json:
-        summaries = {one["label"]: _finite(one["summary"]) for one in record["models"]}
-        facts = {"result": str(target), "complete": record["complete"]}
-        click.echo(json.dumps({**facts, "models": summaries}))
-        return
-    header = ["model", "peak frame", "first spike", "first collision", "sharpness"]
-    if annotations.false_positive_frame is not None:
-        header.append("distinguishability")
-    print_table(tuple(header), [_row(one, len(header)) for one in record["models"]])
-    if any(_is_infinite(one["summary"]) for one in record["models"]):
-        click.echo(
-            "inf: no membrane potential within 5 frames of the false positive, none to mistake."
-        )
-    click.echo(click.format_filename(target))
-
-
-def _row(described: dict[str, Any], n_columns: int) -> tuple[str, ...]:
-    """One model's row of the table, a dash for what there is not."""
-    summary = dict(described["summary"])
-    if not summary["mp_max"]:  # the first of frames that are all alike is no peak
-        summary["mp_max_frame"] = None
-    formats = {
-        "mp_max_frame": "{}",
-        "first_spike_time_s": "{:.3f} s",
-        "first_collision_frame": "frame {}",
-        "sharpness": "{:.3f}",
-        "distinguishability": "{:.4g}",
-    }
-    cells = [
-        "–" if summary.get(key) is None else shape.format(summary[key])
-        for key, shape in formats.items()
-    ]
-    return (described["label"], *cells)[:n_columns]
-
-
-def _is_infinite(summary: dict[str, Any]) -> bool:
-    return summary.get("distinguishability") == math.inf
-
-
-def _finite(summary: dict[str, Any]) -> dict[str, Any]:
-    """A summary that JSON can hold: infinity has no number there."""
-    return {**summary, "distinguishability": "inf"} if _is_infinite(summary) else summary

@@ -45,7 +45,8 @@ _MAX_NAME, _MAX_NAME_BYTES = 100, 200
 @click.option(
     "--normalise",
     type=click.Choice(["absolute", "sequence"]),
-    help="Which MP is drawn.  [default: the one that drove the spikes]",
+    help="Which MP is drawn.  [default: the one that drove the spikes; of comparisons alone, "
+    "sequence]",
 )
 @click.option(
     "--width",
