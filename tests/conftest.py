@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from dlgmd_cli.results.tables import Result
+
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 
 
@@ -35,6 +37,25 @@ def write_video(path: Path, frames, fps=FPS, fourcc="MJPG") -> Path:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) if frame.ndim == 2 else frame)
     writer.release()
     return path
+
+
+def result_of_level(level, *, time_s, frame_step=1, attenuation_db=None):
+    """A result that spikes where `level` reaches 0.4; an alarm is where it did before, too."""
+    n, zero, spike = len(level), np.zeros(len(level)), level >= 0.4
+    return Result(
+        frame=np.arange(n) * frame_step,
+        time_s=time_s,
+        p_sum=zero,
+        s_sum=zero,
+        attenuation_db=zero if attenuation_db is None else attenuation_db,
+        mp=level,
+        mp_abs=level,
+        mp_seq=level,
+        level=level,
+        threshold=np.full(n, 0.4),
+        spike=spike,
+        collision=spike & np.concatenate(([False], spike[:-1])),
+    )
 
 
 def read_video(path: Path):

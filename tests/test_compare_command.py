@@ -237,10 +237,11 @@ def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
 
     monkeypatch.setattr(overlays, "overlay_mp", overlay_mp)
     marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
-    result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd", *marks, *options)
+    models = ["--set", 1, "--model", "lgmd", "--width", "two"]
+    result = dlgmd("compare", clips / "loom.avi", *models, *marks, *options)
     assert result.exit_code == 0, result.output
     ((labels_shown, annotations, others),) = shown
-    assert labels_shown == ["set1", "lgmd"] and others["column"] == column
+    assert labels_shown == ["set1", "lgmd"] and others == {"column": column, "width": "two"}
     assert annotations == Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
 
 

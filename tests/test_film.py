@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import read_video
+from conftest import read_video, result_of_level
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film, FilmFacts
@@ -28,22 +28,7 @@ def make_result(n=60, *, fps=30.0, start_s=0.0, spikes=(20, 21, 22)):
     level = np.full(n, 0.1)
     level[:3] = np.nan
     level[list(spikes)] = 0.8
-    spike = level >= 0.4
-    zero = np.zeros(n)
-    return Result(
-        frame=np.arange(n),
-        time_s=start_s + np.arange(n) / fps,
-        p_sum=zero,
-        s_sum=zero,
-        attenuation_db=zero,
-        mp=level,
-        mp_abs=level,
-        mp_seq=level,
-        level=level,
-        threshold=np.full(n, 0.4),
-        spike=spike,
-        collision=spike & np.concatenate(([False], spike[:-1])),
-    )
+    return result_of_level(level, time_s=start_s + np.arange(n) / fps)
 
 
 def make_film(result=None, shape=(54, 96), scale=None, label="flight · set9"):

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 import matplotlib
 import numpy as np
 import pytest
+from conftest import result_of_level
 from matplotlib.collections import PolyCollection
 
 from dlgmd_cli.models.dlgmd import connections_of
@@ -24,25 +25,12 @@ def make_result(n=40, frame_step=1):
     level = np.full(n, 0.1)
     level[:3] = NAN
     level[20:25] = [0.5, 0.6, 0.9, 0.7, 0.4]
-    spike = level >= 0.4
     attenuation = np.linspace(-30, -5, n)
     attenuation[:3] = NAN
     attenuation[10:13] = -np.inf
     attenuation[30] = NAN
-    zero = np.zeros(n)
-    return Result(
-        frame=np.arange(n) * frame_step,
-        time_s=np.arange(n) / 10,
-        p_sum=zero,
-        s_sum=zero,
-        attenuation_db=attenuation,
-        mp=level,
-        mp_abs=level,
-        mp_seq=level,
-        level=level,
-        threshold=np.full(n, 0.4),
-        spike=spike,
-        collision=spike & (np.arange(n) > 20),
+    return result_of_level(
+        level, time_s=np.arange(n) / 10, frame_step=frame_step, attenuation_db=attenuation
     )
 
 

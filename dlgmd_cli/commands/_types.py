@@ -187,3 +187,11 @@ output_options = OptionGroup(
     click.option("--no-plots", is_flag=True, help="Draw no plots."),
     overwrite_option,
 )
+
+width_option = click.option(
+    "--width",
+    type=click.Choice(["one", "two"]),
+    default="one",
+    show_default=True,
+    help="Columns of a paper that a figure is as wide as.",
+)

@@ -1,7 +1,7 @@
 """`dlgmd compare`: one video through many models, decoded once."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +17,13 @@ from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import InputChoice, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import engine_option
-from dlgmd_cli.commands._types import Output, output_options
+from dlgmd_cli.commands._types import Output, output_options, width_option
 from dlgmd_cli.commands._variants import Variant, variant_options
 from dlgmd_cli.params import DlgmdParameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
+    from dlgmd_cli.plots.style import Width
     from dlgmd_cli.results.annotations import Annotations
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.compare import Entry
@@ -42,6 +43,7 @@ _NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_ag
 @engine_option
 @input_options
 @annotation_options
+@width_option
 @output_options
 @click.option("--json", "as_json", is_flag=True, help="Print the summaries as one JSON object.")
 def compare(
@@ -50,6 +52,7 @@ def compare(
     engine: str | None,
     given: dict[str, Any],
     annotations: "Annotations",
+    width: "Width",
     output: Output,
     as_json: bool,
 ) -> None:
@@ -118,9 +121,8 @@ def compare(
             "complete": complete,
         }
         column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
-        folder.save(
-            partial(_write, results, record, annotations, column, output.formats, interrupts)
-        )
+        plots = _plots(results, annotations, column, width) if output.formats else {}
+        folder.save(partial(_write, results, record, plots, output.formats, interrupts))
     show_comparison(record, folder.target, as_json=as_json)
     interrupts.conclude(folder.target, len(recording), complete=complete)
 
@@ -225,11 +227,22 @@ def _number(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
+def _plots(
+    results: "Mapping[str, Result]", annotations: "Annotations", column: str, width: "Width"
+) -> dict[str, Callable[[], Any]]:
+    """The figures, not drawn yet."""
+    from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp
+
+    return {
+        "compare-mp": partial(overlay_mp, results, annotations, column=column, width=width),
+        "compare-attenuation": partial(overlay_attenuation, results, annotations, width=width),
+    }
+
+
 def _write(
     results: "Mapping[str, Result]",
     record: dict[str, Any],
-    annotations: "Annotations",
-    column: str,
+    plots: dict[str, Callable[[], Any]],
     formats: tuple[str, ...],
     interrupts: Interrupts,
     folder: Path,
@@ -240,12 +253,6 @@ def _write(
     from dlgmd_cli.results.record import write_record
 
     write_comparison(folder / "compare.csv", results)
-    if formats:
-        from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp
-
-        plots = {
-            "compare-mp": partial(overlay_mp, results, annotations, column=column),
-            "compare-attenuation": partial(overlay_attenuation, results, annotations),
-        }
+    if plots:
         save_plots(folder, plots, formats, interrupts)
     write_record(folder, record, COMPARISON, engines=[one["engine"] for one in record["models"]])

@@ -11,7 +11,7 @@ from dlgmd_cli.commands._annotations import annotation_options
 from dlgmd_cli.commands._console import Command, say, warn
 from dlgmd_cli.commands._figures import letters_checked
 from dlgmd_cli.commands._labels import numbered, told_apart
-from dlgmd_cli.commands._types import format_option, overwrite_option
+from dlgmd_cli.commands._types import format_option, overwrite_option, width_option
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.annotations import Annotations
 
@@ -48,13 +48,7 @@ _MAX_NAME, _MAX_NAME_BYTES = 100, 200
     help="Which MP is drawn.  [default: the one that drove the spikes; of comparisons alone, "
     "sequence]",
 )
-@click.option(
-    "--width",
-    type=click.Choice(["one", "two"]),
-    default="one",
-    show_default=True,
-    help="Columns of a paper that the figure is as wide as.",
-)
+@width_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

@@ -10,7 +10,7 @@ from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import MODEL_OPTIONS, ModelChoice, engine_option
 from dlgmd_cli.commands._subjects import Asked, cube_options
 from dlgmd_cli.commands._sweeping import Plan
-from dlgmd_cli.commands._types import OptionGroup, Output, output_options
+from dlgmd_cli.commands._types import OptionGroup, Output, output_options, width_option
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.params.axis import Axis, Grid, expand
@@ -63,13 +63,7 @@ _AXIS_HELP = "A parameter and its values: KEY=FROM:TO:STEP, or KEY=VALUE,VALUE."
     metavar="N",
     help="Processes that share the work; values do not depend on it.  [default: all processors]",
 )
-@click.option(
-    "--width",
-    type=click.Choice(["one", "two"]),
-    default="one",
-    show_default=True,
-    help="Columns of a paper that the figure is wide.",
-)
+@width_option
 @output_options
 def sweep(
     input_path: str | None,
