@@ -171,6 +171,15 @@ def test_a_line_ends_at_its_text_and_passes_below_those_it_would_cross():
         assert text.y0 < end < text.y1 + 3
 
 
+@pytest.mark.parametrize(("frame", "is_right"), [(5, True), (30, True), (38, False)])
+def test_a_text_stands_beside_its_line_where_there_is_room(frame, is_right):
+    figure = plot_mp(make_result(), Annotations(collision_frame=frame))
+    (box,) = boxes(figure).values()
+    (line,) = strip(figure).get_lines()
+    (x, _), _ = line.get_transform().transform(line.get_xydata())
+    assert (box.x0 > x) if is_right else (box.x1 < x)
+
+
 def test_no_line_goes_through_a_text_that_stands_lower():
     marks = ((2, "spans the next one"), (14, "a text, over it"), (20, "and the last"))
     extents = boxes(plot_mp(make_result(), Annotations(marks), width="one"))

@@ -120,8 +120,10 @@ class Marks:
         return (self._timeline.time_of(frame) - left) / (right - left) * self._width_in
 
     def _beside(self, frame: int, text: str, color: str) -> _Text:
-        """A text right of the line of its frame, like a flag."""
-        return self._fitted(text, self._place_in(frame), color, share=0.0)
+        """A text right of the line of its frame, like a flag; left of it where there is no room."""
+        place = self._place_in(frame)
+        right = self._fitted(text, place, color, share=0.0)
+        return right if right.left >= place else self._fitted(text, place, color, share=1.0)
 
     def _above(self, start: int, end: int, text: str) -> _Text:
         """A text over the middle of its band."""
