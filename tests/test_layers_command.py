@@ -16,6 +16,7 @@ from dlgmd_cli import DLGMD, load_set, open_source
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.plots.film import Film
+from dlgmd_cli.runs import single
 from dlgmd_cli.runs.layers import LayerRecording, run_layers
 
 FILES = {"layers.yaml", "layers.png"}
@@ -358,23 +359,14 @@ def test_an_interrupted_film_is_whole_as_far_as_it_goes(dlgmd, clips, monkeypatc
 
 
 def test_an_input_that_changes_between_the_passes(dlgmd, clips, monkeypatch):
-    from dlgmd_cli.runs import layers as runs
+    watch = single.watch
 
-    watch = runs.watch
+    def shorter(source, model, visit):
+        n_seen = iter(range(1, 11))
+        watch(source, model, lambda *seen: visit(*seen) and next(n_seen, None) is not None)
 
-    def shorter(source, model, visit, wants_layers=lambda index: True):
-        seen = []
-
-        def visits(frame, response):
-            seen.append(1)
-            return visit(frame, response) and len(seen) < 11
-
-        is_second = wants_layers(0) and "rendering" in marks
-        watch(source, model, visits if is_second else visit, wants_layers)
-        marks.append("rendering")
-
-    marks = []
-    monkeypatch.setattr(runs, "watch", shorter)
+    # The first pass has it under another name.
+    monkeypatch.setattr(single, "watch", shorter)
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4")
     assert result.exit_code == 0
     assert "read a second time, it gives only 11 of 20 frames; film.mp4 ends" in result.stderr

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands._console import print_table
+from dlgmd_cli.commands._console import explain_infinity, print_table
 
 
 def show_comparison(record: dict[str, Any], target: Path, *, as_json: bool) -> None:
@@ -22,9 +22,7 @@ def show_comparison(record: dict[str, Any], target: Path, *, as_json: bool) -> N
         header.append("distinguishability")
     print_table(tuple(header), [_row(one, len(header)) for one in record["models"]])
     if any(_is_infinite(one["summary"]) for one in record["models"]):
-        click.echo(
-            "inf: no membrane potential within 5 frames of the false positive, none to mistake."
-        )
+        explain_infinity()
     click.echo(click.format_filename(target))
 
 

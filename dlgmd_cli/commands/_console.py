@@ -146,3 +146,8 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
     if not sys.stdout.isatty():
         console.width = 200
     console.print(table)
+
+
+def explain_infinity() -> None:
+    """What an infinite distinguishability in a table means, on stdout."""
+    click.echo("inf: no membrane potential within 5 frames of the false positive, none to mistake.")

@@ -52,7 +52,7 @@ def render_film(
     """
     from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
     from dlgmd_cli.results.video import best_codec, check_arrived, open_video, playable_fps
-    from dlgmd_cli.runs.layers import watch
+    from dlgmd_cli.runs.single import watch
     from dlgmd_cli.sources.count import count_frames
 
     film, numbers = Film(facts), facts.result.frame

@@ -66,9 +66,7 @@ def compare(
     and collisions in the summary are those of 'dlgmd run'.
     """
     options = InputChoice.from_options(given, {}, "")
-    if engine and not any(isinstance(one.params, DlgmdParameters) for one in variants):
-        raise click.UsageError("--engine is of the D-LGMD, and none is compared. Add --set.")
-    models = [_create(variant, engine) for variant in variants]
+    models = _create(variants, engine)
     import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     from dlgmd_cli.results.folder import COMPARISON, ResultFolder
 
@@ -94,22 +92,18 @@ def compare(
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")
-        if complete and not any(entry.recording.n_valid for entry in entries):
-            for warning in source.progress.warnings:
-                warn(f"{input_path}: {warning}")
-            first = min(range(len(models)), key=lambda i: models[i].first_valid_frame)
-            label, needed = variants[first].label, models[first].first_valid_frame
-            raise too_short(input_path, source, label, options, needed)
+        for warning in (*_left_out(variants), *source.progress.warnings):
+            warn(f"{input_path}: {warning}")
+        if complete:
+            _require_an_answer(input_path, source, variants, entries, options)
         results = _read(variants, entries, by_sequence=options.by_sequence)
-        warnings = [
-            *_left_out(variants),
-            *source.progress.warnings,
+        doubts = [
             *_doubts(results, source.info.decoder),
             *_unanswered(variants, entries),
             *annotations.outside(*_ends(recording)),
         ]
-        for warning in warnings:
-            warn(f"{input_path}: {warning}")
+        for doubt in doubts:
+            warn(f"{input_path}: {doubt}")
         record = {
             "input": facts(source, len(recording))["input"],
             "models": [
@@ -117,7 +111,7 @@ def compare(
                 for variant, entry in zip(variants, entries, strict=True)
             ],
             "options": options.to_record(),
-            "warnings": warnings,
+            "warnings": [*_left_out(variants), *source.progress.warnings, *doubts],
             "complete": complete,
         }
         column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
@@ -127,13 +121,19 @@ def compare(
     interrupts.conclude(folder.target, len(recording), complete=complete)
 
 
-def _create(variant: Variant, engine: str | None) -> "Model":
-    """A variant's model; an engine that it does not have is only for those that do."""
+def _create(variants: list[Variant], engine: str | None) -> "list[Model]":
+    """The models; an engine is for those that have several."""
     from dlgmd_cli.models.base import create_model
 
-    is_dlgmd = isinstance(variant.params, DlgmdParameters)
-    wanted = engine or variant.engine or "auto"
-    return create_model(variant.params, engine=wanted if is_dlgmd else "auto", tell=say)
+    if engine and not any(isinstance(one.params, DlgmdParameters) for one in variants):
+        raise click.UsageError("--engine is of the D-LGMD, and none is compared. Add --set.")
+    models = []
+    for variant in variants:
+        is_dlgmd = isinstance(variant.params, DlgmdParameters)
+        wanted = engine or variant.engine or "auto"
+        model = create_model(variant.params, engine=wanted if is_dlgmd else "auto", tell=say)
+        models.append(model)
+    return models
 
 
 def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int, int]:
@@ -146,6 +146,21 @@ def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int
     chosen = own if (options.scale or options.size) is None else options
     info = source.info
     return processed_size(info.width, info.height, scale=chosen.scale, size_wh=chosen.size)
+
+
+def _require_an_answer(
+    name: str,
+    source: "Source",
+    variants: list[Variant],
+    entries: "list[Entry]",
+    options: InputChoice,
+) -> None:
+    """Raise SourceError if the input ends before the first model can answer."""
+    if any(entry.recording.n_valid for entry in entries):
+        return
+    needs = [entry.model.first_valid_frame for entry in entries]
+    least = min(needs)
+    raise too_short(name, source, variants[needs.index(least)].label, options, least)
 
 
 def _read(

@@ -4,7 +4,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_table, say, warn
+from dlgmd_cli.commands._console import (
+    EXIT_INTERRUPTED,
+    Command,
+    explain_infinity,
+    print_table,
+    say,
+    warn,
+)
 from dlgmd_cli.commands._input import input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import MODEL_OPTIONS, ModelChoice, engine_option
@@ -165,6 +172,4 @@ def _show(result: "SweepResult") -> None:
 
     print_table(("", "least", "at", "greatest", "at"), extremes(result))
     if result.has_infinite("distinguishability"):
-        click.echo(
-            "inf: no membrane potential within 5 frames of the false positive, none to mistake."
-        )
+        explain_infinity()

@@ -38,6 +38,16 @@ def key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> An
     return field(default=default, metadata={"spec": Spec(symbol, unit, meaning, **limits)})
 
 
+def t_mp_key(default: float) -> Any:
+    """The threshold that every model has."""
+    return key(default, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
+
+
+def n_sp_key() -> Any:
+    """The count that every model has."""
+    return key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
+
+
 class Parameters:
     """A frozen set of named, checked values; subclasses are dataclasses of `key` fields.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params.base import Parameters, key
+from dlgmd_cli.params.base import Parameters, key, n_sp_key, t_mp_key
 
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
@@ -30,8 +30,8 @@ class DlgmdParameters(Parameters):
     ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
     m: float = key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100)
-    t_mp: float = key(0.4, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
-    n_sp: int = key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
+    t_mp: float = t_mp_key(0.4)
+    n_sp: int = n_sp_key()
     kappa: float = key(
         0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
     )

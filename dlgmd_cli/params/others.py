@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params.base import Parameters, key
+from dlgmd_cli.params.base import Parameters, key, n_sp_key, t_mp_key
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class LgmdParameters(Parameters):
     t_ffi: float = key(
         25.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", low=0, high=255
     )
-    t_mp: float = key(0.999, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
-    n_sp: int = key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
+    t_mp: float = t_mp_key(0.999)
+    n_sp: int = n_sp_key()
 
     def _check_together(self) -> None:
         """What persists must die away."""
@@ -59,8 +59,8 @@ class EmdLgmdParameters(Parameters):
     delta: float = key(0.02, "δ", "–", "expansion that a frame predicts", low=0, high=1)
     f_active: float = key(0.05, "F_a", "luminance", "change that makes a cell count", low=0, high=1)
     c: float = key(2.0, "c", "–", "strength of feed-forward inhibition", low=0, high=100)
-    t_mp: float = key(0.4, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
-    n_sp: int = key(2, "n_sp", "frames", "spikes in a row that make a collision", low=1, high=1000)
+    t_mp: float = t_mp_key(0.4)
+    n_sp: int = n_sp_key()
     kappa: float = key(
         0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", low=1e-12, high=100
     )

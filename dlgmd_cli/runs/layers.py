@@ -5,8 +5,7 @@ from collections.abc import Callable, Collection
 
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import Shot
-from dlgmd_cli.runs.ahead import opencv_threads
-from dlgmd_cli.runs.single import Recording, frames_ahead
+from dlgmd_cli.runs.single import Recording, watch
 from dlgmd_cli.sources.base import Frame
 from dlgmd_cli.sources.prepare import Source
 
@@ -102,30 +101,3 @@ def run_layers(
         return goes_on
 
     watch(source, model, visit, recording.wants)
-
-
-def watch(
-    source: Source,
-    model: Model,
-    visit: Callable[[Frame, Response], bool],
-    wants_layers: Callable[[int], bool] = lambda index: True,
-) -> None:
-    """Show every frame and the model's response to `visit`, for as long as that returns True.
-
-    Parameters
-    ----------
-    source : Source
-        Where the frames come from.
-    model : Model
-        Reset before the first frame.
-    visit : callable
-        Called with each frame and response in turn; neither is kept here.
-    wants_layers : callable, optional
-        Says of a frame's number whether the response is to hold layers; all do unless given.
-    """
-    model.reset()
-    # The decoder has threads of its own; OpenCV's would only be in its way.
-    with opencv_threads(1), frames_ahead(source) as frames:
-        for frame in frames:
-            if not visit(frame, model.step(frame.grey, layers=wants_layers(frame.index))):
-                return

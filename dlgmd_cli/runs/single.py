@@ -74,12 +74,40 @@ def run(
     on_frame : callable, optional
         Called after each frame with the number of frames of the input that are done.
     """
+
+    def visit(frame: Frame, response: Response) -> bool:
+        recording.append(frame, response)
+        on_frame(frame.index + 1)
+        return True
+
+    watch(source, model, visit, wants_layers=lambda index: False)
+
+
+def watch(
+    source: Source,
+    model: Model,
+    visit: Callable[[Frame, Response], bool],
+    wants_layers: Callable[[int], bool] = lambda index: True,
+) -> None:
+    """Show every frame and the model's response to `visit`, for as long as that returns True.
+
+    Parameters
+    ----------
+    source : Source
+        Where the frames come from.
+    model : Model
+        Reset before the first frame.
+    visit : callable
+        Called with each frame and response in turn; neither is kept here.
+    wants_layers : callable, optional
+        Says of a frame's number whether the response is to hold layers; all do unless given.
+    """
     model.reset()
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), frames_ahead(source) as frames:
         for frame in frames:
-            recording.append(frame, model.step(frame.grey))
-            on_frame(frame.index + 1)
+            if not visit(frame, model.step(frame.grey, layers=wants_layers(frame.index))):
+                return
 
 
 @contextmanager
