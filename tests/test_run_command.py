@@ -534,7 +534,7 @@ def test_a_full_disk_is_one_line(dlgmd, clips, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("dlgmd_cli.results.tables.write_tables", full)
+    monkeypatch.setattr("dlgmd_cli.runs.findings.write_tables", full)
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 1
     assert "the result cannot be written (No space left on device)" in result.stderr

@@ -1,17 +1,12 @@
 """The options that choose what is read of an input, shared by every command that reads one."""
 
-import math
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
-
-if TYPE_CHECKING:
-    from dlgmd_cli.sources.base import SourceInfo
-    from dlgmd_cli.sources.prepare import Source
+from dlgmd_cli.sources.choice import InputChoice
 
 NORMALISATIONS = ("absolute", "sequence")
 DECODERS = ("opencv", "pyav")
@@ -65,80 +60,24 @@ input_options = OptionGroup(
 )
 
 
-@dataclass(frozen=True)
-class InputChoice:
-    """What is read of an input, and which normalised membrane potential is thresholded."""
+def choose_input(given: dict[str, Any], recorded: dict[str, Any], origin: str) -> InputChoice:
+    """The command line's options, and for the others those that `origin` has on record.
 
-    scale: float | None = None
-    size: tuple[int, int] | None = None
-    fps: float | None = None
-    input_fps: float | None = None
-    decoder: str | None = None
-    start: float | None = None
-    end: float | None = None
-    normalise: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.scale is not None and self.size is not None:
-            raise click.UsageError("--scale and --size exclude each other. Give one of them.")
-        if self.start is not None and self.end is not None and self.end <= self.start:
-            raise click.UsageError(f"--end {self.end:g} is not after --start {self.start:g}.")
-
-    @classmethod
-    def from_options(
-        cls, given: dict[str, Any], recorded: dict[str, Any], origin: str
-    ) -> "InputChoice":
-        """The command line's options, and for the others those that `origin` has on record.
-
-        Raises
-        ------
-        ParameterError
-            If a recorded option is unknown or not valid.
-        """
-        values = {key: _recorded(key, value, origin) for key, value in recorded.items()}
-        try:
-            cls(**values)
-        except click.UsageError as error:
-            raise ParameterError(origin, f"options: {error.message.rstrip('.')}") from None
-        explicit = {key: value for key, value in given.items() if value is not None}
-        if explicit.keys() & {"scale", "size"}:
-            values.pop("scale", None)
-            values.pop("size", None)
-        return cls(**{**values, **explicit})
-
-    def n_expected(self, info: "SourceInfo") -> int | None:
-        """The number of frames until the end asked for, as far as the input says."""
-        if info.n_frames is None or self.end is None:
-            return info.n_frames
-        return min(info.n_frames, math.ceil(self.end * info.fps))
-
-    def to_record(self) -> dict[str, Any]:
-        """What `from_options` takes back as `recorded`."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.size is not None:
-            values["size"] = "{}x{}".format(*self.size)
-        return {key: value for key, value in values.items() if value is not None}
-
-    @property
-    def by_sequence(self) -> bool:
-        """Whether spikes follow the MP normalised by its own sequence."""
-        return self.normalise == "sequence"
-
-    def open(self, path: str) -> "Source":
-        """The frames that these options ask for; raises SourceError."""
-        from dlgmd_cli.sources.open import open_source
-        from dlgmd_cli.sources.video import DEFAULT_DECODER
-
-        return open_source(
-            path,
-            scale=self.scale,
-            size_wh=self.size,
-            start_s=self.start or 0.0,
-            end_s=math.inf if self.end is None else self.end,
-            max_fps=self.fps,
-            input_fps=self.input_fps,
-            decoder=self.decoder or DEFAULT_DECODER,
-        )
+    Raises
+    ------
+    ParameterError
+        If options exclude each other, or a recorded one is unknown or not valid.
+    """
+    values = {key: _recorded(key, value, origin) for key, value in recorded.items()}
+    try:
+        InputChoice(**values)
+    except ParameterError as error:
+        raise ParameterError(origin, f"options: {str(error).rstrip('.')}") from None
+    explicit = {key: value for key, value in given.items() if value is not None}
+    if explicit.keys() & {"scale", "size"}:
+        values.pop("scale", None)
+        values.pop("size", None)
+    return InputChoice(**{**values, **explicit})
 
 
 def _recorded(key: Any, value: Any, origin: str) -> Any:

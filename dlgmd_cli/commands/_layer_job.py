@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.commands._console import progress, warn
-from dlgmd_cli.commands._facts import facts, too_short
-from dlgmd_cli.commands._input import InputChoice
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.runs.facts import facts, too_short
+from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model

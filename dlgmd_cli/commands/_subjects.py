@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from dlgmd_cli.commands._console import progress
-from dlgmd_cli.commands._facts import facts, too_short
-from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import DlgmdError, ParameterError
+from dlgmd_cli.runs.facts import facts, too_short
+from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.spool import Spool, Tape
@@ -259,6 +260,6 @@ class Asked:
         if self.input_path is None:
             yield Cubes(self.cubes, self.given["size"]), InputChoice()
             return
-        options = InputChoice.from_options(self.given, recorded, origin)
+        options = choose_input(self.given, recorded, origin)
         with options.open(self.input_path) as source:
             yield Video(self.input_path, source, options, self.false_positive_frame), options

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.commands._console import progress, say
-from dlgmd_cli.commands._input import InputChoice
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.commands._subjects import Subject
 from dlgmd_cli.commands._types import Output
 from dlgmd_cli.params import Parameters
 from dlgmd_cli.params.axis import Axis, Grid
+from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Width

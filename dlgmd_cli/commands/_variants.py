@@ -6,12 +6,13 @@ from pathlib import Path
 
 import click
 
-from dlgmd_cli.commands._input import InputChoice
+from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import printable
 from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.sources.choice import InputChoice
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def _file_labels(files: list[Path]) -> list[str]:
 
 def _variant(choice: ModelChoice, label: str | None = None) -> Variant:
     """A choice as it is, under its label."""
-    recorded = InputChoice.from_options({}, choice.recorded_options, choice.origin)
+    recorded = choose_input({}, choice.recorded_options, choice.origin)
     size = InputChoice(scale=recorded.scale, size=recorded.size)
     left_out = tuple(key for key in recorded.to_record() if key not in ("scale", "size"))
     label = printable(label or choice.label)

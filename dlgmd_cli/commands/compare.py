@@ -12,14 +12,15 @@ from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._annotations import annotation_options
 from dlgmd_cli.commands._compared import show_comparison
 from dlgmd_cli.commands._console import Command, progress, say, warn
-from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._figures import save_plots
-from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._input import choose_input, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import Output, output_options, width_option
 from dlgmd_cli.commands._variants import Variant, variant_options
 from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.runs.facts import facts, too_short
+from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -65,7 +66,7 @@ def compare(
     sequence unless --normalise says otherwise, one of the attenuations, and compare.yaml. Spikes
     and collisions in the summary are those of 'dlgmd run'.
     """
-    options = InputChoice.from_options(given, {}, "")
+    options = choose_input(given, {}, "")
     models = _create(variants, engine)
     import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     from dlgmd_cli.results.folder import COMPARISON, ResultFolder

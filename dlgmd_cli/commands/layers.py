@@ -13,7 +13,7 @@ from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, say
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._film import render_film, reserved
-from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._input import choose_input, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._layer_job import LayerJob
 from dlgmd_cli.commands._model import ModelChoice, engine_option, model_options
@@ -75,7 +75,7 @@ def layers(
         )
     if frames is None and npz:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
+    options = choose_input(given, choice.recorded_options, choice.origin)
     detector = choice.create(engine, tell=say)
     import_ahead(_NEEDED_LATER)
     with (

@@ -9,22 +9,20 @@ import click
 
 from dlgmd_cli.commands._ahead import import_ahead
 from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
-from dlgmd_cli.commands._facts import facts, too_short
 from dlgmd_cli.commands._figures import save_plots
-from dlgmd_cli.commands._input import InputChoice, input_options
+from dlgmd_cli.commands._input import choose_input, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice, engine_option, model_options
 from dlgmd_cli.commands._types import Output, output_options
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.folder import ResultFolder
-    from dlgmd_cli.results.tables import Result
+    from dlgmd_cli.runs.findings import Findings
 
 _NEEDED_LATER = (
     "dlgmd_cli.models.tiled",
-    "dlgmd_cli.runs.single",
+    "dlgmd_cli.runs.findings",
     "dlgmd_cli.results.folder",
-    "dlgmd_cli.results.measures",
     "rich.table",
 )
 _NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.traces", "matplotlib.backends.backend_agg")
@@ -55,7 +53,7 @@ def run(
     Writes OUT/NAME/ with mp.csv, attenuation.csv and spikes.csv, a plot of each, and run.yaml,
     which --config takes to repeat the run.
     """
-    options = InputChoice.from_options(given, choice.recorded_options, choice.origin)
+    options = choose_input(given, choice.recorded_options, choice.origin)
     detector = choice.create(engine, tell=say)
     import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     with (
@@ -63,10 +61,12 @@ def run(
         _folder(output, source.info.name) as folder,
         Interrupts() as interrupts,
     ):
-        from dlgmd_cli.results.measures import doubts, summarise
         from dlgmd_cli.runs import single
+        from dlgmd_cli.runs.compare import Entry
+        from dlgmd_cli.runs.findings import Asked, conclude
 
-        recording = single.Recording()
+        entry = Entry(detector, source.size_wh)
+        recording = entry.recording
         with progress(source.info.name, options.n_expected(source.info)) as on_frame:
             complete = interrupts.ends(
                 lambda: single.run(source, detector, recording, on_frame), lambda: len(recording)
@@ -74,25 +74,14 @@ def run(
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")
-        result = single.read_recording(
-            recording, source.size_wh, choice.params, by_sequence=options.by_sequence
-        )
-        warnings = [*source.progress.warnings, *doubts(result, source.info.decoder)]
-        for warning in warnings:
+        asked = Asked(choice.params, choice.label, options)
+        findings = conclude(input_path, source, entry, asked, complete=complete)
+        for warning in findings.warnings:
             warn(f"{input_path}: {warning}")
-        if complete and recording.n_valid == 0:
-            raise too_short(input_path, source, choice.label, options, detector.first_valid_frame)
-        record = {
-            **facts(source, len(recording)),
-            "model": choice.model,
-            "engine": detector.engine_name,
-            **choice.params.to_dict(),
-            "options": options.to_record(),
-            "warnings": warnings,
-            "complete": complete,
-            "summary": summarise(result),
-        }
-        folder.save(partial(_write, result, record, output.formats, interrupts))
+        if findings.shortage is not None:
+            raise findings.shortage
+        folder.save(partial(_write, findings, output.formats, interrupts))
+    record = findings.record
     _show(record, folder.target, as_json)
     interrupts.conclude(folder.target, len(recording), complete=complete)
 
@@ -105,23 +94,17 @@ def _folder(output: Output, name: str) -> "ResultFolder":
 
 
 def _write(
-    result: "Result",
-    record: dict[str, Any],
-    formats: tuple[str, ...],
-    interrupts: Interrupts,
-    folder: Path,
+    findings: "Findings", formats: tuple[str, ...], interrupts: Interrupts, folder: Path
 ) -> None:
     """Fill `folder` with the files of a result; a Ctrl-C meanwhile only spares the plots."""
-    from dlgmd_cli.results.record import write_record
-    from dlgmd_cli.results.tables import write_tables
+    from dlgmd_cli.runs.findings import write_findings
 
-    write_tables(folder, result)
+    write_findings(folder, findings)
     if formats:
         from dlgmd_cli.plots.traces import PLOTS
 
-        plots = {name: partial(plot, result) for name, plot in PLOTS.items()}
+        plots = {name: partial(plot, findings.result) for name, plot in PLOTS.items()}
         save_plots(folder, plots, formats, interrupts)
-    write_record(folder, record, engines=[record["engine"]])
 
 
 def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.commands._input import InputChoice
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.sources.base import Frame

@@ -1,0 +1,91 @@
+"""What a run comes to: its result, its record, and whether there is any to keep."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.params import Parameters
+from dlgmd_cli.results.measures import doubts, summarise
+from dlgmd_cli.results.record import write_record
+from dlgmd_cli.results.tables import Result, write_tables
+from dlgmd_cli.runs.compare import Entry
+from dlgmd_cli.runs.facts import facts, too_short
+from dlgmd_cli.runs.single import read_recording
+from dlgmd_cli.sources.choice import InputChoice
+
+if TYPE_CHECKING:
+    from dlgmd_cli.errors import SourceError
+    from dlgmd_cli.sources.prepare import Source
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One model as it is asked for: its parameters, what messages call it, and what is read."""
+
+    params: Parameters
+    label: str
+    options: InputChoice
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A result and what run.yaml says of it, less the versions.
+
+    `shortage` is the error for an input that ended before the model could answer, if it did.
+    """
+
+    result: Result
+    record: dict[str, Any]
+    shortage: "SourceError | None"
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is doubtful, a line each."""
+        warnings: list[str] = self.record["warnings"]
+        return warnings
+
+
+def conclude(
+    name: str, source: "Source", entry: Entry, asked: Asked, *, complete: bool
+) -> Findings:
+    """Everything that follows from what was computed.
+
+    Parameters
+    ----------
+    name : str
+        What errors call the input.
+    source : Source
+        It was read as far as the recording goes.
+    entry : Entry
+        The model and its recording, of at least one frame.
+    asked : Asked
+        How the model was asked for.
+    complete : bool
+        Whether it came to the end of the input.
+    """
+    recording, model = entry.recording, entry.model
+    result = read_recording(
+        recording, entry.size_wh, asked.params, by_sequence=asked.options.by_sequence
+    )
+    known = facts(source, len(recording))
+    known["processed"].update(width=entry.size_wh[0], height=entry.size_wh[1])
+    record = {
+        **known,
+        "model": asked.params.model,
+        "engine": model.engine_name,
+        **asked.params.to_dict(),
+        "options": asked.options.to_record(),
+        "warnings": [*source.progress.warnings, *doubts(result, source.info.decoder)],
+        "complete": complete,
+        "summary": summarise(result),
+    }
+    shortage = None
+    if complete and recording.n_valid == 0:
+        shortage = too_short(name, source, asked.label, asked.options, model.first_valid_frame)
+    return Findings(result, record, shortage)
+
+
+def write_findings(folder: Path, findings: Findings) -> None:
+    """Write the tables and run.yaml; OSError passes through."""
+    write_tables(folder, findings.result)
+    write_record(folder, findings.record, engines=[findings.record["engine"]])
