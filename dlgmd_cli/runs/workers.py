@@ -1,17 +1,14 @@
 """Processes that share out tasks, and neither outlive nor hang the one that started them."""
 
-import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from contextlib import contextmanager
+from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
 from dlgmd_cli.errors import WorkerError
 from dlgmd_cli.runs.ahead import opencv_threads
+from dlgmd_cli.runs.worker import Message, Worker
 
 TaskT = TypeVar("TaskT")
 AnswerT = TypeVar("AnswerT")
@@ -57,15 +54,15 @@ class Workers(Generic[TaskT, AnswerT]):
 
     def __init__(self, count: int, prepare: Callable[[], Work[TaskT, AnswerT]]) -> None:
         self._count, self._prepare = count, prepare
-        self._processes: dict[Connection[Any, Any], SpawnProcess] = {}
+        self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._workers: list[Worker] = []
 
     def __enter__(self) -> Callable[[Iterable[TaskT]], Iterator[tuple[TaskT, AnswerT]]]:
         try:
-            with _interrupts_later():
-                for _ in range(self._count):
-                    self._start()
-            for connection in self._processes:
-                self._receive(connection)
+            for _ in range(self._count):
+                self._workers.append(Worker(self._prepare, self._inbox))
+            for _ in self._workers:
+                self._receive()
         except BaseException:
             self._end()
             raise
@@ -74,111 +71,37 @@ class Workers(Generic[TaskT, AnswerT]):
     def __exit__(self, *_: object) -> None:
         self._end()
 
-    def _start(self) -> None:
-        """Start one process."""
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._prepare), daemon=True)
-        process.start()
-        theirs.close()  # so that the pipe breaks when the process dies
-        self._processes[ours] = process
-
     def _answers(self, tasks: Iterable[TaskT]) -> Iterator[tuple[TaskT, AnswerT]]:
         """Every task with its answer, as they are done; tasks are taken as they are needed."""
         waiting = iter(tasks)
-        busy: dict[Any, TaskT] = {}
-        free: list[Any] = list(self._processes)
+        busy: dict[Worker, TaskT] = {}
+        free = list(self._workers)
         while True:
-            for connection, task in zip(free, waiting, strict=False):
-                self._send(connection, task)
-                busy[connection] = task
+            for worker, task in zip(free, waiting, strict=False):
+                worker.send(task)
+                busy[worker] = task
             if not busy:
                 return
-            free = list(wait(busy))
-            for connection in free:
-                yield busy.pop(connection), self._receive(connection)
+            worker, answer = self._receive()
+            yield busy.pop(worker), answer
+            free = [worker]
 
-    def _send(self, connection: "Connection[Any, Any]", task: TaskT) -> None:
-        try:
-            connection.send(task)
-        except OSError:
-            raise self._death_of(connection) from None
-
-    def _receive(self, connection: "Connection[Any, Any]") -> Any:
-        """What a process sends; raises what was raised there."""
-        try:
-            answer, error = connection.recv()
-        except (EOFError, OSError):
-            raise self._death_of(connection) from None
-        if error is not None:
-            raise error
-        return answer
-
-    def _death_of(self, connection: "Connection[Any, Any]") -> WorkerError:
-        """The error for a process that has died."""
-        process = self._processes[connection]
-        process.join(1.0)
-        code = process.exitcode or 0
-        how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-        return WorkerError(
-            "a worker process",
-            f"it {how}, as happens when memory runs out",
-            "Use fewer with --jobs, or process smaller frames.",
-        )
+    def _receive(self) -> tuple[Worker, Any]:
+        """Whatever comes next, and from whom; raises what was raised there."""
+        worker, kind, value = self._inbox.get()
+        if kind == "error":
+            raise value
+        if kind == "death":
+            raise WorkerError(
+                "a worker process",
+                f"{value}, as happens when memory runs out",
+                "Use fewer with --jobs, or process smaller frames.",
+            )
+        return worker, value
 
     def _end(self) -> None:
-        for connection, process in self._processes.items():
-            process.terminate()
-            connection.close()
-        for process in self._processes.values():
-            process.join()
-        self._processes.clear()
-
-
-@contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Put Ctrl-C off until the end; a process that is started meanwhile never sees it."""
-    if threading.current_thread() is not threading.main_thread():  # which alone is interrupted
-        yield
-        return
-    caught: list[Any] = []
-    handler = signal.signal(signal.SIGINT, lambda *signalled: caught.append(signalled))
-    try:
-        with _sigint_masked():
-            yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if caught and callable(handler):
-        handler(*caught[0])
-
-
-@contextmanager
-def _sigint_masked() -> Iterator[None]:
-    """Keep SIGINT from this thread, and for good from processes that it starts meanwhile."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from multiprocessing import resource_tracker  # where there are no masks it cannot be had
-
-    resource_tracker.ensure_running()  # as it starts, it would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _serve(connection: "Connection[Any, Any]", prepare: Callable[[], Work[Any, Any]]) -> None:
-    """What a worker does until its pipe breaks, or something is raised."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with opencv_threads(1):
-            work = prepare()
-            connection.send((None, None))
-            while True:
-                connection.send((work(connection.recv()), None))
-    except (EOFError, ConnectionError):  # nobody is there any more
-        return
-    except Exception as error:
-        with suppress(ConnectionError):
-            connection.send((None, error))
+        for worker in self._workers:
+            worker.ask_to_end()
+        for worker in self._workers:
+            worker.end()
+        self._workers.clear()
