@@ -106,7 +106,7 @@ def test_bands_of_rows_give_what_one_gives(numba, monkeypatch, shape, n_bands):
     whole = answers("numba", frames)
     monkeypatch.setattr(fused, "MIN_BAND_PX", 1)
     monkeypatch.setattr(fused, "MAX_BANDS", n_bands)
-    monkeypatch.setattr(fused, "n_cores", lambda: 8)
+    monkeypatch.setattr(fused, "n_threads", lambda: 8)
     model = DLGMD(DlgmdParameters(**slow.table_2(9, a=0.4)), engine="numba")
     in_bands = [model.step(frame, layers=True) for frame in frames]
     assert len(model._engine._bands) == n_bands + 1
@@ -122,7 +122,7 @@ def test_small_frames_are_worked_on_in_one_thread(numba):
     model = DLGMD(engine="numba")
     model.step(np.zeros((270, 480), np.uint8))
     assert len(model._engine._bands) == 2
-    assert 1 <= fused.n_cores() <= os.cpu_count()
+    assert 1 <= fused.n_threads() <= os.cpu_count()
 
 
 def test_tiles_cover_every_pixel_once_with_what_it_depends_on():
@@ -204,7 +204,7 @@ def test_an_engine_announces_its_compilation(numba, tmp_path):
         "import numpy as np\n"
         "from dlgmd_cli.models import fused\n"
         "from dlgmd_cli import DLGMD\n"
-        "fused.MIN_BAND_PX, fused.n_cores = 1, lambda: 2\n"
+        "fused.MIN_BAND_PX, fused.n_threads = 1, lambda: 2\n"
         "model = DLGMD(engine='numba', tell=print)\n"
         "for t in range(6): model.step(np.full((40, 50), t, np.uint8))\n"
         "assert len(model._engine._bands) == 3\n"

@@ -9,7 +9,7 @@ import dlgmd_cli
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors"},
+    {"errors", "threads"},
     {"params"},
     {"presets"},
     {"models", "sources", "results"},

@@ -86,7 +86,7 @@ class Plan:
             return True
         from dlgmd_cli.runs.spool import Spool
         from dlgmd_cli.runs.sweep import shortest_need, sweep
-        from dlgmd_cli.runs.workers import n_processors
+        from dlgmd_cli.threads import n_processors
 
         try:
             with Spool(keeps_frames=self.choice.model != "dlgmd") as spool:

@@ -1,7 +1,6 @@
 """The compiled engine: one pass over memory for all sums of a frame."""
 
 import math
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pickle import UnpicklingError
@@ -14,6 +13,7 @@ from dlgmd_cli.models import compiled
 from dlgmd_cli.models.engines import Grouped, Grouping, Wiring, just_below
 from dlgmd_cli.models.history import History, aligned
 from dlgmd_cli.models.staircase import FusedPlan, Tap, fuse
+from dlgmd_cli.threads import n_threads
 
 MAX_STRIP_PX = 512
 # So many numbers of one image are worked on at a time; a few such blocks stay in a cache of 2 MB.
@@ -35,7 +35,7 @@ class FusedEngine:
         plan = fuse(wiring.kernels, wiring.gaussians)
         radius = wiring.gaussians[0].shape[0] // 2
         height, width = history.stack.shape[1:]
-        n_bands = max(1, min(n_cores(), MAX_BANDS, height * width // MIN_BAND_PX))
+        n_bands = max(1, min(n_threads(), MAX_BANDS, height * width // MIN_BAND_PX))
         self._bands = [height * i // n_bands for i in range(n_bands + 1)]
         n_strips = -(-width // MAX_STRIP_PX)
         self._edges = np.array([width * i // n_strips for i in range(n_strips + 1)])
@@ -94,13 +94,6 @@ class FusedEngine:
             except (OSError, EOFError, UnpicklingError):  # a full disk, a cache file cut off
                 self._compute = compiled.without_cache()
                 return work(0)
-
-
-def n_cores() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class Announcement(Listener):

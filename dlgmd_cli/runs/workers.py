@@ -1,6 +1,5 @@
 """Processes that share out tasks, and neither outlive nor hang the one that started them."""
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
@@ -13,13 +12,6 @@ from dlgmd_cli.runs.worker import Message, Worker
 TaskT = TypeVar("TaskT")
 AnswerT = TypeVar("AnswerT")
 Work = Callable[[TaskT], AnswerT]
-
-
-def n_processors() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from dlgmd_cli.sources.base import (
     plausible_fps,
 )
 from dlgmd_cli.sources.watch import ResolutionWatch
+from dlgmd_cli.threads import thread_limit
 
 
 class OpenCVDecoder:
@@ -38,7 +39,9 @@ class OpenCVDecoder:
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
         self.is_damaged, self._n_grabbed = False, 0
-        capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG)
+        limit = thread_limit()
+        options = [] if limit is None else [cv2.CAP_PROP_N_THREADS, limit]
+        capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
         self._capture = capture
         self._watch = ResolutionWatch(self._name)
         if capture.isOpened():

@@ -12,6 +12,7 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.sources.base import Decoded, Grab, Image, VideoFacts, plausible_fps
 from dlgmd_cli.sources.luma import levels_of, luma_of
+from dlgmd_cli.threads import thread_limit
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -75,6 +76,7 @@ class PyAVDecoder:
         # By frames where the codec allows it, else by slices, in one thread more than there are
         # cores. PyAV alone would go by slices, which most videos do not have.
         stream.thread_type = "AUTO"
+        stream.codec_context.thread_count = thread_limit() or 0
         self._start = stream.start_time or 0
         self._frames = self._decoded(av, container, stream)
         self._frame = next(self._frames, None)
