@@ -12,7 +12,18 @@ from dlgmd_cli import __version__
 from dlgmd_cli.commands._console import Settings, errors_as_one_line
 from dlgmd_cli.params import nearest
 
-COMMANDS = ("run", "plot", "compare", "sweep", "layers", "kernels", "sets", "synth", "bench")
+COMMANDS = (
+    "run",
+    "batch",
+    "plot",
+    "compare",
+    "sweep",
+    "layers",
+    "kernels",
+    "sets",
+    "synth",
+    "bench",
+)
 
 
 class LazyGroup(click.Group):

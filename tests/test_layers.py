@@ -14,7 +14,7 @@ STEPS = [
     {"presets"},
     {"models", "sources", "results"},
     {"stimuli", "runs", "plots"},
-    {"paper"},
+    {"paper", "batch"},
     {"commands"},
     {"app"},
     {"__main__"},

@@ -27,7 +27,8 @@ class Kind:
         return cls(record, frozenset({record, *files, *drawn}))
 
 
-RUN = Kind.of("run.yaml", TABLES, ("mp", "attenuation", "spikes"))
+RUN_PLOTS = ("mp", "attenuation", "spikes")
+RUN = Kind.of("run.yaml", TABLES, RUN_PLOTS)
 COMPARISON = Kind.of("compare.yaml", ("compare.csv",), ("compare-mp", "compare-attenuation"))
 LAYERS = Kind.of("layers.yaml", ("layers.npz",), ("layers",))
 # Results of several kinds share a folder: it is named after the input.

@@ -17,6 +17,9 @@ _HEADERS = {
     RUN: "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n",
 }
 
+# Far more than any record has.
+MAX_RECORD_BYTES = 1_000_000
+
 # What else a number depends on, by the decoder or engine that made it.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
 
@@ -47,3 +50,18 @@ def write_record(
     )
     header = _HEADERS.get(kind, "# Written by dlgmd.\n")
     (folder / kind.record).write_text(header + text, encoding="utf-8")
+
+
+def parse_record(text: bytes) -> dict[str, Any]:
+    """What `write_record` wrote, or nothing if it is not such; never raises."""
+    if len(text) > MAX_RECORD_BYTES:
+        return {}
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
+    try:
+        record = yaml.load(text, loader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return {}
+    is_record = isinstance(record, dict) and all(
+        isinstance(record.get(key), dict) for key in ("input", "processed", "versions", "summary")
+    )
+    return record if is_record else {}
