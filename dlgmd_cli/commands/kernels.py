@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dlgmd_cli.commands._console import Command
+from dlgmd_cli.commands._console import Command, print_path
 from dlgmd_cli.commands._model import ModelChoice, model_options
 from dlgmd_cli.commands._types import Output, output_options
 
@@ -47,11 +47,11 @@ def kernels(choice: ModelChoice, output: Output) -> None:
             for file in files[1:]:
                 save_figure(figure, file)
     for path in paths:
-        click.echo(click.format_filename(path))
+        print_path(path)
 
 
 def _write_csv(path: Path, connections: "Connections") -> None:
-    from dlgmd_cli.results.tables import cell
+    from dlgmd_cli.results.cells import cell
 
     radius = connections.latency.shape[0] // 2
     delays = sorted(connections.inhibition)

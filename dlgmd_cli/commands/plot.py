@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import Command, say, warn
+from dlgmd_cli.commands._console import Command, print_path, say, warn
 from dlgmd_cli.commands._figures import letters_checked
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._types import format_option, overwrite_option, width_option
@@ -95,7 +95,7 @@ def plot(
     with letters_checked(), appearing(*targets) as files:
         _write(files, kind, results, annotations, column, width)
     for target in targets:
-        click.echo(click.format_filename(target))
+        print_path(target)
 
 
 def _check_labels(labels: tuple[str, ...]) -> None:

@@ -15,6 +15,7 @@ from dlgmd_cli.sources.base import (
     VideoFacts,
     plausible_fps,
 )
+from dlgmd_cli.sources.ffmpeg import guarded
 from dlgmd_cli.sources.watch import ResolutionWatch
 
 
@@ -38,7 +39,8 @@ class OpenCVDecoder:
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
         self.is_damaged, self._n_grabbed = False, 0
-        capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG)
+        with guarded():
+            capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG)
         self._capture = capture
         self._watch = ResolutionWatch(self._name)
         if capture.isOpened():
