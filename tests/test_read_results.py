@@ -172,7 +172,7 @@ def test_a_comparison_has_a_result_per_label(tmp_path):
 
 
 def test_what_a_comparison_wrote_reads_back(tmp_path):
-    written = {"set9": make_result(), "a,\"b\" ü": make_result(4), "lgmd": make_result(1)}
+    written = {"set9": make_result(), 'a,"b" ü': make_result(4), "lgmd": make_result(1)}
     write_comparison(tmp_path / "compare.csv", written)
     results = read_comparison(tmp_path / "compare.csv")
     assert list(results) == list(written)

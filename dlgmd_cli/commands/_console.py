@@ -41,6 +41,12 @@ def settings() -> Settings:
 class Command(click.Command):
     """A command whose errors, the library's and bugs alike, end as one line and an exit code."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click does, after a look at what no operating system could have handed over."""
+        if any("\0" in arg for arg in args):
+            raise click.UsageError("an argument holds a NUL, which no name does.", ctx)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         with errors_as_one_line():
@@ -53,8 +59,19 @@ def usage_errors_escaped() -> Iterator[None]:
     try:
         yield
     except click.ClickException as error:
-        error.message = printable(error.message)  # type: ignore[misc]
+        message = printable(error.message)
+        if isinstance(error, click.NoSuchOption) and _starts_a_name(error.option_name):
+            message += " A file's name that begins like this needs ./ in front."
+        error.message = message  # type: ignore[misc]
         raise
+
+
+def _starts_a_name(option: str) -> bool:
+    """Whether something here is called so that it was taken for that option."""
+    try:
+        return any(name.startswith(option) for name in os.listdir())
+    except OSError:
+        return False
 
 
 @contextmanager

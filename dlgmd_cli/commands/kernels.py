@@ -25,10 +25,10 @@ def kernels(choice: ModelChoice, output: Output) -> None:
     """
     params = choice.dlgmd_params()
     from dlgmd_cli.models.dlgmd import connections_of
-    from dlgmd_cli.results.files import appearing, refuse_existing
+    from dlgmd_cli.results.files import appearing, fitting, refuse_existing
 
     connections = connections_of(params)
-    stem = f"kernels-{choice.label}"
+    stem = f"kernels-{fitting(choice.label)}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"
     suffixes = ("csv", *output.formats)
