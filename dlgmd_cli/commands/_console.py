@@ -69,7 +69,7 @@ def usage_errors_escaped() -> Iterator[None]:
 def _starts_a_name(option: str) -> bool:
     """Whether something here is called so that it was taken for that option."""
     try:
-        return any(name.startswith(option) for name in os.listdir())
+        return any(path.name.startswith(option) for path in Path().iterdir())
     except OSError:
         return False
 
