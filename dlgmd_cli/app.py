@@ -9,7 +9,12 @@ from typing import Any
 import click
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands._console import Settings, errors_as_one_line
+from dlgmd_cli.commands._console import (
+    Settings,
+    errors_as_one_line,
+    show_traceback,
+    usage_errors_escaped,
+)
 from dlgmd_cli.params import nearest
 
 COMMANDS = (
@@ -50,6 +55,17 @@ class LazyGroup(click.Group):
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
         return super().resolve_command(ctx, args)
 
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """As click does; what it says of an option that is none is fit for a terminal."""
+        with usage_errors_escaped():
+            return super().make_context(info_name, args, parent, **extra)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes one line and an exit code."""
         with errors_as_one_line():
@@ -75,6 +91,7 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, beside our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    sys.excepthook = show_traceback
     # Not every terminal's encoding has the letters of file names and of the model's symbols.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -10,6 +10,7 @@ import yaml
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import DlgmdParameters, Parameters, ParametersT
+from dlgmd_cli.params.base import shown
 
 MAX_CONFIG_BYTES = 100_000
 # Of lists and mappings within each other; run.yaml has four.
@@ -136,7 +137,7 @@ def load_config(path: Path) -> Config:
         )
     for key in document:
         if not isinstance(key, str):
-            raise ParameterError(name, f"unknown parameter {str(key)[:40]!r}", _SHOW_HINT)
+            raise ParameterError(name, f"unknown parameter {shown(key)!r}", _SHOW_HINT)
     names = {key: document.pop(key, None) for key in ("model", "engine")}
     for key, word in names.items():
         if word is not None and not isinstance(word, str):
@@ -160,12 +161,14 @@ def _read(path: Path) -> str:
         if not path.is_file():
             why = "it is not a file" if path.exists() else "there is no such file"
             raise ParameterError(name, why, "Check the path given to --config.")
-        size = path.stat().st_size
+        with path.open("rb") as file:  # some are longer than they say
+            data = file.read(MAX_CONFIG_BYTES + 1)
+        size = max(path.stat().st_size, len(data))
         if size > MAX_CONFIG_BYTES:
             raise ParameterError(
                 name, f"{size / 1e6:.1f} MB is too large for a configuration", _SHOW_HINT
             )
-        return path.read_text(encoding="utf-8")
+        return data.decode("utf-8")
     except UnicodeDecodeError:
         raise ParameterError(name, "it is not UTF-8 text", _SHOW_HINT) from None
     except (OSError, ValueError) as error:

@@ -193,7 +193,7 @@ def test_nothing_to_show(dlgmd, clips, options, why):
         (["--frames", "9" * 5000], "is no number of a frame."),
         (["--frames", ",".join(map(str, range(13)))], "13 frames are too many for one sheet."),
         (["--video", "x.avi"], "'x.avi' does not end in .mp4. Write film.mp4."),
-        (["--video", "a\0.mp4"], "a file's name holds no NUL."),
+        (["--video", "a\0.mp4"], "an argument holds a NUL, which no name does."),
         (["--frames", "1", "--set", "12"], "there is no set 12"),
     ],
 )

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.results.cells import cell
 from dlgmd_cli.results.comparison import COMPARISON_COLUMNS, write_comparison
 from dlgmd_cli.results.read import comparison_at, read_comparison, read_result
-from dlgmd_cli.results.tables import TABLES, Result, cell, write_tables
+from dlgmd_cli.results.tables import TABLES, Result, write_tables
 
 NAN, INF = np.nan, np.inf
 FLAGS = ("spike", "collision")
@@ -171,7 +172,7 @@ def test_a_comparison_has_a_result_per_label(tmp_path):
 
 
 def test_what_a_comparison_wrote_reads_back(tmp_path):
-    written = {"set9": make_result(), "a,\nb ü": make_result(4), "lgmd": make_result(1)}
+    written = {"set9": make_result(), 'a,"b" ü': make_result(4), "lgmd": make_result(1)}
     write_comparison(tmp_path / "compare.csv", written)
     results = read_comparison(tmp_path / "compare.csv")
     assert list(results) == list(written)

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
+from dlgmd_cli.results.cells import cell
 from dlgmd_cli.results.files import appearing, refuse_existing
 from dlgmd_cli.results.folder import COMPARISON, RUN, ResultFolder
 from dlgmd_cli.results.measures import summarise
-from dlgmd_cli.results.tables import TABLES, Result, cell, write_tables
+from dlgmd_cli.results.tables import TABLES, Result, write_tables
 
 NAN, INF = np.nan, np.inf
 

@@ -1,13 +1,10 @@
 """The summaries of a comparison on stdout, as a table or as JSON."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
-import click
-
-from dlgmd_cli.commands._console import explain_infinity, print_table
+from dlgmd_cli.commands._console import explain_infinity, print_json, print_path, print_table
 
 
 def show_comparison(record: dict[str, Any], target: Path, *, as_json: bool) -> None:
@@ -15,7 +12,7 @@ def show_comparison(record: dict[str, Any], target: Path, *, as_json: bool) -> N
     if as_json:
         summaries = {one["label"]: _finite(one["summary"]) for one in record["models"]}
         facts = {"result": str(target), "complete": record["complete"]}
-        click.echo(json.dumps({**facts, "models": summaries}))
+        print_json({**facts, "models": summaries})
         return
     header = ["model", "peak frame", "first spike", "first collision", "sharpness"]
     if "distinguishability" in record["models"][0]["summary"]:
@@ -23,7 +20,7 @@ def show_comparison(record: dict[str, Any], target: Path, *, as_json: bool) -> N
     print_table(tuple(header), [_row(one, len(header)) for one in record["models"]])
     if any(_is_infinite(one["summary"]) for one in record["models"]):
         explain_infinity()
-    click.echo(click.format_filename(target))
+    print_path(target)
 
 
 def _row(described: dict[str, Any], n_columns: int) -> tuple[str, ...]:

@@ -1,9 +1,13 @@
 """What the user sees of a run: progress, messages, and errors as one line with an exit code."""
 
+import json
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import click
@@ -37,6 +41,12 @@ def settings() -> Settings:
 class Command(click.Command):
     """A command whose errors, the library's and bugs alike, end as one line and an exit code."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click does, after a look at what no operating system could have handed over."""
+        if any("\0" in arg for arg in args):
+            raise click.UsageError("an argument holds a NUL, which no name does.", ctx)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         with errors_as_one_line():
@@ -44,10 +54,32 @@ class Command(click.Command):
 
 
 @contextmanager
+def usage_errors_escaped() -> Iterator[None]:
+    """Let click quote what was typed, but not as it was typed."""
+    try:
+        yield
+    except click.ClickException as error:
+        message = printable(error.message)
+        if isinstance(error, click.NoSuchOption) and _starts_a_name(error.option_name):
+            message += " A file's name that begins like this needs ./ in front."
+        error.message = message  # type: ignore[misc]
+        raise
+
+
+def _starts_a_name(option: str) -> bool:
+    """Whether something here is called so that it was taken for that option."""
+    try:
+        return any(path.name.startswith(option) for path in Path().iterdir())
+    except OSError:
+        return False
+
+
+@contextmanager
 def errors_as_one_line() -> Iterator[None]:
     """Turn what the library raises, bugs included, into click's own errors."""
     try:
-        yield
+        with usage_errors_escaped():
+            yield
     except (click.ClickException, click.exceptions.Exit, click.Abort):
         raise
     except BrokenPipeError:  # the reader of stdout has gone; click ends quietly
@@ -88,6 +120,25 @@ def say(message: str) -> None:
 def warn(message: str) -> None:
     """A warning on stderr; never silenced."""
     say(f"Warning: {message}.")
+
+
+def show_traceback(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """In place of Python's own hook: a traceback on stderr, which may quote names."""
+    for part in traceback.format_exception(kind, error, trace):
+        for line in part.rstrip("\n").split("\n"):
+            say(line)
+
+
+def print_path(path: Path) -> None:
+    """A path on stdout, on one line."""
+    click.echo(printable(os.fspath(path)))
+
+
+def print_json(facts: dict[str, Any]) -> None:
+    """An object on stdout, as ASCII without what a terminal would act on."""
+    click.echo(json.dumps(facts).replace("\x7f", "\\u007f"))
 
 
 def is_lively() -> bool:
@@ -141,8 +192,10 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
     for title in header:
         table.add_column(title, overflow="fold")
     for row in rows:
-        table.add_row(*row)
-    console = Console(markup=False, highlight=False, no_color=not sys.stdout.isatty() or None)
+        table.add_row(*map(printable, row))
+    console = Console(
+        markup=False, emoji=False, highlight=False, no_color=not sys.stdout.isatty() or None
+    )
     if not sys.stdout.isatty():
         console.width = 200
     console.print(table)

@@ -6,6 +6,7 @@ import click
 
 from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.params.base import shown
 from dlgmd_cli.sources.choice import InputChoice
 
 NORMALISATIONS = ("absolute", "sequence")
@@ -83,9 +84,12 @@ def choose_input(given: dict[str, Any], recorded: dict[str, Any], origin: str) -
 def _recorded(key: Any, value: Any, origin: str) -> Any:
     """One recorded option, checked like the command line's."""
     if key not in _TYPES:
-        raise ParameterError(origin, f"unknown option {str(key)[:40]!r} under 'options'")
+        name = key if isinstance(key, str) else shown(key)
+        raise ParameterError(origin, f"unknown option {name[:40]!r} under 'options'")
     try:
+        if isinstance(value, bool):  # it would count as 0 or 1
+            raise TypeError
         return _TYPES[key].convert(value, None, None)
-    except (click.BadParameter, TypeError, ValueError):
-        shown = repr(value)[:40] if isinstance(value, str | int | float) else "a list or mapping"
-        raise ParameterError(origin, f"{key} = {shown} under 'options' is not valid") from None
+    except (click.BadParameter, TypeError, ValueError, OverflowError):
+        why = f"{key} = {shown(value)} under 'options' is not valid"
+        raise ParameterError(origin, why) from None

@@ -54,6 +54,7 @@ class Plan:
 
     def journal(self, output: Output) -> "Journal":
         """Where points are kept as they are done."""
+        from dlgmd_cli.results.files import fitting
         from dlgmd_cli.results.journal import Journal
         from dlgmd_cli.results.record import versions
         from dlgmd_cli.results.sweeps import JOURNAL, PRODUCTS
@@ -69,7 +70,7 @@ class Plan:
             "versions": versions(*self.subject.decoder, self.engine),
         }
         return Journal(
-            output.out / f"sweep-{self.subject.name}",
+            output.out / f"sweep-{fitting(self.subject.name, 240)}",
             JOURNAL,
             PRODUCTS,
             settings,

@@ -10,8 +10,8 @@ from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
-from dlgmd_cli.errors import printable
 from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.results.cells import text_cell
 from dlgmd_cli.sources.choice import InputChoice
 
 
@@ -91,7 +91,7 @@ def _variant(choice: ModelChoice, label: str | None = None) -> Variant:
     recorded = choose_input({}, choice.recorded_options, choice.origin)
     size = InputChoice(scale=recorded.scale, size=recorded.size)
     left_out = tuple(key for key in recorded.to_record() if key not in ("scale", "size"))
-    label = printable(label or choice.label)
+    label = text_cell(label or choice.label)
     return Variant(label, choice.params, choice.recorded_engine, size, choice.origin, left_out)
 
 

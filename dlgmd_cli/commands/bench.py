@@ -1,7 +1,6 @@
 """`dlgmd bench`: the paper's Table IV, the time the model takes, on this machine."""
 
 import csv
-import json
 import math
 import tempfile
 from collections.abc import Iterator
@@ -12,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
+from dlgmd_cli.commands._console import (
+    Command,
+    print_json,
+    print_path,
+    print_table,
+    progress,
+    say,
+    warn,
+)
 from dlgmd_cli.commands._input import decoder_option
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import FiniteRange
@@ -124,7 +131,7 @@ def bench(
         if file is not None:  # last, so that a full disk takes nothing but the file
             _write_csv(file, rows)
     if csv_path is not None and not as_json:
-        click.echo(click.format_filename(csv_path))
+        print_path(csv_path)
 
 
 @contextmanager
@@ -176,7 +183,7 @@ def _row(timing: "Timing") -> dict[str, Any]:
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from dlgmd_cli.results.tables import cell
+    from dlgmd_cli.results.cells import cell
 
     with path.open("w", newline="", encoding="ascii") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -197,7 +204,7 @@ def _show(measured: "Measurement", rows: list[dict[str, Any]], *, as_json: bool)
             "decoder": measured.decoder,
             "decoding_alone_ms": alone_ms,
         }
-        click.echo(json.dumps({**facts, "rows": rows}))
+        print_json({**facts, "rows": rows})
         return
     print_table(
         (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dlgmd_cli.commands._console import Command
+from dlgmd_cli.commands._console import Command, print_path
 from dlgmd_cli.commands._model import ModelChoice, model_options
 from dlgmd_cli.commands._types import Output, output_options
 
@@ -25,10 +25,10 @@ def kernels(choice: ModelChoice, output: Output) -> None:
     """
     params = choice.dlgmd_params()
     from dlgmd_cli.models.dlgmd import connections_of
-    from dlgmd_cli.results.files import appearing, refuse_existing
+    from dlgmd_cli.results.files import appearing, fitting, refuse_existing
 
     connections = connections_of(params)
-    stem = f"kernels-{choice.label}"
+    stem = f"kernels-{fitting(choice.label)}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"
     suffixes = ("csv", *output.formats)
@@ -47,11 +47,11 @@ def kernels(choice: ModelChoice, output: Output) -> None:
             for file in files[1:]:
                 save_figure(figure, file)
     for path in paths:
-        click.echo(click.format_filename(path))
+        print_path(path)
 
 
 def _write_csv(path: Path, connections: "Connections") -> None:
-    from dlgmd_cli.results.tables import cell
+    from dlgmd_cli.results.cells import cell
 
     radius = connections.latency.shape[0] // 2
     delays = sorted(connections.inhibition)

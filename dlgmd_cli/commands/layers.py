@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands._ahead import import_ahead
-from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, say
+from dlgmd_cli.commands._console import EXIT_INTERRUPTED, Command, print_path, say
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._film import render_film, reserved
 from dlgmd_cli.commands._input import choose_input, input_options
@@ -103,7 +103,7 @@ def layers(
             n_rendered = render_film(
                 facts_of_film, again, detector, fps, film_file, video, interrupts
             )
-    click.echo(click.format_filename(video))
+    print_path(video)
     n_frames = len(job.recording.responses)
     if n_rendered < n_frames and interrupts.count:
         say(f"Interrupted; {video} holds the first {n_rendered} of {n_frames} frames.")
@@ -118,7 +118,7 @@ def _printed_at_the_end() -> Iterator[list[Path]]:
         yield paths
     finally:
         for path in paths:
-            click.echo(click.format_filename(path))
+            print_path(path)
 
 
 def _folder(

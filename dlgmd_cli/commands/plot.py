@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import Command, say, warn
+from dlgmd_cli.commands._console import Command, print_path, say, warn
 from dlgmd_cli.commands._figures import letters_checked
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._types import format_option, overwrite_option, width_option
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 KINDS = ("mp", "attenuation", "spikes", "overview")
 _FORMATS = ("png", "pdf", "svg")
 _COLUMNS = {None: "level", "absolute": "mp_abs", "sequence": "mp_seq"}
-_MAX_NAME, _MAX_NAME_BYTES = 100, 200
+_MAX_NAME = 100
 
 
 @click.command(
@@ -95,7 +95,7 @@ def plot(
     with letters_checked(), appearing(*targets) as files:
         _write(files, kind, results, annotations, column, width)
     for target in targets:
-        click.echo(click.format_filename(target))
+        print_path(target)
 
 
 def _check_labels(labels: tuple[str, ...]) -> None:
@@ -128,11 +128,10 @@ def _home(path: Path) -> Path:
 
 def _file_name(paths: Iterable[Path]) -> str:
     """The names of all results, cut off where they get too long for a file."""
+    from dlgmd_cli.results.files import fitting
+
     names = [Path(os.path.abspath(_home(path))).name or "root" for path in paths]
-    name = "-".join(names)[:_MAX_NAME]
-    while len(os.fsencode(name)) > _MAX_NAME_BYTES:
-        name = name[:-1]
-    return name
+    return fitting("-".join(names)[:_MAX_NAME])
 
 
 def _read(paths: Sequence[Path]) -> list[tuple[str, "Result"]]:

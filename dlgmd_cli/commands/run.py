@@ -1,6 +1,5 @@
 """`dlgmd run`: one video to its membrane potential, attenuation and spikes."""
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands._ahead import import_ahead
-from dlgmd_cli.commands._console import Command, print_table, progress, say, warn
+from dlgmd_cli.commands._console import (
+    Command,
+    print_json,
+    print_path,
+    print_table,
+    progress,
+    say,
+    warn,
+)
 from dlgmd_cli.commands._figures import save_plots
 from dlgmd_cli.commands._input import choose_input, input_options
 from dlgmd_cli.commands._interrupts import Interrupts
@@ -112,7 +119,7 @@ def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:
     summary, processed = record["summary"], record["processed"]
     if as_json:
         facts = {"result": str(target), "complete": record["complete"]}
-        click.echo(json.dumps({**facts, "frames": processed["frames"], **summary}))
+        print_json({**facts, "frames": processed["frames"], **summary})
         return
     shown = {key: value for key, value in summary.items() if value is not None}
     peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s"
@@ -135,4 +142,4 @@ def _show(record: dict[str, Any], target: Path, as_json: bool) -> None:
             ),
         ],
     )
-    click.echo(click.format_filename(target))
+    print_path(target)

@@ -8,6 +8,7 @@ from dlgmd_cli.commands._console import (
     EXIT_INTERRUPTED,
     Command,
     explain_infinity,
+    print_path,
     print_table,
     say,
     warn,
@@ -126,7 +127,7 @@ def sweep(
             result = plan.result(journal)
             plan.write(journal, result, complete, output.formats if complete else (), width)
             _show(result)
-            click.echo(click.format_filename(journal.folder))
+            print_path(journal.folder)
     if not complete:
         say(_kept(journal, points))
     if not complete or interrupts.count:

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_table, say, settings
+from dlgmd_cli.commands._console import Command, print_path, print_table, say, settings
 from dlgmd_cli.commands._types import OptionGroup, Size
 
 scene_options = OptionGroup(
@@ -113,7 +113,7 @@ def synth(
     if options.noise > 0.0 and not lossless and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
     for path in write_clip(scene, options, out, lossless=lossless, overwrite=overwrite):
-        click.echo(click.format_filename(path))
+        print_path(path)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:

@@ -166,13 +166,16 @@ def _finite_or_none(value: Any) -> float | None:
 
 
 def _wrong(key: str, value: Any, why: str) -> ParameterError:
-    """An error that shows the value, briefly: a nested value could print without end."""
+    """An error that shows the value."""
+    return ParameterError("", f"{key} = {shown(value)} {why}")
+
+
+def shown(value: Any) -> str:
+    """A value as errors show it, briefly: a nested one could print without end."""
     if isinstance(value, str):
-        shown = repr(str(value[:40]))
-    elif isinstance(value, int) and abs(value) > 10**30:
-        shown = "a huge number"
-    elif hasattr(value, "__len__"):
-        shown = "a list or mapping"
-    else:
-        shown = str(value)[:40]
-    return ParameterError("", f"{key} = {shown} {why}")
+        return repr(str(value[:40]))
+    if isinstance(value, int) and abs(value) > 10**30:
+        return "a huge number"
+    if hasattr(value, "__len__"):
+        return "a list or mapping"
+    return str(value)[:40]

@@ -1,11 +1,19 @@
 """Single files that appear whole or not at all."""
 
+import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
+
+
+def fitting(name: str, max_bytes: int = 200) -> str:
+    """As much of the beginning of a file's name as file systems take, with a suffix to come."""
+    while len(os.fsencode(name)) > max_bytes:
+        name = name[:-1]
+    return name
 
 
 def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:

@@ -37,6 +37,20 @@ def versions(*used_beside: str) -> dict[str, str]:
     return used
 
 
+def yaml_text(document: dict[str, Any], **look: Any) -> str:
+    """A document as YAML in its own order, all in ASCII if a terminal would act on a letter."""
+
+    def dump(allow_unicode: bool) -> str:
+        return str(
+            yaml.safe_dump(
+                document, sort_keys=False, width=100, allow_unicode=allow_unicode, **look
+            )
+        )
+
+    text = dump(allow_unicode=True)
+    return text if all(map(str.isprintable, text.split("\n"))) else dump(allow_unicode=False)
+
+
 def write_record(
     folder: Path, record: dict[str, Any], kind: Kind = RUN, *, engines: Iterable[str]
 ) -> None:
@@ -45,9 +59,7 @@ def write_record(
     `engines` are those that made the numbers.
     """
     used = versions(record["input"]["decoder"], *engines)
-    text = yaml.safe_dump(
-        {**record, "versions": used}, sort_keys=False, allow_unicode=True, width=100
-    )
+    text = yaml_text({**record, "versions": used})
     header = _HEADERS.get(kind, "# Written by dlgmd.\n")
     (folder / kind.record).write_text(header + text, encoding="utf-8")
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from dlgmd_cli.params.axis import Grid
+from dlgmd_cli.results.cells import cell
 from dlgmd_cli.results.folder import PLOT_FORMATS
-from dlgmd_cli.results.record import versions
-from dlgmd_cli.results.tables import Flags, Series, cell
+from dlgmd_cli.results.record import versions, yaml_text
+from dlgmd_cli.results.tables import Flags, Series
 
 JOURNAL, TABLE, RECORD, FIGURE = "sweep.jsonl", "sweep.csv", "sweep.yaml", "sweep"
 PRODUCTS = frozenset({TABLE, RECORD, *(f"{FIGURE}.{suffix}" for suffix in PLOT_FORMATS)})
@@ -126,11 +126,5 @@ def write_sweep_record(path: Path, record: dict[str, Any], *used: str) -> None:
 
     OSError passes through.
     """
-    text = yaml.safe_dump(
-        {**record, "versions": versions(*used)},
-        sort_keys=False,
-        allow_unicode=True,
-        width=100,
-        default_flow_style=None,
-    )
+    text = yaml_text({**record, "versions": versions(*used)}, default_flow_style=None)
     path.write_text("# Written by dlgmd.\n" + text, encoding="utf-8")

@@ -1,13 +1,13 @@
 """The columns of every CSV of a result, in one place."""
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from dlgmd_cli.results.cells import cell
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -60,12 +60,6 @@ class Result:
     def has_spikes(self) -> bool:
         """Whether spikes were looked for; if not, none of them is no finding."""
         return not bool(np.isnan(self.threshold).all())
-
-
-def cell(value: Any) -> str:
-    """A number as it stands in a CSV: reads back exactly as float32, empty where undefined."""
-    number = float(value)
-    return "" if math.isnan(number) else f"{number:.9g}"
 
 
 def write_tables(folder: Path, result: Result) -> None:

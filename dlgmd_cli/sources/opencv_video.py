@@ -15,6 +15,7 @@ from dlgmd_cli.sources.base import (
     VideoFacts,
     plausible_fps,
 )
+from dlgmd_cli.sources.ffmpeg import guarded
 from dlgmd_cli.sources.watch import ResolutionWatch
 from dlgmd_cli.threads import thread_limit
 
@@ -41,7 +42,8 @@ class OpenCVDecoder:
         self.is_damaged, self._n_grabbed = False, 0
         limit = thread_limit()
         options = [] if limit is None else [cv2.CAP_PROP_N_THREADS, limit]
-        capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
+        with guarded():
+            capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
         self._capture = capture
         self._watch = ResolutionWatch(self._name)
         if capture.isOpened():

@@ -11,6 +11,7 @@ import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.sources.base import Decoded, Grab, Image, VideoFacts, plausible_fps
+from dlgmd_cli.sources.ffmpeg import OPTIONS
 from dlgmd_cli.sources.luma import levels_of, luma_of
 from dlgmd_cli.threads import thread_limit
 
@@ -62,11 +63,11 @@ class PyAVDecoder:
         av = _import_av()
         self.is_damaged = False
         try:
-            # With "file:" the name is nothing but a name, and a playlist leads to files only.
+            # With "file:" the name is nothing but a name.
             self._container = container = av.open(
                 f"file:{self._name}",
                 metadata_errors="replace",
-                container_options={"protocol_whitelist": "file"},
+                container_options=dict(OPTIONS),
             )
         except (av.FFmpegError, ValueError):
             return None

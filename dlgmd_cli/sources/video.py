@@ -23,6 +23,8 @@ DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
 
 _DAMAGED = "the file is damaged"
+# FFmpeg is kept from them anyhow; this says why, in place of "damaged".
+_LISTS = (b"#EXTM3U", b"ffconcat")
 
 
 class VideoReader:
@@ -204,8 +206,12 @@ def _check_readable(path: Path) -> None:
         raise SourceError(name, "it is neither a file nor a folder", "Give a video file.")
     try:
         with path.open("rb") as file:
-            is_empty = not file.read(1)
+            start = file.read(8)
     except OSError as error:
         raise SourceError(name, f"it cannot be read ({error.strerror})") from None
-    if is_empty:
+    if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
+    if start.startswith(_LISTS):
+        raise SourceError(
+            name, "it is a list of other files, no video", "Give a video that it names."
+        )

@@ -12,6 +12,7 @@ import cv2
 
 from dlgmd_cli.sources.base import GRABS_PAST_DAMAGE, MAX_PLAUSIBLE_TIME_S
 from dlgmd_cli.sources.coded_size import KEYED, READERS, Header, canonical, coded_size, read_header
+from dlgmd_cli.sources.ffmpeg import guarded
 from dlgmd_cli.sources.h26x import Size
 
 
@@ -106,7 +107,8 @@ def count_packets(path: str) -> int | None:
 def _packets(path: str) -> Generator[_Packet, None, None]:
     """The packets of the video stream in the order of decoding, none where they cannot be had."""
     # Asked for at once, not as a property later, it spares a decoder and its threads.
-    capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    with guarded():
+        capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
         if capture.get(cv2.CAP_PROP_FORMAT) != -1:
             return

@@ -6,8 +6,8 @@ from dataclasses import astuple, fields
 from fractions import Fraction
 from pathlib import Path
 
+from dlgmd_cli.results.cells import cell
 from dlgmd_cli.results.files import appearing, refuse_existing
-from dlgmd_cli.results.tables import cell
 from dlgmd_cli.results.video import MAX_TICKS_PER_S, check_arrived, encode
 from dlgmd_cli.sources.count import count_frames
 from dlgmd_cli.stimuli.base import (
