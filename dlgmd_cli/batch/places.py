@@ -72,20 +72,29 @@ class Place(Protocol):
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder on this machine, or one that all machines share; see `Place`."""
+    """A folder on this machine, or one that all machines share; see `Place`.
+
+    `path` is absolute, for workers may be in another folder; `shown` is as the user has it.
+    """
 
     path: Path
+    shown: Path
+
+    @classmethod
+    def named(cls, text: str) -> "Folder":
+        """The folder that a user means."""
+        return cls(Path(os.path.abspath(text)), Path(text))
 
     def within(self, name: str) -> "Folder":
         """A folder in it."""
-        return Folder(self.path / name)
+        return Folder(self.path / name, self.shown / name)
 
     def prepare(self) -> None:
         """Make it, if need be, and write something there."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise _failure(str(self.path), error) from None
+            raise _failure(self.show(), error) from None
         self.tidy()
         with ResultFolder(self.path, "summary"):
             pass
@@ -103,7 +112,7 @@ class Folder:
             if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
                 os.close(handle)
                 raise OutputExistsError(
-                    str(self.path),
+                    self.show(),
                     "another 'dlgmd batch' is writing here",
                     "Wait for it, or choose another --out.",
                 ) from None
@@ -143,7 +152,7 @@ class Folder:
 
     def show(self, name: str = "") -> str:
         """Its path."""
-        return str(self.path / name)
+        return str(self.shown / name)
 
     def _folder(self, result: str) -> ResultFolder:
         target = self.path / result

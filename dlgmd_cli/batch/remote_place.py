@@ -1,6 +1,5 @@
 """Results behind a URL, such as s3://bucket/results: see `Place`."""
 
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -19,7 +18,7 @@ def place_at(text: str) -> Place:
     """The place that a user means: a folder, or a URL."""
     if text.startswith("file://"):
         text = file_system(text)[1]
-    return Bucket(text.rstrip("/")) if is_url(text) else Folder(Path(os.path.abspath(text)))
+    return Bucket(text.rstrip("/")) if is_url(text) else Folder.named(text)
 
 
 @dataclass(frozen=True)
