@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from dlgmd_cli.commands._console import is_lively, say, settings, warn
+from dlgmd_cli.commands._console import is_lively, say, settings
 from dlgmd_cli.errors import printable
 
 if TYPE_CHECKING:
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 # Frames a second are those of the last so many seconds.
 _SPAN_S = 10.0
 _MAX_SHOWN = 8
+# Of the bytes; before that, the time left is anybody's guess.
+_LEAST_SHARE = 0.02
 
 
 class Tally:
@@ -79,7 +81,7 @@ class Tally:
         """By the bytes of what is left; None as long as nothing is known."""
         partly = sum(share * self._bytes[name] for name, share in self.running.items())
         done, total = self._bytes_done + partly, sum(self._bytes.values())
-        if done <= 0.0:
+        if done <= _LEAST_SHARE * total:
             return None
         return (time.monotonic() - self._began_s) * max(0.0, total - done) / done
 
@@ -89,29 +91,46 @@ def batch_view(
     tasks: "Sequence[Task]", labels: Sequence[str]
 ) -> "Iterator[Callable[[Event], None]]":
     """Show how far it is, and a line for every video that fails; yields what takes the events."""
-    from dlgmd_cli.batch.events import Ended, Waiting
-
-    tally, said = Tally(tasks), set[str]()
-
-    def tell(event: "Event") -> None:
-        tally.take(event)
-        if isinstance(event, Ended):
-            for line in failures(event.outcome, labels):
-                warn(f"{event.task.video.name}: {line.rstrip('.')}")
-        elif isinstance(event, Waiting) and event.why and event.why not in said:
-            said.add(event.why)
-            say(event.why)
-
     if settings().quiet or not is_lively() or not tasks:
-        yield tell
+        yield Speaker(labels, say).hear
         return
-    with _live(tally) as refresh:
+    tally = Tally(tasks)
+    with _live(tally) as (refresh, tell):
+        speaker = Speaker(labels, tell)
 
-        def tell_and_show(event: "Event") -> None:
-            tell(event)
+        def show(event: "Event") -> None:
+            tally.take(event)
+            speaker.hear(event)
             refresh()
 
-        yield tell_and_show
+        yield show
+
+
+class Speaker:
+    """Says what should not be missed, a line each.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        What the models are called.
+    tell : callable
+        Takes the lines.
+    """
+
+    def __init__(self, labels: Sequence[str], tell: Callable[[str], None]) -> None:
+        self._labels, self._tell = labels, tell
+        self._said: set[str] = set()
+
+    def hear(self, event: "Event") -> None:
+        """Say why a video failed, or what is waited for."""
+        from dlgmd_cli.batch.events import Ended, Waiting
+
+        if isinstance(event, Ended):
+            for line in failures(event.outcome, self._labels):
+                self._tell(f"Warning: {event.task.video.name}: {line}")
+        elif isinstance(event, Waiting) and event.why and event.why not in self._said:
+            self._said.add(event.why)
+            self._tell(event.why)
 
 
 def failures(outcome: "Outcome", labels: Sequence[str] = ()) -> list[str]:
@@ -129,8 +148,8 @@ def failures(outcome: "Outcome", labels: Sequence[str] = ()) -> list[str]:
 
 
 @contextmanager
-def _live(tally: Tally) -> Iterator[Callable[[], None]]:
-    """A bar and the videos being worked on, on stderr."""
+def _live(tally: Tally) -> Iterator[tuple[Callable[[], None], Callable[[str], None]]]:
+    """A bar and the videos being worked on, on stderr; what draws it anew, and what adds a line."""
     from rich.console import Console, Group
     from rich.live import Live
     from rich.progress_bar import ProgressBar
@@ -138,8 +157,7 @@ def _live(tally: Tally) -> Iterator[Callable[[], None]]:
     from rich.text import Text
 
     def picture() -> Group:
-        ended = tally.n_done + tally.n_failed
-        left_s = tally.seconds_left()
+        ended, left_s = tally.n_done + tally.n_failed, tally.seconds_left()
         line = Table.grid(padding=(0, 2))
         line.add_row(
             "batch",
@@ -147,7 +165,7 @@ def _live(tally: Tally) -> Iterator[Callable[[], None]]:
             f"{ended}/{tally.n_total} videos",
             Text(f"{tally.n_failed} failed", style="red" if tally.n_failed else ""),
             f"{tally.frames_per_s():.0f} frame/s",
-            f"{_clock(left_s)} left" if left_s is not None else "",
+            "" if left_s is None else f"{_clock(left_s)} left",
         )
         shown = list(tally.running.items())[:_MAX_SHOWN]
         lines = [
@@ -160,7 +178,10 @@ def _live(tally: Tally) -> Iterator[Callable[[], None]]:
 
     console = Console(stderr=True)
     with Live(picture(), console=console, transient=True, refresh_per_second=4) as live:
-        yield lambda: live.update(picture())
+        yield (
+            lambda: live.update(picture()),
+            lambda text: console.print(Text(printable(text)), soft_wrap=True),
+        )
 
 
 def _clock(seconds: float) -> str:
