@@ -50,7 +50,7 @@ def find_videos(roots: Sequence[tuple[str, str]], leave_out: Iterable[Path] = ()
         What the names of a root's videos begin with, and where it lies: a folder, a video, or a
         URL of either.
     leave_out : iterable of Path
-        Folders that are not searched, such as that of the results.
+        Folders that are not searched, such as that of the results, unless they are roots.
 
     Raises
     ------
@@ -70,12 +70,22 @@ def find_videos(roots: Sequence[tuple[str, str]], leave_out: Iterable[Path] = ()
     videos = [
         Video(name, path, results[name], identity) for name, (path, identity) in places.items()
     ]
-    return Found(sorted(videos, key=lambda video: video.name), search.remarks(), search.faults)
+    videos.sort(key=lambda video: video.name)
+    return Found(videos, [*search.remarks(), *_renamed(videos)], search.faults)
 
 
 def is_video(name: str) -> bool:
     """Whether a file's name ends like that of a video."""
     return PurePosixPath(name).suffix.lower() in SUFFIXES
+
+
+def _renamed(videos: Iterable[Video]) -> list[str]:
+    """Which results are not called as one would expect."""
+    return [
+        f"{video.name}: its result is in {video.result}, for the shorter name is taken"
+        for video in videos
+        if PurePosixPath(video.result).name != PurePosixPath(video.name).stem
+    ]
 
 
 def _below(search: "_Search", root: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
@@ -108,7 +118,7 @@ class _Search:
 
     def remarks(self) -> list[str]:
         """What was left out on purpose."""
-        lines = [f"{path}: searched already, a link leads back to it" for path in self._repeated]
+        lines = [f"{path}: left out, for it was searched already" for path in self._repeated]
         if self._n_hidden:
             kind = "file or folder" if self._n_hidden == 1 else "files and folders"
             lines.append(f"{self._n_hidden} hidden {kind} left out")
@@ -129,7 +139,7 @@ class _Search:
         while waiting:
             prefix, folder = waiting.pop()
             folders = []
-            for entry in self._entries(folder):
+            for entry in self._entries(folder, is_root=not prefix):
                 name = f"{prefix}{entry.name}"
                 if entry.name.startswith("."):
                     self._n_hidden += 1
@@ -139,11 +149,11 @@ class _Search:
                     yield name, entry.path
             waiting.extend(reversed(folders))
 
-    def _entries(self, folder: str) -> list["os.DirEntry[str]"]:
+    def _entries(self, folder: str, *, is_root: bool) -> list["os.DirEntry[str]"]:
         """What lies in a folder, by name; nothing if it was searched already."""
         try:
             identity = _identity(Path(folder).stat())
-            if identity in self._left_out:
+            if identity in self._left_out and not is_root:
                 return []
             if identity in self._searched:
                 self._repeated.append(folder)

@@ -89,11 +89,11 @@ def _conclude(
     source: Source, entry: Entry, order: Order, variant: Variant, task: Task, began: float
 ) -> Findings:
     """What `dlgmd run` would find, and how long it took."""
-    asked = Asked(variant.params, variant.label, order.options)
+    asked = Asked(variant.params, variant.label, order.options, task.video.identity)
     findings = conclude(task.video.name, source, entry, asked, complete=True)
     if findings.shortage is not None:
         raise findings.shortage
-    findings.record["input"].update(path=task.video.path, **task.video.identity)
+    findings.record["input"]["path"] = task.video.path
     findings.record["wall_s"] = round(time.monotonic() - began, 3)
     return findings
 

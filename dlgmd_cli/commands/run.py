@@ -71,7 +71,9 @@ def run(
         from dlgmd_cli.runs import single
         from dlgmd_cli.runs.compare import Entry
         from dlgmd_cli.runs.findings import Asked, conclude
+        from dlgmd_cli.sources.fingerprint import fingerprint
 
+        identity = fingerprint(input_path)
         entry = Entry(detector, source.size_wh)
         recording = entry.recording
         with progress(source.info.name, options.n_expected(source.info)) as on_frame:
@@ -81,7 +83,7 @@ def run(
         interrupts.hold()
         if not complete:
             say("Interrupted; writing what was computed.")
-        asked = Asked(choice.params, choice.label, options)
+        asked = Asked(choice.params, choice.label, options, identity)
         findings = conclude(input_path, source, entry, asked, complete=complete)
         for warning in findings.warnings:
             warn(f"{input_path}: {warning}")

@@ -20,11 +20,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Asked:
-    """One model as it is asked for: its parameters, what messages call it, and what is read."""
+    """What is asked for.
+
+    Attributes
+    ----------
+    params : Parameters
+        The model's.
+    label : str
+        What messages call the model.
+    options : InputChoice
+        What is read of the input.
+    identity : dict
+        What tells the input from another of its name, see `fingerprint`; for the record.
+    """
 
     params: Parameters
     label: str
     options: InputChoice
+    identity: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -68,6 +81,7 @@ def conclude(
         recording, entry.size_wh, asked.params, by_sequence=asked.options.by_sequence
     )
     known = facts(source, len(recording))
+    known["input"].update(asked.identity)
     known["processed"].update(width=entry.size_wh[0], height=entry.size_wh[1])
     record = {
         **known,

@@ -49,7 +49,7 @@ def serve() -> None:
     os.dup2(nowhere, 1)
     os.close(nowhere)
     threading.Thread(target=_listen, args=(sys.stdin.buffer, tasks), daemon=True).start()
-    code = 1
+    code = 0
     # Interrupted where nobody waits for an answer any more, or cannot be told.
     with suppress(KeyboardInterrupt, BrokenPipeError):
         code = _answer(tasks)
