@@ -287,7 +287,7 @@ def test_results_of_any_name_stay_in_their_folder(dlgmd, tmp_path, clips):
 
 @pytest.mark.parametrize("command", ["sweep", "kernels", "plot"])
 def test_names_too_long_for_a_prefix_are_cut(dlgmd, tmp_path, clips, command):
-    name = "é" * 120 + "aaa"
+    name = "é" * 123 + "aaaa"
     (tmp_path / f"{name}.yaml").write_text("r: 2\n")
     video = shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
     assert dlgmd("run", video, "--no-plots").exit_code == 0
@@ -324,7 +324,7 @@ def test_an_address_is_no_file(clips, decoder, name):
 def with_reference(movie: bytes, name: str) -> bytes:
     """An MP4 without its pictures, which says that they are in the file `name`."""
     path = name.encode()
-    alias = bytes(10) + bytes([1]) + b"v".ljust(27, b"\0") + bytes(12)
+    alias = bytes(10) + bytes([1]) + b"d".ljust(27, b"\0") + bytes(12)
     alias += bytes([len(path)]) + path.ljust(63, b"\0") + bytes(16) + struct.pack(">hh", 1, 1)
     alias += bytes(16)
     for kind, where in ((2, path), (18, b"/" + path)):

@@ -137,8 +137,8 @@ def print_path(path: Path) -> None:
 
 
 def print_json(facts: dict[str, Any]) -> None:
-    """An object on stdout, as ASCII without what a terminal would act on."""
-    click.echo(json.dumps(facts).replace("\x7f", "\\u007f"))
+    """An object on stdout, in ASCII: JSON has escapes of its own."""
+    click.echo(json.dumps(facts))
 
 
 def is_lively() -> bool:
