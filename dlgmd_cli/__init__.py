@@ -1,7 +1,7 @@
 """Locust-inspired collision detection on video: the D-LGMD model as a command and a library."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+# Nothing is imported here: a Ctrl-C meanwhile would end the command with a traceback.
+TYPE_CHECKING = False
 
 __version__ = "0.1.0"
 
@@ -23,8 +23,10 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     # Late, so that the command line can answer --help without OpenCV.
+    from importlib import import_module
+
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

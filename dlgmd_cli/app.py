@@ -16,6 +16,7 @@ from dlgmd_cli.commands._console import (
     usage_errors_escaped,
 )
 from dlgmd_cli.params import nearest
+from dlgmd_cli.stops import Stops, interrupt
 
 COMMANDS = (
     "run",
@@ -68,7 +69,7 @@ class LazyGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes one line and an exit code."""
-        with errors_as_one_line():
+        with errors_as_one_line(), Stops(interrupt):
             return super().invoke(ctx)
 
 
@@ -87,7 +88,7 @@ def cli(ctx: click.Context, quiet: bool, debug: bool) -> None:
 
 
 def main() -> None:
-    """Entry point of the `dlgmd` command."""
+    """Run the command line."""
     # OpenCV and FFmpeg would report damage line by line, beside our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

@@ -9,7 +9,7 @@ import dlgmd_cli
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors", "threads"},
+    {"errors", "stops", "threads"},
     {"params"},
     {"presets"},
     {"models", "sources", "results"},

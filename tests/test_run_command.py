@@ -542,7 +542,8 @@ def test_a_full_disk_is_one_line(dlgmd, clips, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
-def test_a_real_sigint_in_a_real_process(tmp_path):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_real_signal_in_a_real_process(tmp_path, name):
     frames = looming_frames(20, 320, 240)
     write_video(tmp_path / "long.avi", frames * 150)
     command = [sys.executable, "-m", "dlgmd_cli", "run", "long.avi", "--no-plots"]
@@ -554,7 +555,7 @@ def test_a_real_sigint_in_a_real_process(tmp_path):
     while process.poll() is None and not list(tmp_path.glob("dlgmd-out/.dlgmd-*")):
         time.sleep(0.01)
     time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert b"Traceback" not in errors

@@ -1,22 +1,21 @@
 """Ctrl-C that loses nothing: it ends the computing, and never the writing."""
 
-import signal
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import click
 
 from dlgmd_cli.commands._console import EXIT_INTERRUPTED, say
+from dlgmd_cli.stops import Stops, put_off
 
 
-class Interrupts:
-    """Context manager that takes over SIGINT.
+class Interrupts(Stops):
+    """Context manager that takes over Ctrl-C, and with it SIGTERM and SIGHUP.
 
     The first one raises KeyboardInterrupt, as ever, unless `hold` was called before; those after
-    it, and all after `hold`, are only counted.
+    it, and all after `hold`, are only counted. Entered before anything that is to be cleaned up,
+    it keeps the cleaning from being interrupted, too.
 
     Attributes
     ----------
@@ -27,21 +26,20 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
+        super().__init__(self._handle)
         self.count = 0
         self.spared_plots = False
         self._raises = True
-        self._before: Any = None
-        # Python lets only the main thread set handlers.
-        self._can_act = threading.current_thread() is threading.main_thread()
 
     def hold(self) -> None:
         """From now on, only count."""
         self._raises = False
 
     def ends(self, work: Callable[[], None], n_kept: Callable[[], int]) -> bool:
-        """Do `work`; False if a Ctrl-C ended it, with `n_kept` frames computed, at least one."""
+        """Do `work`, then `hold`; False if a Ctrl-C ended it, with at least one frame computed."""
         try:
             work()
+            self.hold()  # what comes between here and the writing would lose everything
         except KeyboardInterrupt:
             if n_kept() == 0:
                 raise
@@ -59,16 +57,13 @@ class Interrupts:
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self._raises and put_off(number, frame):
+            return
         self.count += 1
         if self._raises:
             self._raises = False
             raise KeyboardInterrupt
 
     def __enter__(self) -> "Interrupts":
-        if self._can_act:
-            self._before = signal.signal(signal.SIGINT, self._handle)
+        super().__enter__()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._can_act:
-            signal.signal(signal.SIGINT, self._before)

@@ -72,11 +72,11 @@ def compare(
     from dlgmd_cli.results.folder import COMPARISON, ResultFolder
 
     with (
+        Interrupts() as interrupts,
         options.open(input_path) as source,
         ResultFolder(
             output.out, source.info.name, COMPARISON, overwrite=output.overwrite
         ) as folder,
-        Interrupts() as interrupts,
     ):
         from dlgmd_cli.runs.compare import Entry
         from dlgmd_cli.runs.compare import compare as feed

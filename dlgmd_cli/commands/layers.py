@@ -79,11 +79,11 @@ def layers(
     detector = choice.create(engine, tell=say)
     import_ahead(_NEEDED_LATER)
     with (
+        Interrupts() as interrupts,
         _printed_at_the_end() as made,
         options.open(input_path) as source,
         _folder(output, source.info.name, frames, video) as folder,
         reserved(video, source.info.path, overwrite=output.overwrite) as film_file,
-        Interrupts() as interrupts,
     ):
         job = LayerJob(input_path, source, detector, choice, options)
         job.compute(frames or (), interrupts, whole=video is not None)

@@ -64,9 +64,9 @@ def run(
     detector = choice.create(engine, tell=say)
     import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
     with (
+        Interrupts() as interrupts,
         options.open(input_path) as source,
         _folder(output, source.info.name) as folder,
-        Interrupts() as interrupts,
     ):
         from dlgmd_cli.runs import single
         from dlgmd_cli.runs.compare import Entry

@@ -105,9 +105,12 @@ def sweep(
     from dlgmd_cli.runs.sweep import grid_parameters
 
     points, fault = grid_parameters(grid, choice.params)
-    with asked.open(choice.recorded_options, choice.origin) as (subject, options):
+    with (
+        Interrupts() as interrupts,
+        asked.open(choice.recorded_options, choice.origin) as (subject, options),
+    ):
         plan = Plan.make(choice, engine, grid, points, subject, options)
-        with plan.journal(output) as journal, Interrupts() as interrupts:
+        with plan.journal(output) as journal:
             if journal.points:
                 say(f"{len(journal.points)} of {len(points)} points were there already.")
             try:
