@@ -1,12 +1,12 @@
 """Single files that appear whole or not at all."""
 
 import os
-import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
+from dlgmd_cli.results.workshop import Workshop
 
 
 def fitting(name: str, max_bytes: int = 200) -> str:
@@ -39,16 +39,18 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
     OutputError
         If they cannot be written.
     """
-    token = secrets.token_hex(8)
-    stand_ins = tuple(
-        path.with_name(f".dlgmd-{token}-{i}{path.suffix}") for i, path in enumerate(paths)
-    )
     try:
-        for path in paths:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        yield stand_ins
-        for stand_in, path in zip(stand_ins, paths, strict=True):
-            stand_in.replace(path)
+        with ExitStack() as stack:
+            shops: dict[Path, Workshop] = {}
+            for folder in dict.fromkeys(path.parent for path in paths):
+                folder.mkdir(parents=True, exist_ok=True)
+                shops[folder] = stack.enter_context(Workshop(folder))
+            stand_ins = tuple(
+                shops[path.parent].path / f"{i}{path.suffix}" for i, path in enumerate(paths)
+            )
+            yield stand_ins
+            for stand_in, path in zip(stand_ins, paths, strict=True):
+                stand_in.replace(path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(
@@ -56,7 +58,3 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
             f"it cannot be written ({reason})",
             f"Choose another {option}, or make room there.",
         ) from None
-    finally:
-        for stand_in in stand_ins:
-            with suppress(OSError):
-                stand_in.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """A folder of results, into which what a command makes comes whole or not at all."""
 
+import errno
 import os
-import secrets
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.tables import TABLES
+from dlgmd_cli.results.workshop import PREFIX, Workshop
 
 PLOT_FORMATS = ("png", "pdf", "svg")
 
@@ -50,6 +51,9 @@ class ResultFolder:
         Which files are this result's.
     overwrite : bool
         Replace an earlier result of this kind. What is no result of ours is never touched.
+    scratch : Path, optional
+        Where it is kept until it is whole, and what killed processes left is swept away: `out`,
+        unless given, or a folder above it.
 
     Raises
     ------
@@ -59,13 +63,25 @@ class ResultFolder:
         If the folder cannot be written.
     """
 
-    def __init__(self, out: Path, name: str, kind: Kind = RUN, *, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        out: Path,
+        name: str,
+        kind: Kind = RUN,
+        *,
+        overwrite: bool = False,
+        scratch: Path | None = None,
+    ) -> None:
         self.target = out / (name if name.strip(".") else f"video{name}")
-        self.partial = out / f".dlgmd-{secrets.token_hex(8)}"
-        self._old = out / f".dlgmd-{secrets.token_hex(8)}"
+        self._workshop = Workshop(scratch or out, self._make_out)
         self._made: list[Path] = []
         self._kind, self._overwrite = kind, overwrite
         self._check_target()
+
+    @property
+    def partial(self) -> Path:
+        """The hidden folder that the result comes from."""
+        return self._workshop.path
 
     def _check_target(self) -> None:
         """Refuse to replace what is not ours to replace."""
@@ -75,7 +91,11 @@ class ResultFolder:
             raise OutputExistsError(
                 str(self.target), "this is no folder of results", "Choose another --out."
             )
-        found = {path.name: path.is_dir() for path in self.target.iterdir()}
+        found = {
+            path.name: path.is_dir()
+            for path in self.target.iterdir()
+            if not path.name.startswith(PREFIX)  # some file that was never finished
+        }
         # Beside a result, other files are kept; a folder of a user's is not taken for one.
         is_result = any(kind.record in found for kind in KINDS)
         strays = frozenset() if self._kind.record in found else self._kind.names
@@ -97,14 +117,18 @@ class ResultFolder:
                 "a result stands here already",
                 "Add --overwrite to replace it, or choose another --out.",
             )
+        if not os.access(self.target, os.W_OK | os.X_OK):
+            raise self._failure(PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
 
     def __enter__(self) -> "ResultFolder":
         try:
-            self._make_out()
-            self.partial.mkdir()
-        except OSError as error:
+            self._workshop.__enter__()
+            self._check_target()  # an earlier result may have come back
+        except BaseException as error:
             self._clean()
-            raise self._failure(error) from None
+            if isinstance(error, OSError):
+                raise self._failure(error) from None
+            raise
         return self
 
     def _make_out(self) -> None:
@@ -112,7 +136,8 @@ class ResultFolder:
         missing = [self.target.parent, *self.target.parent.parents]
         for folder in reversed([path for path in missing if not path.exists()]):
             folder.mkdir(exist_ok=True)
-            self._made.append(folder)
+            if folder not in self._made:
+                self._made.append(folder)
 
     def __exit__(self, *_: object) -> None:
         self._clean()
@@ -128,41 +153,32 @@ class ResultFolder:
             If it cannot be written; what stood there stays.
         """
         try:
-            self.partial.mkdir(parents=True, exist_ok=True)  # it may have been swept away
-            write(self.partial)
+            self._workshop.renew()  # it may have been swept away
+            made = self.partial / "result"
+            made.mkdir()
+            write(made)
             self._check_target()
-            self._keep_others()
-            self._swap()
+            self._keep_others(made)
+            self._make_out()
+            self._workshop.put(made, self.target)
+            self._made.clear()
         except OSError as error:
             raise self._failure(error) from None
 
-    def _keep_others(self) -> None:
-        """Put what other commands made into the partial folder too."""
+    def _keep_others(self, made: Path) -> None:
+        """Put what other commands made beside what this one did."""
         if self.target.exists():
             for path in self.target.iterdir():
-                if path.name not in self._kind.names:
-                    copy = self.partial / path.name
+                if path.name not in self._kind.names and not path.name.startswith(PREFIX):
+                    copy = made / path.name
                     try:
                         os.link(path, copy, follow_symlinks=False)
                     except OSError:  # not every file system has links
                         shutil.copy2(path, copy, follow_symlinks=False)
 
-    def _swap(self) -> None:
-        """Rename the partial folder to the target; on failure the earlier result comes back."""
-        if self.target.exists():
-            self.target.rename(self._old)
-        try:
-            self.partial.rename(self.target)
-        except BaseException:
-            if self._old.exists():
-                self._old.rename(self.target)
-            raise
-        shutil.rmtree(self._old, ignore_errors=True)
-        self._made.clear()
-
     def _clean(self) -> None:
         """Remove what is not a result: the partial folder, and folders made for nothing."""
-        shutil.rmtree(self.partial, ignore_errors=True)
+        self._workshop.__exit__()
         for folder in reversed(self._made):
             try:
                 folder.rmdir()

@@ -1,6 +1,5 @@
 """An input on disk, decoded once, so that many models, and many processes, can go through it."""
 
-import shutil
 import tempfile
 from array import array
 from collections.abc import Callable, Iterable, Iterator
@@ -15,6 +14,7 @@ from dlgmd_cli.errors import OutputError
 from dlgmd_cli.models.base import Grey, Model
 from dlgmd_cli.models.photoreceptors import Photoreceptors
 from dlgmd_cli.models.replay import Replay
+from dlgmd_cli.results.workshop import Workshop
 from dlgmd_cli.runs.single import Recording
 from dlgmd_cli.sources.base import Frame
 
@@ -125,7 +125,8 @@ class Spool:
 
     def __enter__(self) -> "Spool":
         try:
-            self.tape = Tape(Path(tempfile.mkdtemp(prefix="dlgmd-")))
+            self._workshop = Workshop(Path(tempfile.gettempdir()))
+            self.tape = Tape(self._workshop.__enter__().path)
         except OSError as error:
             raise _no_room(error) from None
         self.tape.has_frames = self._keeps_frames
@@ -138,7 +139,7 @@ class Spool:
 
     def unlink(self) -> None:
         """Remove the folder; who has opened the tape may go on, and nothing stays behind."""
-        shutil.rmtree(self.tape.folder, ignore_errors=True)
+        self._workshop.__exit__()
 
     def add(
         self, frames: Iterable[Frame], on_frame: Callable[[int], None] = lambda n_decoded: None
