@@ -12,6 +12,7 @@ from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.results.files import appearing
 from dlgmd_cli.results.folder import RUN, ResultFolder
 from dlgmd_cli.results.record import parse_record
+from dlgmd_cli.results.workshop import Workshop, sweep_leftovers
 
 try:
     import fcntl
@@ -93,11 +94,14 @@ class Folder:
         """Make it, if need be, and write something there."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            with Workshop(self.path):
+                pass
         except OSError as error:
-            raise _failure(self.show(), error) from None
-        self.tidy()
-        with ResultFolder(self.path, "summary"):
-            pass
+            raise OutputError(
+                self.show(),
+                f"it cannot be written ({error.strerror or error})",
+                "Choose another --out, or make room there.",
+            ) from None
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -148,7 +152,8 @@ class Folder:
             stand_in.write_text(text, encoding="utf-8", newline="")
 
     def tidy(self) -> None:
-        """Sweep."""
+        """Sweep the hidden folders that results come from, all of which are in this one."""
+        sweep_leftovers(self.path)
 
     def show(self, name: str = "") -> str:
         """Its path."""
@@ -156,12 +161,4 @@ class Folder:
 
     def _folder(self, result: str) -> ResultFolder:
         target = self.path / result
-        return ResultFolder(target.parent, target.name, overwrite=True)
-
-
-def _failure(what: str, error: OSError) -> OutputError:
-    return OutputError(
-        what,
-        f"it cannot be written ({error.strerror or error})",
-        "Choose another --out, or make room there.",
-    )
+        return ResultFolder(target.parent, target.name, overwrite=True, scratch=self.path)

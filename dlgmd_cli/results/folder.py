@@ -96,9 +96,12 @@ class ResultFolder:
             for path in self.target.iterdir()
             if not path.name.startswith(PREFIX)  # some file that was never finished
         }
-        # Beside a result, other files are kept; a folder of a user's is not taken for one.
-        is_result = any(kind.record in found for kind in KINDS)
-        strays = frozenset() if self._kind.record in found else self._kind.names
+        # Beside a result, other files are kept; a folder of a user's is not taken for one. Only
+        # files of these names, and no record, are a result that was cut off or not wholly removed.
+        is_half = self._overwrite and found.keys() <= self._kind.names
+        is_result = is_half or any(kind.record in found for kind in KINDS)
+        is_known = is_half or self._kind.record in found
+        strays = frozenset() if is_known else self._kind.names
         rest = [
             name
             for name, is_folder in found.items()
