@@ -9,7 +9,8 @@ import pytest
 
 from dlgmd_cli import DLGMD, open_source
 from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
-from dlgmd_cli.runs.single import Recording, run
+from dlgmd_cli.runs.recording import Recording
+from dlgmd_cli.runs.single import run
 
 
 def threads():

@@ -23,7 +23,7 @@ ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.2
 
 def make_run(path, **changes):
     os.makedirs(path)
-    write_tables(Path(path), replace(make_result(), **changes))
+    write_tables(Path(path), [replace(make_result(), **changes)])
     Path(path, "run.yaml").write_text("complete: true\n")
     return path
 

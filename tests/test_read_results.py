@@ -55,7 +55,7 @@ def drawn_results(draw):
 @given(drawn_results())
 def test_what_is_written_reads_back(tmp_path_factory, result):
     folder = tmp_path_factory.mktemp("result")
-    write_tables(folder, result)
+    write_tables(folder, [result])
     again = read_result(folder)
     for field in fields(Result):
         values = getattr(again, field.name)
@@ -65,7 +65,7 @@ def test_what_is_written_reads_back(tmp_path_factory, result):
 
 
 def test_times_that_nine_digits_cannot_tell_apart_are_no_damage(tmp_path):
-    write_tables(tmp_path, make_result(time_s=1e6 + np.arange(6) / 1000))
+    write_tables(tmp_path, [make_result(time_s=1e6 + np.arange(6) / 1000)])
     assert (np.diff(read_result(tmp_path).time_s) == 0).any()
 
 
@@ -127,7 +127,7 @@ DAMAGES = {
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGES.values(), ids=DAMAGES)
 def test_damage_is_an_error_of_one_line(tmp_path, damage, message):
-    write_tables(tmp_path, make_result())
+    write_tables(tmp_path, [make_result()])
     damage(tmp_path)
     with pytest.raises(ResultError, match=re.escape(message)) as caught:
         read_result(tmp_path)
@@ -137,7 +137,7 @@ def test_damage_is_an_error_of_one_line(tmp_path, damage, message):
 @given(st.binary(max_size=300))
 def test_any_bytes_are_read_or_refused(tmp_path_factory, content):
     folder = tmp_path_factory.mktemp("result")
-    write_tables(folder, make_result())
+    write_tables(folder, [make_result()])
     for start in (b"", b",".join(name.encode() for name in TABLES["mp.csv"]) + b"\n0,0,"):
         (folder / "mp.csv").write_bytes(start + content)
         with pytest.raises(ResultError):
@@ -209,6 +209,6 @@ def test_which_of_several_results_a_folder_stands_for(tmp_path):
             comparison_at(path)
     comparison = compare_csv(tmp_path / "compare.csv", "set9,0,0,1,1,1,-3")
     assert comparison_at(tmp_path) == comparison == comparison_at(comparison)
-    write_tables(tmp_path, make_result())
+    write_tables(tmp_path, [make_result()])
     assert comparison_at(tmp_path) is None
     assert comparison_at(comparison) == comparison

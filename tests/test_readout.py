@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dlgmd_cli.models.readout import (
-    collisions,
+    in_a_row,
     normalise_absolute,
     normalise_sequence,
     read_out,
@@ -52,9 +52,12 @@ def test_a_spike_is_at_or_above_the_threshold():
 
 def test_collision_needs_n_sp_in_a_row():
     spike = np.array([1, 0, 1, 1, 1, 0, 1, 1], bool)
-    assert collisions(spike, 1).tolist() == spike.tolist()
-    assert collisions(spike, 2).astype(int).tolist() == [0, 0, 0, 1, 1, 0, 0, 1]
-    assert collisions(spike, 3).astype(int).tolist() == [0, 0, 0, 0, 1, 0, 0, 0]
+    assert in_a_row(spike).tolist() == [1, 0, 1, 2, 3, 0, 1, 2]
+    for n_sp in (1, 2, 3):
+        readout = read_out(
+            spike.astype(float), 1, kappa=1.0, threshold=0.5, n_sp=n_sp, by_sequence=False
+        )
+        assert readout.collision.tolist() == [n >= n_sp for n in (1, 0, 1, 2, 3, 0, 1, 2)]
 
 
 def test_which_normalisation_drives_the_spikes():

@@ -48,7 +48,7 @@ def test_cells_of_what_is_not_a_number():
 
 
 def test_tables(tmp_path):
-    write_tables(tmp_path, make_result())
+    write_tables(tmp_path, [make_result()])
     assert sorted(os.listdir(tmp_path)) == sorted(TABLES)
     rows = list(csv.reader((tmp_path / "attenuation.csv").read_text().splitlines()))
     assert rows[0] == ["frame", "time_s", "p_sum", "s_sum", "attenuation_db"]
@@ -87,7 +87,7 @@ def test_summary_of_nothing_valid():
 
 
 def fill(folder):
-    write_tables(folder, make_result())
+    write_tables(folder, [make_result()])
     (folder / "run.yaml").write_text("complete: true\n")
 
 

@@ -65,7 +65,7 @@ class LayerJob:
     def draw_conclusions(self) -> None:
         """Read the potential out, for a film; warn; raise SourceError if no frame is left."""
         from dlgmd_cli.results.measures import doubts
-        from dlgmd_cli.runs.single import read_recording
+        from dlgmd_cli.runs.reading import Reading
 
         recording, source = self.recording, self._source
         absent = _absent(recording, source, self._options) if self.complete else []
@@ -73,12 +73,12 @@ class LayerJob:
         if recording.shots:
             self._warnings += absent
         if recording.whole and self.complete and len(recording.responses):
-            self._result = read_recording(
+            self._result = Reading(
                 recording.responses,
                 source.size_wh,
                 self._choice.params,
                 by_sequence=self._options.by_sequence,
-            )
+            ).whole()
             self._warnings += doubts(self._result, source.info.decoder)
         for warning in self._warnings:
             warn(f"{self._name}: {warning}")

@@ -223,14 +223,15 @@ def _doubts(tape: "Tape", decoder: str) -> list[str]:
     """What looks wrong about the input."""
     from dlgmd_cli.models.base import undefined
     from dlgmd_cli.params import DlgmdParameters
-    from dlgmd_cli.results.measures import doubts
-    from dlgmd_cli.runs.single import Recording, read_recording
+    from dlgmd_cli.results.measures import Summary
+    from dlgmd_cli.runs.reading import Reading
+    from dlgmd_cli.runs.recording import Recording
 
     recording = Recording()
     for frame, p_sum in zip(tape.frames, tape.p_sums, strict=True):
         recording.append(frame, undefined(p_sum))
-    result = read_recording(recording, (1, 1), DlgmdParameters(), by_sequence=False)
-    return doubts(result, decoder)
+    reading = Reading(recording, (1, 1), DlgmdParameters(), by_sequence=False)
+    return Summary.of(reading).doubts(decoder)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.annotations import Annotations
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.compare import Entry
-    from dlgmd_cli.runs.single import Recording
+    from dlgmd_cli.runs.recording import Recording
     from dlgmd_cli.sources.prepare import Source
 
 _NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
@@ -168,12 +168,12 @@ def _read(
     variants: list[Variant], entries: "list[Entry]", *, by_sequence: bool
 ) -> "dict[str, Result]":
     """Everything that follows from the recordings, by label."""
-    from dlgmd_cli.runs.single import read_recording
+    from dlgmd_cli.runs.reading import Reading
 
     return {
-        variant.label: read_recording(
+        variant.label: Reading(
             entry.recording, entry.size_wh, variant.params, by_sequence=by_sequence
-        )
+        ).whole()
         for variant, entry in zip(variants, entries, strict=True)
     }
 

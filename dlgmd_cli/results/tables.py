@@ -1,6 +1,8 @@
 """The columns of every CSV of a result, in one place."""
 
 import csv
+from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,11 +64,23 @@ class Result:
         return not bool(np.isnan(self.threshold).all())
 
 
-def write_tables(folder: Path, result: Result) -> None:
-    """Write every CSV of `result` into `folder`; OSError passes through."""
-    for name, columns in TABLES.items():
-        with (folder / name).open("w", newline="", encoding="ascii") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            series = [getattr(result, column) for column in columns]
-            writer.writerows([cell(value) for value in row] for row in zip(*series, strict=True))
+def write_tables(folder: Path, pieces: Iterable[Result]) -> None:
+    """Write every CSV into `folder`; OSError passes through.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go.
+    pieces : iterable of Result
+        The result, in one piece or in several in order; none is kept.
+    """
+    with ExitStack() as stack:
+        writers = {}
+        for name, columns in TABLES.items():
+            file = stack.enter_context((folder / name).open("w", newline="", encoding="ascii"))
+            writers[columns] = csv.writer(file, lineterminator="\n")
+            writers[columns].writerow(columns)
+        for piece in pieces:
+            for columns, writer in writers.items():
+                series = [getattr(piece, column).tolist() for column in columns]
+                writer.writerows(zip(*(map(cell, values) for values in series), strict=True))

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.params import Parameters
-from dlgmd_cli.results.measures import doubts, summarise
+from dlgmd_cli.results.measures import Summary
 from dlgmd_cli.results.record import write_record
 from dlgmd_cli.results.tables import Result, write_tables
 from dlgmd_cli.runs.compare import Entry
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.runs.single import read_recording
+from dlgmd_cli.runs.reading import Reading
 from dlgmd_cli.sources.choice import InputChoice
 
 if TYPE_CHECKING:
@@ -42,12 +42,12 @@ class Asked:
 
 @dataclass(frozen=True)
 class Findings:
-    """A result and what run.yaml says of it, less the versions.
+    """A result in pieces, and what run.yaml says of it, less the versions.
 
     `shortage` is the error for an input that ended before the model could answer, if it did.
     """
 
-    result: Result
+    reading: Reading
     record: dict[str, Any]
     shortage: "SourceError | None"
 
@@ -56,6 +56,11 @@ class Findings:
         """What is doubtful, a line each."""
         warnings: list[str] = self.record["warnings"]
         return warnings
+
+    @property
+    def result(self) -> Result:
+        """The whole result, computed for whoever needs it at once."""
+        return self.reading.whole()
 
 
 def conclude(
@@ -77,9 +82,8 @@ def conclude(
         Whether it came to the end of the input.
     """
     recording, model = entry.recording, entry.model
-    result = read_recording(
-        recording, entry.size_wh, asked.params, by_sequence=asked.options.by_sequence
-    )
+    reading = Reading(recording, entry.size_wh, asked.params, by_sequence=asked.options.by_sequence)
+    summary = Summary.of(reading)
     known = facts(source, len(recording))
     known["input"].update(asked.identity)
     known["processed"].update(width=entry.size_wh[0], height=entry.size_wh[1])
@@ -89,17 +93,17 @@ def conclude(
         "engine": model.engine_name,
         **asked.params.to_dict(),
         "options": asked.options.to_record(),
-        "warnings": [*source.progress.warnings, *doubts(result, source.info.decoder)],
+        "warnings": [*source.progress.warnings, *summary.doubts(source.info.decoder)],
         "complete": complete,
-        "summary": summarise(result),
+        "summary": summary.to_dict(),
     }
     shortage = None
     if complete and recording.n_valid == 0:
         shortage = too_short(name, source, asked.label, asked.options, model.first_valid_frame)
-    return Findings(result, record, shortage)
+    return Findings(reading, record, shortage)
 
 
 def write_findings(folder: Path, findings: Findings) -> None:
     """Write the tables and run.yaml; OSError passes through."""
-    write_tables(folder, findings.result)
+    write_tables(folder, findings.reading)
     write_record(folder, findings.record, engines=[findings.record["engine"]])

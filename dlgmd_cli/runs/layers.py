@@ -5,7 +5,8 @@ from collections.abc import Callable, Collection
 
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import Shot
-from dlgmd_cli.runs.single import Recording, watch
+from dlgmd_cli.runs.recording import Recording
+from dlgmd_cli.runs.single import watch
 from dlgmd_cli.sources.base import Frame
 from dlgmd_cli.sources.prepare import Source
 
@@ -25,7 +26,7 @@ class LayerRecording:
     Attributes
     ----------
     responses : Recording
-        The numbers of every frame that was processed, 48 bytes each.
+        The numbers of every frame that was processed.
     shots : list of Shot
         The frames wanted, as far as they came.
     lowest, highest : dict of str to float

@@ -1,58 +1,13 @@
 """One input through one model."""
 
-from array import array
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
-import numpy.typing as npt
-
 from dlgmd_cli.models.base import Model, Response
-from dlgmd_cli.models.readout import read_out
-from dlgmd_cli.params import Parameters
-from dlgmd_cli.results.tables import Result
 from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
+from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.sources.base import KEPT_PICTURES, Frame
 from dlgmd_cli.sources.prepare import Source
-
-_COLUMNS = 6
-
-
-class Recording:
-    """Responses kept as plain numbers, 48 bytes a frame, so that an interrupt loses none."""
-
-    def __init__(self) -> None:
-        self._values = array("d")
-
-    def __len__(self) -> int:
-        return len(self._values) // _COLUMNS
-
-    def append(self, frame: Frame, response: Response) -> None:
-        """Add one frame's response."""
-        # One call, so that Ctrl-C finds the row whole or absent.
-        self._values.extend(
-            (
-                frame.index,
-                frame.time_s,
-                response.p_sum,
-                response.s_sum,
-                response.attenuation_db,
-                response.mp,
-            )
-        )
-
-    def cut(self, n_frames: int) -> None:
-        """Forget what comes after the first `n_frames`."""
-        del self._values[n_frames * _COLUMNS :]
-
-    @property
-    def n_valid(self) -> int:
-        """How many frames the model could answer to."""
-        return int(np.count_nonzero(~np.isnan(self.columns()[-1])))
-
-    def columns(self) -> npt.NDArray[np.float64]:
-        """A copy, shape (6, n): frame, time_s, p_sum, s_sum, attenuation_db, mp."""
-        return np.array(self._values, dtype=np.float64).reshape(-1, _COLUMNS).T.copy()
 
 
 def run(
@@ -123,44 +78,3 @@ def frames_ahead(source: Source) -> Iterator[Iterable[Frame]]:
     else:
         with ReadAhead(source.pictures(KEPT_PICTURES)) as pictures:
             yield map(source.frame, pictures)
-
-
-def read_recording(
-    recording: Recording, size_wh: tuple[int, int], params: Parameters, *, by_sequence: bool
-) -> Result:
-    """Everything that follows from a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        At least one frame.
-    size_wh : (int, int)
-        Width and height of the processed frames, in px.
-    params : Parameters
-        The model's; `kappa`, `t_mp` and `n_sp` are used.
-    by_sequence : bool
-        Spikes follow the potential normalised by its own sequence, not the absolute one.
-    """
-    frame, time_s, p_sum, s_sum, attenuation_db, mp = recording.columns()
-    readout = read_out(
-        mp,
-        size_wh[0] * size_wh[1],
-        kappa=params.kappa,
-        threshold=params.t_mp,
-        n_sp=params.n_sp,
-        by_sequence=by_sequence,
-    )
-    return Result(
-        frame=frame.astype(np.int64),
-        time_s=time_s,
-        p_sum=p_sum,
-        s_sum=s_sum,
-        attenuation_db=attenuation_db,
-        mp=mp,
-        mp_abs=readout.mp_abs,
-        mp_seq=readout.mp_seq,
-        level=readout.level,
-        threshold=np.full_like(mp, params.t_mp),
-        spike=readout.spike,
-        collision=readout.collision,
-    )

@@ -15,7 +15,7 @@ from dlgmd_cli.models.base import Grey, Model
 from dlgmd_cli.models.photoreceptors import Photoreceptors
 from dlgmd_cli.models.replay import Replay
 from dlgmd_cli.results.workshop import Workshop
-from dlgmd_cli.runs.single import Recording
+from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.sources.base import Frame
 
 _FRAMES, _CHANGES = "frames", "changes"

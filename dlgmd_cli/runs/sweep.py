@@ -16,7 +16,7 @@ from dlgmd_cli.params import DlgmdParameters, Parameters
 from dlgmd_cli.params.axis import Grid
 from dlgmd_cli.results.measures import distinguishability, sharpness, summarise
 from dlgmd_cli.results.tables import Result
-from dlgmd_cli.runs.single import read_recording
+from dlgmd_cli.runs.reading import Reading
 from dlgmd_cli.runs.spool import Player, Tape
 from dlgmd_cli.runs.workers import Workers, here
 
@@ -117,7 +117,7 @@ class Probe:
         model = create_model(params, engine=self.engine, **options)
         return tuple(
             self.measure(
-                read_recording(recording, (width, height), params, by_sequence=self.by_sequence)
+                Reading(recording, (width, height), params, by_sequence=self.by_sequence).whole()
             )
             for recording in player.play(model)
         )
