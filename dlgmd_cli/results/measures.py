@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -55,7 +56,7 @@ class Summary:
         self._in_alarm = bool(piece.collision[-1]) if piece.collision.size else self._in_alarm
         passing = piece.attenuation_db[np.isfinite(piece.attenuation_db)]
         self._n_passing += passing.size
-        self._attenuation = exact_sum([*self._attenuation, *passing.tolist()])
+        self._attenuation = _parts([*self._attenuation, *passing.tolist()])
 
     def to_dict(self) -> dict[str, Any]:
         """The summary as run.yaml and the command line show it.
@@ -112,14 +113,6 @@ def doubts(result: Result, decoder: str = "opencv") -> list[str]:
     return Summary.of([result]).doubts(decoder)
 
 
-def exact_sum(numbers: Sequence[float]) -> list[float]:
-    """A few numbers, the greatest first, whose sum is that of `numbers` without any error."""
-    parts: list[float] = []
-    while rest := math.fsum([*numbers, *(-part for part in parts)]):
-        parts.append(rest)
-    return parts
-
-
 def sharpness(result: Result) -> float:
     """How broad the response is: the mean of K/max K over the valid frames, lower is sharper.
 
@@ -173,3 +166,11 @@ def onsets(alarm: Flags, *, goes_on: bool = False) -> npt.NDArray[np.intp]:
 def _peak(result: Result) -> int | None:
     """Row of the greatest membrane potential."""
     return int(np.nanargmax(result.mp)) if np.isfinite(result.mp).any() else None
+
+
+def _parts(numbers: Sequence[float]) -> list[float]:
+    """A few numbers, the greatest first, whose sum is that of `numbers` without any error."""
+    parts: list[float] = []
+    while rest := math.fsum(chain(numbers, (-part for part in parts))):
+        parts.append(rest)
+    return parts
