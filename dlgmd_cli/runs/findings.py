@@ -1,6 +1,7 @@
 """What a run comes to: its result, its record, and whether there is any to keep."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +58,9 @@ class Findings:
         warnings: list[str] = self.record["warnings"]
         return warnings
 
-    @property
+    @cached_property
     def result(self) -> Result:
-        """The whole result, computed for whoever needs it at once."""
+        """The whole result, joined when it is first asked for: plots need it at once."""
         return self.reading.whole()
 
 
