@@ -104,6 +104,17 @@ def test_a_tree_with_broken_files(dlgmd, flights):
     assert not list(Path("dlgmd-out").rglob(".dlgmd*"))
 
 
+def test_what_is_doubtful_is_said(dlgmd, clips, tmp_path):
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    result = dlgmd("batch", "cut.avi", *QUICK, "--set", 1, "--set", 9)
+    assert result.exit_code == 0
+    record = yaml.safe_load(Path("dlgmd-out/set9/cut/run.yaml").read_text())
+    (warning,) = record["warnings"]
+    assert "frames" in warning and result.stderr == f"Warning: cut.avi: {warning}.\n"
+    assert summary("dlgmd-out/set9")["cut.avi"]["error"] == ""
+
+
 def test_rows_and_files_are_those_of_run(dlgmd, flights):
     assert dlgmd("batch", flights, "--jobs", 1, "--set", 4).exit_code == 1
     done = dlgmd("run", flights / "a/loom.avi", "--set", 4, "--out", "single", "--json")

@@ -191,6 +191,8 @@ def test_run_yaml(dlgmd, clips):
         "frames": N_FRAMES,
         "duration_s": pytest.approx(N_FRAMES / FPS),
         "decoder": "opencv",
+        "bytes": (clips / "loom.avi").stat().st_size,
+        "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
     }
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)

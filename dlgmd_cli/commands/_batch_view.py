@@ -122,12 +122,13 @@ class Speaker:
         self._said: set[str] = set()
 
     def hear(self, event: "Event") -> None:
-        """Say why a video failed, or what is waited for."""
+        """Say why a video failed, what is doubtful of one that is done, or what is waited for."""
         from dlgmd_cli.batch.events import Ended, Waiting
 
         if isinstance(event, Ended):
-            for line in failures(event.outcome, self._labels):
-                self._tell(f"Warning: {event.task.video.name}: {line}")
+            lines = [*failures(event.outcome, self._labels), *_doubts(event.outcome)]
+            for line in lines:
+                self._tell(f"Warning: {event.task.video.name}: {line.rstrip('.')}.")
         elif isinstance(event, Waiting) and event.why and event.why not in self._said:
             self._said.add(event.why)
             self._tell(event.why)
@@ -145,6 +146,12 @@ def failures(outcome: "Outcome", labels: Sequence[str] = ()) -> list[str]:
         reason if is_common or not any(kin) else f"{', '.join(kin)}: {reason}"
         for reason, kin in reasons.items()
     ]
+
+
+def _doubts(outcome: "Outcome") -> list[str]:
+    """What is doubtful of a video, each line once."""
+    lines = (line for ending in outcome.values() for line in ending.record.get("warnings", []))
+    return list(dict.fromkeys(lines))
 
 
 @contextmanager
