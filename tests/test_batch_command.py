@@ -6,12 +6,22 @@ import os
 import re
 import shutil
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 import yaml
 from conftest import looming_frames, write_video
 from faulty import prepare, unprepared
+
+from dlgmd_cli.batch.drive import drive
+from dlgmd_cli.batch.find import find_videos
+from dlgmd_cli.batch.local import LocalPool
+from dlgmd_cli.batch.places import Folder
+from dlgmd_cli.batch.resume import plan
+from dlgmd_cli.batch.task import Order, Variant
+from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.sources.choice import InputChoice
 
 COLUMNS = [
     "video",
@@ -372,6 +382,66 @@ def test_a_folder_of_others_is_left_alone(dlgmd, flights):
     assert row["error"].startswith("this folder holds other files, such as thesis.tex")
     assert os.listdir("dlgmd-out/a/loom") == ["thesis.tex"]
     assert statuses()["a/deep/other.mp4"] == "done"
+
+
+def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, monkeypatch):
+    scandir = os.scandir
+
+    def refusing(path):
+        if str(path).endswith("deep"):
+            raise PermissionError(13, "Permission denied")
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    result = dlgmd("batch", flights / "a", *QUICK)
+    assert result.exit_code == 1 and statuses() == {"loom.avi": "done"}
+    assert result.stderr.splitlines() == [
+        f"Warning: {flights / 'a' / 'deep'}: this folder cannot be read (Permission denied); its "
+        "videos are left out.",
+        "Error: not every folder could be read; what was found is in dlgmd-out. Mend its access "
+        "rights and rerun.",
+    ]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its locks are others")
+def test_a_second_batch_at_the_same_time(dlgmd, flights):
+    dlgmd("batch", flights, *QUICK)
+    before = files_below("dlgmd-out")
+    with Folder.named("dlgmd-out").locked():
+        result = dlgmd("batch", flights, *QUICK, "--force")
+    assert (result.exit_code, result.stderr) == (
+        2,
+        "Error: dlgmd-out: another 'dlgmd batch' is writing here. Wait for it, or choose another "
+        "--out.\n",
+    )
+    assert files_below("dlgmd-out") == before
+
+
+def test_two_batches_without_locks(dlgmd, flights, tmp_path, monkeypatch):
+    """On a file system without locks both work on the same results: each is whole."""
+    dlgmd("batch", flights, *QUICK, "--out", "undisturbed")
+    monkeypatch.setattr("dlgmd_cli.batch.places.fcntl", None)
+    threads = [
+        threading.Thread(target=drive_alone, args=(flights, tmp_path / "dlgmd-out"))
+        for _ in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    result = dlgmd("batch", flights, *QUICK)
+    assert "2 of 4 videos were done already." in result.stderr
+    assert timeless(files_below("dlgmd-out")) == timeless(files_below("undisturbed"))
+
+
+def drive_alone(flights, out):
+    """A batch without a command around it, for a thread of its own."""
+    place = Folder.named(str(out))
+    place.prepare()
+    order = Order((Variant("set9", DlgmdParameters(), "auto", place),), InputChoice(), ())
+    with place.locked():
+        made = plan(find_videos([("", str(flights))]).videos, order, force=True, overwrite=True)
+        drive(made, LocalPool(order, 2), lambda event: None)
 
 
 FAULTS = {

@@ -84,8 +84,8 @@ class Report:
             )
         if self._found.faults:
             raise Failed(
-                f"not every folder could be read; the {n_total} videos found are in {where}. "
-                "Mend its access rights and rerun.",
+                f"not every folder could be read; what was found is in {where}. Mend its access "
+                "rights and rerun.",
                 EXIT_FAILED,
             )
 

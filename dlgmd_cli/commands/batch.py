@@ -18,7 +18,7 @@ from dlgmd_cli.commands._input import input_options
 from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._labels import told_apart
 from dlgmd_cli.commands._model import engine_option
-from dlgmd_cli.commands._types import FiniteRange, format_option, overwrite_option
+from dlgmd_cli.commands._types import FiniteRange, format_option
 
 if TYPE_CHECKING:
     from dlgmd_cli.batch.events import Pool
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 @click.option("--out", default="dlgmd-out", show_default=True, help="Where results go; a URL, too.")
 @format_option
 @click.option("--no-plots", is_flag=True, help="Draw no plots.")
-@overwrite_option
+@click.option(
+    "--overwrite", is_flag=True, help="Replace results of other parameters or of another input."
+)
 @click.option("--force", is_flag=True, help="Redo what is done already, too.")
 @click.option(
     "--jobs",
