@@ -93,8 +93,18 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     sys.excepthook = show_traceback
+    _occupy_standard_streams()
     # Not every terminal's encoding has the letters of file names and of the model's symbols.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     cli(prog_name="dlgmd")
+
+
+def _occupy_standard_streams() -> None:
+    """Open those that the shell closed, lest a result take their place and FFmpeg write into it."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # which takes the lowest that is free

@@ -84,6 +84,20 @@ def test_a_closed_stdout_is_no_traceback():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self/fd"), reason="no /proc here")
+def test_closed_streams_are_not_taken_by_files():
+    program = (
+        "import os, sys\n"
+        "from dlgmd_cli import app\n"
+        "app.cli = lambda **_: None\n"
+        "app.main()\n"
+        "names = [os.readlink(f'/proc/self/fd/{fd}') for fd in range(3)]\n"
+        "sys.exit(names != ['/dev/null'] * 3)\n"
+    )
+    command = f"'{sys.executable}' -c \"{program}\" <&- >&- 2>&-"
+    assert subprocess.run(["sh", "-c", command]).returncode == 0
+
+
 def test_sets_table(dlgmd):
     result = dlgmd("sets")
     assert result.exit_code == 0

@@ -15,7 +15,7 @@ from dlgmd_cli.sources.base import Frame
 from dlgmd_cli.sources.luma import Luma, levels_of, luma_of
 from dlgmd_cli.sources.open import open_source
 from dlgmd_cli.sources.prepare import to_grey
-from dlgmd_cli.sources.pyav_video import picture_of
+from dlgmd_cli.sources.pyav_video import PyAVDecoder, picture_of
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -306,3 +306,24 @@ def test_a_change_of_pixel_format_goes_on(tmp_path):
     frames, warnings = read(tmp_path / "x.mjpeg")
     assert len(frames) == 8 and warnings == []
     assert np.abs(frames[3].grey.astype(int) - frames[7].grey).max() < 40
+
+
+def test_a_stream_that_its_container_loses_ends_there(tmp_path):
+    path = write_video(tmp_path / "loom.avi", looming_frames())
+
+    class Losing:
+        """As PyAV with streams that damage made appear and vanish."""
+
+        def __init__(self, container):
+            self.container = container
+
+        def demux(self, stream):
+            for number, packet in enumerate(self.container.demux(stream)):
+                if number == 7:
+                    raise IndexError("list index out of range")
+                yield packet
+
+    decoder = PyAVDecoder(str(path))
+    with av.open(str(path)) as container:
+        frames = list(decoder._decoded(av, Losing(container), container.streams.video[0]))
+    assert 0 < len(frames) <= 7 and decoder.is_damaged

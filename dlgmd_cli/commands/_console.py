@@ -143,7 +143,8 @@ def print_json(facts: dict[str, Any]) -> None:
 
 def is_lively() -> bool:
     """Whether stderr may show bars and colours."""
-    return sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+    # None: it was closed by the shell.
+    return sys.stderr is not None and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
 
 
 @contextmanager

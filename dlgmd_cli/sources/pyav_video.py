@@ -101,6 +101,9 @@ class PyAVDecoder:
                 frames = stream.decode(packet)
             except EOFError:  # an error came while the last frames were fetched
                 return
+            except IndexError:  # PyAV no longer finds the stream among those of the container
+                self.is_damaged = True
+                return
             except av.FFmpegError:
                 self.is_damaged = True
                 n_bad += 1
