@@ -98,6 +98,7 @@ class Bench:
     def then_as_ever(self, outcome):
         """`outcome`, unless another run no longer gives what an undisturbed one does."""
         if outcome.problem:
+            shutil.rmtree(self.out, ignore_errors=True)
             return outcome
         again = self.run(overwrite=True, expected="recovers")
         if again.problem:
@@ -242,7 +243,7 @@ def nowhere_to_write(bench):
 def folder_removed(bench, frames=(0, 1, 10, 19)):
     """The folder of results goes while the run computes, and while it writes."""
     from dlgmd_cli.models.dlgmd import DLGMD
-    from dlgmd_cli.results import record, tables
+    from dlgmd_cli.runs import findings
 
     outcomes = []
     step = DLGMD.step
@@ -258,8 +259,8 @@ def folder_removed(bench, frames=(0, 1, 10, 19)):
         with mock.patch.object(DLGMD, "step", removing):
             outcome = bench.run(f"removed at frame {number}")
         outcomes.append(bench.then_as_ever(outcome))
-    for module, name in ((tables, "write_tables"), (record, "write_record")):
-        write = getattr(module, name)
+    for name in ("write_tables", "write_record"):
+        write = getattr(findings, name)
 
         def removing_before(*arguments, write=write, **options):
             shutil.rmtree(bench.out)
@@ -270,7 +271,7 @@ def folder_removed(bench, frames=(0, 1, 10, 19)):
             shutil.rmtree(bench.out)
 
         for when, how in (("before", removing_before), ("after", removing_after)):
-            with mock.patch.object(module, name, how):
+            with mock.patch.object(findings, name, how):
                 outcome = bench.run(f"removed {when} {name}", expected="error")
             outcomes.append(bench.then_as_ever(outcome))
     return outcomes
