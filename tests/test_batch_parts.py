@@ -4,7 +4,6 @@ import csv
 import os
 import posixpath
 import sys
-from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
