@@ -8,10 +8,15 @@ import click
 
 from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._labels import numbered
-from dlgmd_cli.commands._model import DEFAULT_MODEL, ModelChoice
+from dlgmd_cli.commands._model import (
+    DEFAULT_MODEL,
+    ModelChoice,
+    formulation_option,
+    param_option,
+)
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import FORMULATIONS, PARAMETERS
+from dlgmd_cli.params import PARAMETERS
 from dlgmd_cli.sources.choice import InputChoice
 
 
@@ -106,16 +111,6 @@ batch_model_options = OptionGroup(
         type=click.Choice(list(PARAMETERS)),
         help="The model, with its published values; repeatable.  [default: dlgmd]",
     ),
-    click.option(
-        "--param",
-        "pairs",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Override one parameter; repeatable.",
-    ),
-    click.option(
-        "--formulation",
-        type=click.Choice(FORMULATIONS),
-        help="How latency meets whole frames.  [default: default]",
-    ),
+    param_option,
+    formulation_option,
 )

@@ -123,6 +123,18 @@ def _file(
         raise ParameterError("Invalid value for '--set'", error.why, mend) from None
 
 
+param_option = click.option(
+    "--param",
+    "pairs",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override one parameter; repeatable.",
+)
+formulation_option = click.option(
+    "--formulation",
+    type=click.Choice(FORMULATIONS),
+    help="How latency meets whole frames.  [default: default]",
+)
 MODEL_OPTIONS = (
     click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
     click.option(
@@ -130,23 +142,13 @@ MODEL_OPTIONS = (
         type=click.Path(path_type=Path),
         help="YAML file of parameters in place of a set; a run.yaml repeats its run.",
     ),
-    click.option(
-        "--param",
-        "pairs",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Override one parameter; repeatable.",
-    ),
+    param_option,
     click.option(
         "--model",
         type=click.Choice(list(PARAMETERS)),
         help=f"The model, with its published values.  [default: {DEFAULT_MODEL}]",
     ),
-    click.option(
-        "--formulation",
-        type=click.Choice(FORMULATIONS),
-        help="How latency meets whole frames.  [default: default]",
-    ),
+    formulation_option,
 )
 model_options = OptionGroup("choice", ModelChoice, *MODEL_OPTIONS)
 
