@@ -1,11 +1,13 @@
 """Signals that ask the program to end are heard at any time, and never at the wrong moment."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import threading
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
@@ -123,6 +125,13 @@ def test_a_generator_may_be_interrupted_before_it_yields():
             done.append("entered")
 
     assert interrupted(work) == ["begun"]
+
+
+@pytest.mark.parametrize(("file", "is_put_off"), [(contextlib.__file__, True), (__file__, False)])
+def test_between_a_generator_and_its_with_a_signal_is_put_off(monkeypatch, file, is_put_off):
+    monkeypatch.setattr(stops, "_send_later", lambda *_: None)
+    code = SimpleNamespace(co_name="__init__", co_filename=file)
+    assert stops.put_off(signal.SIGINT, SimpleNamespace(f_code=code, f_back=None)) is is_put_off
 
 
 def test_an_import_is_not_broken_off(tmp_path, monkeypatch):

@@ -73,6 +73,17 @@ with ResultFolder(out / sys.argv[2], "clip", overwrite=True, scratch=out) as fol
     folder.save(lambda path: (path / "run.yaml").write_text("new"))
 """
 
+# The earlier result is removed when the new one stands.
+IN_REMOVAL = f"""
+import shutil
+from dlgmd_cli.results.folder import ResultFolder
+def killing(*_, **__):
+    {KILL}
+shutil.rmtree = killing
+with ResultFolder(Path(sys.argv[1]), "clip", overwrite=True) as folder:
+    folder.save(lambda path: (path / "run.yaml").write_text("new"))
+"""
+
 
 @pytest.mark.parametrize("program", [IN_RESULT, IN_FILES], ids=["result", "files"])
 def test_leftovers_of_the_dead_are_swept(tmp_path, program):
@@ -110,6 +121,14 @@ def test_an_earlier_result_comes_back(tmp_path, below):
         pass
     assert record.read_text() == "old"
     assert [name for name in os.listdir(tmp_path) if name.startswith(".")] == []
+
+
+def test_an_earlier_result_does_not_replace_the_new_one(tmp_path):
+    record = made(tmp_path)
+    die(IN_REMOVAL, tmp_path)
+    assert len(os.listdir(tmp_path)) == 2
+    sweep_leftovers(tmp_path)
+    assert os.listdir(tmp_path) == ["clip"] and record.read_text() == "new"
 
 
 def test_an_earlier_result_stays_when_the_new_one_cannot_be_put(tmp_path, monkeypatch):

@@ -61,19 +61,15 @@ class Workshop:
     def put(self, made: Path, target: Path) -> None:
         """Rename a folder made here to `target`, in place of what stands there.
 
-        Should this be cut short, what stood there comes back: at once, or when the next process
-        sweeps. OSError passes through.
+        Should this be cut short, what stood there comes back: as the workshop is left, or when
+        the next process sweeps. OSError passes through.
         """
         earlier = self.path / _EARLIER
-        try:
-            if target.exists():
-                place = os.path.relpath(target, self._beside)
-                (self.path / _PLACE).write_bytes(os.fsencode(place))
-                target.rename(earlier)
-            made.rename(target)
-        except BaseException:
-            _restore(self.path)
-            raise
+        if target.exists():
+            place = os.path.relpath(target, self._beside)
+            (self.path / _PLACE).write_bytes(os.fsencode(place))
+            target.rename(earlier)
+        made.rename(target)
         shutil.rmtree(earlier, ignore_errors=True)
 
     def _make(self) -> None:
