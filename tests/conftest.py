@@ -1,5 +1,6 @@
 """Tiny clips that are written once, and a way to call the command."""
 
+import signal
 import sys
 from pathlib import Path
 
@@ -9,6 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from dlgmd_cli.results.tables import Result
+
+if hasattr(signal, "SIGHUP"):
+    # Below nohup it is ignored, which the processes that tests start would keep to.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 
