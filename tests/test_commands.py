@@ -63,6 +63,7 @@ def test_help_and_usage_errors_import_nothing_heavy():
             "try:\n    main()\n"
             "except SystemExit: pass\n"
             "heavy = {'av', 'cv2', 'matplotlib', 'numba', 'numpy', 'yaml'}\n"
+            "heavy |= {'distributed', 'fsspec'}\n"
             "print(sorted(heavy & set(sys.modules)))\n"
         )
         done = subprocess.run(

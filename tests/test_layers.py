@@ -27,6 +27,8 @@ ONLY_IN = {
     "numba": {"models"},
     "av": {"sources", "results"},
     "yaml": {"presets", "results", "commands"},
+    "distributed": {"batch"},
+    "fsspec": {"batch"},
 }
 
 

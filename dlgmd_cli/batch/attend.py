@@ -6,6 +6,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 
 from dlgmd_cli.batch.events import Advanced, Began, Ended, Event
+from dlgmd_cli.batch.remote import tidy_scratch
 from dlgmd_cli.batch.task import CRASHED, KILLED, TIMEOUT, Ending, Order, Task
 from dlgmd_cli.batch.work import as_failed, prepare
 from dlgmd_cli.runs.worker import Death, Message, Worker
@@ -105,6 +106,13 @@ def hear_next(inbox: "SimpleQueue[Message]", timeout_s: float) -> Message | None
         return inbox.get(timeout=timeout_s)
     except Empty:
         return None
+
+
+def tidy(order: Order) -> None:
+    """Remove what processes that died were writing."""
+    tidy_scratch()
+    for variant in order.variants:
+        variant.place.tidy()
 
 
 def _ending_of(death: Death) -> Ending:

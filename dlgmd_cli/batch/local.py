@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from queue import SimpleQueue
 
-from dlgmd_cli.batch.attend import Attendant, hear_next
+from dlgmd_cli.batch.attend import Attendant, hear_next, tidy
 from dlgmd_cli.batch.events import TICK_S, Event, Waiting
 from dlgmd_cli.batch.task import Order, Task
 from dlgmd_cli.runs.worker import Message, Worker
@@ -36,7 +36,7 @@ class LocalPool:
         for worker in self._attendants:
             worker.end()
         self._attendants.clear()
-        self._tidy()
+        tidy(self._order)
 
     def work_on(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """See `Pool`."""
@@ -55,7 +55,7 @@ class LocalPool:
                     yield late
                 if not attendant.is_alive:
                     del self._attendants[attendant.worker]
-                    self._tidy()
+                    tidy(self._order)
 
     def _share_out(self, waiting: Iterator[Task]) -> None:
         """Give everyone something to do, as far as there is anything."""
@@ -69,8 +69,3 @@ class LocalPool:
                 self._attendants[new.worker] = new
                 free.append(new)
             free.pop().give(task)
-
-    def _tidy(self) -> None:
-        """Remove what a process that died was writing."""
-        for variant in self._order.variants:
-            variant.place.tidy()

@@ -25,38 +25,38 @@ def result_names(videos: Iterable[str]) -> dict[str, str]:
         For every path that of its result, with slashes; none is within another, or leads out of
         the tree.
     """
-    by_folder: dict[str, list[str]] = defaultdict(list)
-    folders: dict[str, set[str]] = defaultdict(set)
+    by_folder: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    folders: dict[tuple[str, ...], set[str]] = defaultdict(set)
     for video in videos:
-        folder, name = posixpath.split(video)
-        by_folder[folder].append(name)
-        while folder:
-            folder, below = posixpath.split(folder)
-            folders[folder].add(_safe(below).casefold())
+        above = tuple(_safe(part) for part in video.split("/")[:-1])
+        by_folder[above].append(video)
+        for depth, below in enumerate(above):
+            folders[above[:depth]].add(below.casefold())
     results = {}
-    for folder, names in by_folder.items():
-        taken = folders[folder] | (RESERVED if not folder else frozenset())
-        for name, called in _called(sorted(names), taken).items():
-            parts = [_safe(part) for part in folder.split("/") if part]
-            results[posixpath.join(folder, name)] = "/".join([*parts, called])
+    for above, kin in by_folder.items():
+        taken = folders[above] | (frozenset() if above else RESERVED)
+        for video, called in _called(sorted(kin), taken).items():
+            results[video] = "/".join([*above, called])
     return results
 
 
-def _called(names: list[str], taken: Iterable[str]) -> dict[str, str]:
+def _called(videos: list[str], taken: Iterable[str]) -> dict[str, str]:
     """What the results of the videos of one folder are called, apart from what is taken."""
+    names = {video: video.rpartition("/")[2] for video in videos}
     stems = defaultdict(list)
-    for name in names:
-        stems[_safe(posixpath.splitext(name)[0]).casefold()].append(name)
+    for video, name in names.items():
+        stems[_safe(posixpath.splitext(name)[0]).casefold()].append(video)
     used, called = set(taken), {}
     alone = {kin[0] for stem, kin in stems.items() if len(kin) == 1 and stem not in used}
-    for name in sorted(names, key=lambda name: name not in alone):
-        wanted = base = _safe(posixpath.splitext(name)[0] if name in alone else name)
+    for video in sorted(videos, key=lambda video: video not in alone):
+        name = names[video]
+        wanted = base = _safe(posixpath.splitext(name)[0] if video in alone else name)
         number = 1
         while wanted.casefold() in used:
             number += 1
             wanted = f"{base} ({number})"
         used.add(wanted.casefold())
-        called[name] = wanted
+        called[video] = wanted
     return called
 
 

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.commands._console import (
@@ -62,7 +61,7 @@ class Report:
             for label, summary in zip(self._labels, self._plan.summaries, strict=True):
                 _show(summary.endings, label if len(self._labels) > 1 else "video")
             for path in paths:
-                print_path(Path(path))
+                print_path(path)
         if not self._complete:
             n_done = sum(status == DONE for status in self._statuses.values())
             say(

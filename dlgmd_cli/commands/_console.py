@@ -131,8 +131,8 @@ def show_traceback(
             say(line)
 
 
-def print_path(path: Path) -> None:
-    """A path on stdout, on one line."""
+def print_path(path: Path | str) -> None:
+    """A path or URL on stdout, on one line."""
     click.echo(printable(os.fspath(path)))
 
 

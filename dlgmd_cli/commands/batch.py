@@ -12,6 +12,7 @@ from dlgmd_cli.commands._console import (
     EXIT_INTERRUPTED,
     Command,
     say,
+    settings,
     warn,
 )
 from dlgmd_cli.commands._input import input_options
@@ -182,7 +183,7 @@ def _pool(
     if scheduler is not None:
         from dlgmd_cli.batch.cluster import Cluster
 
-        return Cluster(order, scheduler, timeout)
+        return Cluster(order, scheduler, timeout, quiet=not settings().debug)
     n_jobs = jobs or n_processors()
     # With fewer videos than processors, each has several of those.
     n_busy = max(1, min(n_jobs, len(plan.tasks)))
