@@ -85,6 +85,12 @@ def test_python_runs_as_written(dlgmd, tmp_path, capsys):
     assert Path("attenuation.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_scripts_for_elsewhere_are_python():
+    scripts = re.findall(r"```py\n(.*?)```", README, flags=re.DOTALL)
+    assert len(scripts) == 1
+    compile(scripts[0], "README.md", "exec")
+
+
 def test_figures_are_where_the_readme_says():
     places = re.findall(r"`(\w+)\.((?:plot|overlay)_\w+)`", README)
     assert len(places) >= 10
