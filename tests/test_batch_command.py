@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,11 +16,12 @@ from conftest import looming_frames, write_video
 from faulty import prepare, unprepared
 
 from dlgmd_cli.batch.drive import drive
+from dlgmd_cli.batch.events import Began, Ended
 from dlgmd_cli.batch.find import find_videos
 from dlgmd_cli.batch.local import LocalPool
 from dlgmd_cli.batch.places import Folder
 from dlgmd_cli.batch.resume import plan
-from dlgmd_cli.batch.task import Order, Variant
+from dlgmd_cli.batch.task import Order, Task, Variant, Video
 from dlgmd_cli.params import DlgmdParameters
 from dlgmd_cli.sources.choice import InputChoice
 
@@ -182,9 +184,11 @@ def test_what_is_done_is_skipped(dlgmd, flights):
 def test_force_redoes_all(dlgmd, flights):
     dlgmd("batch", flights, *QUICK)
     before = mtime("dlgmd-out/a/loom/run.yaml")
-    result = dlgmd("batch", flights, *QUICK, "--force", "--set", 3)
+    result = dlgmd("batch", flights, *QUICK, "--force")
     assert "done already" not in result.stderr
     assert mtime("dlgmd-out/a/loom/run.yaml") > before
+    result = dlgmd("batch", flights, *QUICK, "--force", "--set", 3)
+    assert "done already" not in result.stderr
     assert yaml.safe_load(Path("dlgmd-out/a/loom/run.yaml").read_text())["sigma_e"] != 1.5
 
 
@@ -251,6 +255,32 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights):
     assert "sigma_e: 1.3" in Path("dlgmd-out/a/loom/run.yaml").read_text()
     result = dlgmd("batch", flights, *QUICK, "--param", "sigma_e=1.3", "--overwrite")
     assert "2 of 4 videos were done already." in result.stderr
+
+
+def test_a_recorded_option_that_is_not_given_is_another_setting(dlgmd, flights):
+    dlgmd("batch", flights, *QUICK, "--normalise", "sequence")
+    result = dlgmd("batch", flights, *QUICK)
+    assert result.exit_code == 2 and "of other settings stands here (--normalise)" in result.stderr
+
+
+def test_results_of_another_release_are_kept_and_said(dlgmd, flights):
+    dlgmd("batch", flights, *QUICK)
+    record = Path("dlgmd-out/a/loom/run.yaml")
+    record.write_text(re.sub(r"(?m)^  dlgmd: .*$", "  dlgmd: 0.0.1", record.read_text()))
+    result = dlgmd("batch", flights, *QUICK)
+    assert result.stderr.splitlines()[:2] == [
+        "2 of 4 videos were done already.",
+        "Warning: 1 of the results are of another release; --force redoes all.",
+    ]
+
+
+def test_an_input_that_cannot_be_told_apart_is_redone(dlgmd, flights):
+    dlgmd("batch", flights / "a", *QUICK)
+    (known, *_) = find_videos([("", str(flights / "a"))]).videos
+    variant = Variant("set9", DlgmdParameters(), "auto", Folder.named("dlgmd-out"))
+    order = Order((variant,), InputChoice(), ())
+    for video, n_tasks in ((known, 0), (replace(known, identity={}), 1)):
+        assert len(plan([video], order, force=False, overwrite=False).tasks) == n_tasks
 
 
 def test_another_input_of_the_same_name(dlgmd, flights, clips):
@@ -452,6 +482,19 @@ FAULTS = {
     "hangs.avi": ("timeout", "it took more than 1.5 s. Give it more with --timeout."),
     "bug.avi": ("failed", "internal error (IndexError)"),
 }
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_so_many_videos_at_a_time(monkeypatch, jobs):
+    monkeypatch.setattr("dlgmd_cli.batch.attend.prepare", prepare)
+    tasks = [Task(Video(f"hangs{n}", f"/hangs{n}", f"hangs{n}"), (0,)) for n in range(2)]
+    pool = LocalPool(Order((), InputChoice(), ()), jobs, timeout_s=0.5)
+    n_running, most = 0, 0
+    with pool:
+        for event in pool.work_on(tasks):
+            n_running += isinstance(event, Began) - isinstance(event, Ended)
+            most = max(most, n_running)
+    assert (n_running, most) == (0, jobs)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
