@@ -11,6 +11,8 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import IO, Any, NamedTuple
 
+from dlgmd_cli.errors import WorkerError
+
 # The child finds modules where its parent does, before it unpickles anything of theirs.
 _BOOT = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -67,23 +69,38 @@ class Worker:
         pickled.
     inbox : SimpleQueue of Message
         Where what comes from the process is put; several workers may share it.
+
+    Raises
+    ------
+    WorkerError
+        If there can be no more processes, threads or open files.
     """
 
     def __init__(
         self, prepare: Callable[[], Callable[[Any], Any]], inbox: "SimpleQueue[Message]"
     ) -> None:
         self._inbox = inbox
-        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115, until it has ended
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _BOOT],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._words,
-            env={**_QUIET, **os.environ},
-            **_apart(),
-        )
+        self._words = _nameless_file()
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._words or subprocess.DEVNULL,
+                env={**_QUIET, **os.environ},
+                **_apart(),
+            )
+        except OSError as error:
+            if self._words is not None:
+                self._words.close()
+            raise _no_more(error.strerror or type(error).__name__) from None
         self._reader = threading.Thread(target=self._read, name="dlgmd-worker", daemon=True)
-        self._reader.start()
+        try:
+            self._reader.start()
+        except RuntimeError as error:
+            self._process.kill()
+            self._read()
+            raise _no_more(str(error)) from None
         self._send(sys.path)
         self._send(prepare)
 
@@ -147,11 +164,29 @@ class Worker:
         self._inbox.put(Message(self, "death", Death(code, self._last_words())))
 
     def _last_words(self) -> str:
-        """The last line that it wrote to stderr."""
+        """The last line that it wrote to stderr, as far as that was kept."""
+        if self._words is None:
+            return ""
         with self._words as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
             lines = file.read().decode(errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def _no_more(reason: str) -> WorkerError:
+    return WorkerError(
+        "a worker process",
+        f"it cannot be started ({reason})",
+        "Use fewer with --jobs, or raise the system's limits.",
+    )
+
+
+def _nameless_file() -> IO[bytes] | None:
+    """A temporary file; None where there can be none."""
+    try:
+        return tempfile.TemporaryFile()
+    except OSError:
+        return None
 
 
 def _apart() -> dict[str, Any]:

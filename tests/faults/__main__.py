@@ -8,14 +8,16 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from faults.outcome import table
-from faults.suite import of_inputs, of_processes
+from faults.suite import of_batch_inputs, of_batch_processes, of_inputs, of_processes
 
 
 def main():
     """Print the table, and what is wrong below it."""
     with tempfile.TemporaryDirectory() as folder:
-        groups = of_inputs(Path(folder), ["opencv", *(["pyav"] if find_spec("av") else [])])
-        for name, try_it in of_processes(Path(folder)).items():
+        decoders = ["opencv", *(["pyav"] if find_spec("av") else [])]
+        groups = of_inputs(Path(folder), decoders) | of_batch_inputs(Path(folder), decoders)
+        tries = of_processes(Path(folder)) | of_batch_processes(Path(folder))
+        for name, try_it in tries.items():
             groups[name] = try_it()
     groups["all"] = [outcome for outcomes in groups.values() for outcome in outcomes]
     problems = [outcome for outcome in groups["all"] if outcome.problem]

@@ -20,7 +20,7 @@ from faults.outcome import CRASHED, HUNG, Outcome, judge
 
 PATIENCE_S = 60.0
 # Closes a pipe once it answers signals, which is the first thing that it does.
-_PROGRAM = """
+PROGRAM = """
 import os, sys
 import dlgmd_cli.__main__ as entry
 told = [int(sys.argv.pop(1))]
@@ -64,7 +64,7 @@ class Bench:
         ready, told = os.pipe()
         command = [str(told), *self.command(overwrite=self.out.exists())]
         process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, *command],
+            [sys.executable, "-c", PROGRAM, *command],
             cwd=self.folder,
             stderr=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -188,14 +188,14 @@ def no_room_on_disk(bench, sizes_kib=(0, 4, 16, 64)):
     mounted.mkdir(exist_ok=True)
     for size in sizes_kib:
         options = f"size={max(size, 4)}k,nr_inodes={3 if size == 0 else 64}"
-        if not _mount("-t", "tmpfs", "-o", options, "none", mounted):
+        if not mount("-t", "tmpfs", "-o", options, "none", mounted):
             return outcomes
         try:
             outcome = bench.run(f"disk of {size} KiB", mounted / "out")
             if list(mounted.iterdir()) and outcome.ending == "error":
                 outcome = Outcome(outcome.name, outcome.ending, "left something")
         finally:
-            _unmount(mounted)
+            unmount(mounted)
         outcomes.append(bench.then_as_ever(outcome))
     return outcomes
 
@@ -232,11 +232,11 @@ def nowhere_to_write(bench):
         outcomes.append(judge(name, result.exit_code, result.stderr, nothing, "error"))
     read_only = bench.folder / "read-only"
     read_only.mkdir(exist_ok=True)
-    if _mount("-t", "tmpfs", "-o", "ro,size=64k", "none", read_only):
+    if mount("-t", "tmpfs", "-o", "ro,size=64k", "none", read_only):
         try:
             outcomes.append(bench.run("read-only mount", read_only / "out", "error"))
         finally:
-            _unmount(read_only)
+            unmount(read_only)
     return [bench.then_as_ever(outcome) for outcome in outcomes]
 
 
@@ -310,12 +310,12 @@ def closed_streams(bench):
     return outcomes
 
 
-def _mount(*arguments):
+def mount(*arguments):
     """Mount something, if that is permitted."""
     return shutil.which("mount") is not None and (
         subprocess.run(["mount", *map(str, arguments)], capture_output=True).returncode == 0
     )
 
 
-def _unmount(folder):
+def unmount(folder):
     subprocess.run(["umount", str(folder)], check=True, capture_output=True)
