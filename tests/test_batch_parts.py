@@ -3,7 +3,11 @@
 import csv
 import os
 import posixpath
+import shutil
+import subprocess
 import sys
+import tempfile
+import threading
 from queue import SimpleQueue
 
 import pytest
@@ -11,15 +15,22 @@ from faulty import prepare as faulty_prepare
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dlgmd_cli.batch.attend import Attendant
+from dlgmd_cli.batch.drive import drive
 from dlgmd_cli.batch.events import Advanced, Began, Ended
 from dlgmd_cli.batch.find import find_videos
+from dlgmd_cli.batch.local import LocalPool
 from dlgmd_cli.batch.names import result_names
 from dlgmd_cli.batch.places import Folder
+from dlgmd_cli.batch.resume import plan
 from dlgmd_cli.batch.summary import COLUMNS, Summary
-from dlgmd_cli.batch.task import DONE, FAILED, Ending, Task, Video
+from dlgmd_cli.batch.task import DONE, FAILED, Ending, Order, Task, Variant, Video
 from dlgmd_cli.commands._batch_view import Tally, failures
-from dlgmd_cli.errors import OutputExistsError, SourceError
+from dlgmd_cli.errors import OutputExistsError, SourceError, WorkerError
+from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.results.record import parse_record, yaml_text
 from dlgmd_cli.runs.worker import Worker
+from dlgmd_cli.sources.choice import InputChoice
 
 
 def tree(folder, *names):
@@ -142,6 +153,10 @@ def test_results_of_one_name(tmp_path):
     # A folder of that name, names that differ in capitals, and the summary's own.
     assert result_names(["x.mp4", "x/y.mp4"]) == {"x.mp4": "x.mp4", "x/y.mp4": "x/y"}
     assert result_names(["x.mp4", "X.mp4"]) == {"x.mp4": "x.mp4 (2)", "X.mp4": "X.mp4"}
+    assert result_names(["\u00e9.mp4", "e\u0301.mp4"]) == {
+        "\u00e9.mp4": "\u00e9.mp4 (2)",
+        "e\u0301.mp4": "e\u0301.mp4",
+    }
     assert result_names(["x.mp4", "x.avi", "x.avi.mp4"]) == {
         "x.avi.mp4": "x.avi",
         "x.avi": "x.avi (2)",
@@ -325,6 +340,78 @@ def test_a_worker_that_nobody_wants_any_more_ends(tmp_path):
     worker.end()
     message = inbox.get(timeout=30)
     assert message.kind == "death" and message.value.code == 0
+
+
+def test_a_worker_without_a_temporary_file(monkeypatch):
+    monkeypatch.setattr(tempfile, "TemporaryFile", refusing(FileNotFoundError(2, "No such")))
+    inbox = SimpleQueue()
+    worker = Worker(faulty_prepare_none, inbox)
+    assert inbox.get(timeout=30).kind == "ready"
+    worker.kill()
+    assert inbox.get(timeout=30).value.last_words == ""
+
+
+def test_a_task_for_a_worker_that_is_dead():
+    inbox = SimpleQueue()
+    worker = Worker(faulty_prepare_none, inbox)
+    assert inbox.get(timeout=30).kind == "ready"
+    worker.kill()
+    worker.send("task")  # its pipe is closed by now
+    assert inbox.get(timeout=30).kind == "death" and inbox.empty()
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "error", "reason"),
+    [
+        (subprocess, "Popen", OSError(24, "Too many open files"), "Too many open files"),
+        (subprocess, "Popen", BlockingIOError(11, "Try again"), "Try again"),
+        (threading.Thread, "start", RuntimeError("can't start new thread"), "can't start new"),
+    ],
+)
+def test_a_worker_that_cannot_be_started(monkeypatch, module, name, error, reason):
+    monkeypatch.setattr(module, name, refusing(error))
+    with pytest.raises(WorkerError, match=f"^a worker process: it cannot be started .{reason}"):
+        Worker(faulty_prepare_none, SimpleQueue())
+
+
+@pytest.mark.parametrize("n_possible", [0, 1, 2])
+def test_as_many_workers_as_there_can_be(clips, tmp_path, monkeypatch, n_possible):
+    alive = []
+
+    class Few(Attendant):
+        def __init__(self, *arguments):
+            if len(alive) == n_possible:
+                raise WorkerError("a worker process", "it cannot be started")
+            super().__init__(*arguments)
+            alive.append(self)
+
+    monkeypatch.setattr("dlgmd_cli.batch.local.Attendant", Few)
+    for number in range(5):
+        shutil.copy(clips / "loom.avi", tmp_path / f"{number}.avi")
+    variant = Variant("set9", DlgmdParameters(), "auto", Folder.named(str(tmp_path / "out")))
+    order = Order((variant,), InputChoice(), ())
+    videos = find_videos([("", str(tmp_path))]).videos
+    made = plan(videos, order, force=False, overwrite=False)
+    if n_possible:
+        drive(made, LocalPool(order, 4), lambda event: None)
+        assert [one.status for one in made.summaries[0].endings.values()] == [DONE] * 5
+    else:
+        with pytest.raises(WorkerError):
+            drive(made, LocalPool(order, 4), lambda event: None)
+    assert len(alive) == n_possible
+
+
+def test_a_record_of_a_name_that_is_no_text():
+    parts = ("input", "processed", "versions", "summary")
+    record = {part: {"path": "\udcff.avi"} for part in parts}
+    assert parse_record(yaml_text(record).encode()) == record
+
+
+def refusing(error):
+    def refuse(*arguments, **options):
+        raise error
+
+    return refuse
 
 
 def faulty_prepare_none():

@@ -1,11 +1,13 @@
 """Worker processes on this machine, one for each of so many videos at a time."""
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from queue import SimpleQueue
 
 from dlgmd_cli.batch.attend import Attendant, hear_next, tidy
 from dlgmd_cli.batch.events import TICK_S, Event, Waiting
 from dlgmd_cli.batch.task import Order, Task
+from dlgmd_cli.errors import WorkerError
 from dlgmd_cli.runs.worker import Message, Worker
 
 
@@ -40,7 +42,7 @@ class LocalPool:
 
     def work_on(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """See `Pool`."""
-        waiting = iter(tasks)
+        waiting = deque(tasks)
         while True:
             self._share_out(waiting)
             if not any(attendant.task for attendant in self._attendants.values()):
@@ -57,15 +59,23 @@ class LocalPool:
                     del self._attendants[attendant.worker]
                     tidy(self._order)
 
-    def _share_out(self, waiting: Iterator[Task]) -> None:
+    def _share_out(self, waiting: "deque[Task]") -> None:
         """Give everyone something to do, as far as there is anything."""
         free = [one for one in self._attendants.values() if one.task is None]
-        while free or len(self._attendants) < self._jobs:
-            task = next(waiting, None)
-            if task is None:
+        while waiting and (free or len(self._attendants) < self._jobs):
+            if not free and not self._hire(free):
                 return
-            if not free:
-                new = Attendant(self._order, self._inbox, self._timeout_s)
-                self._attendants[new.worker] = new
-                free.append(new)
-            free.pop().give(task)
+            free.pop().give(waiting.popleft())
+
+    def _hire(self, free: list[Attendant]) -> bool:
+        """One process more, or from now on as few as there are; raises WorkerError if none."""
+        try:
+            new = Attendant(self._order, self._inbox, self._timeout_s)
+        except WorkerError:
+            if not self._attendants:
+                raise
+            self._jobs = len(self._attendants)
+            return False
+        self._attendants[new.worker] = new
+        free.append(new)
+        return True

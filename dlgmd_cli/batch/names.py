@@ -1,6 +1,7 @@
 """Where in the tree of results a video's result lies: named after it, and told apart."""
 
 import posixpath
+import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable
 
@@ -12,7 +13,8 @@ def result_names(videos: Iterable[str]) -> dict[str, str]:
     """The folder of each video's result, mirroring the tree.
 
     It is called after the file without its ending; with it where another video, or a folder with
-    videos, has the same name in the same folder, whether in capitals or not.
+    videos, has the same name in the same folder, whether in capitals or not, and however
+    its accents are written.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def result_names(videos: Iterable[str]) -> dict[str, str]:
         above = tuple(_safe(part) for part in video.split("/")[:-1])
         by_folder[above].append(video)
         for depth, below in enumerate(above):
-            folders[above[:depth]].add(below.casefold())
+            folders[above[:depth]].add(_key(below))
     results = {}
     for above, kin in by_folder.items():
         taken = folders[above] | (frozenset() if above else RESERVED)
@@ -45,19 +47,24 @@ def _called(videos: list[str], taken: Iterable[str]) -> dict[str, str]:
     names = {video: video.rpartition("/")[2] for video in videos}
     stems = defaultdict(list)
     for video, name in names.items():
-        stems[_safe(posixpath.splitext(name)[0]).casefold()].append(video)
+        stems[_key(_safe(posixpath.splitext(name)[0]))].append(video)
     used, called = set(taken), {}
     alone = {kin[0] for stem, kin in stems.items() if len(kin) == 1 and stem not in used}
     for video in sorted(videos, key=lambda video: video not in alone):
         name = names[video]
         wanted = base = _safe(posixpath.splitext(name)[0] if video in alone else name)
         number = 1
-        while wanted.casefold() in used:
+        while _key(wanted) in used:
             number += 1
             wanted = f"{base} ({number})"
-        used.add(wanted.casefold())
+        used.add(_key(wanted))
         called[video] = wanted
     return called
+
+
+def _key(part: str) -> str:
+    """What names have in common that are one name on some file system."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", part).casefold())
 
 
 def _safe(part: str) -> str:

@@ -1,6 +1,7 @@
 """run.yaml: everything that it takes to repeat a run, and what came of it."""
 
 import platform
+import re
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +20,9 @@ _HEADERS = {
 
 # Far more than any record has.
 MAX_RECORD_BYTES = 1_000_000
+
+# How the bytes of a file's name that are no UTF-8 are written.
+_UNDECODABLE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 # What else a number depends on, by the decoder or engine that made it.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
@@ -69,6 +73,8 @@ def parse_record(text: bytes) -> dict[str, Any]:
     if len(text) > MAX_RECORD_BYTES:
         return {}
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
+    if _UNDECODABLE.search(text):
+        loader = yaml.SafeLoader  # the fast one refuses them
     try:
         record = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError, RecursionError):

@@ -139,7 +139,7 @@ class Worker:
 
     def _send(self, thing: Any) -> None:
         data = pickle.dumps(thing)
-        with suppress(OSError):  # it is dead
+        with suppress(OSError, ValueError):  # it is dead; its pipe may be closed already
             self._stdin.write(data)
             self._stdin.flush()
 
