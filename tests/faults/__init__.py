@@ -1,4 +1,4 @@
-"""What may befall a run and a batch: bad files, signals, full disks. `python -m tests.faults` runs it all."""
+"""What may befall a run or a batch: bad files, signals, full disks. See `python -m tests.faults`."""
 
 import os
 

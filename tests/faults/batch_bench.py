@@ -92,9 +92,7 @@ class BatchBench:
         is_killed = process.returncode == -signal.SIGKILL
         ended = Ended(130 if is_killed else process.returncode, stdout.decode(), stderr.decode())
         outcome = without_survivors(
-            lambda: judge_batch(
-                name, ended, self.out, self.truth, codes, allows_hidden=is_killed
-            ),
+            lambda: judge_batch(name, ended, self.out, self.truth, codes, allows_hidden=is_killed),
             mark,
         )
         if not outcome.problem and "--force" not in more and self._has_redone(before):
@@ -146,7 +144,7 @@ class BatchBench:
 
 @contextmanager
 def at_event(act, number=0):
-    """Calls `act(worker)` before the event of a number in a batch in this process; None: before all.
+    """Calls `act(worker)` before an event of a batch in this process, by number; None: all.
 
     `worker` is one that works on a video, or None.
     """

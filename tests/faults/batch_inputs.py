@@ -9,13 +9,16 @@ from dataclasses import replace
 
 from dlgmd_cli.batch.find import is_video
 from dlgmd_cli.results.cells import text_cell
+from dlgmd_cli.threads import limit_threads, n_processors
 from faults.batch_bench import environment, invoke, without_survivors
 from faults.batch_outcome import Ended, files_below, folders_of, judge_batch, rows_of, timeless
 from faults.outcome import CRASHED, ERROR, HUNG, RECOVERED, Outcome
 
 # More than any of them takes, and more than all of them.
 EACH_S, ALL_S = "120", 900
-N_TRIES = 6
+N_JOBS, N_TRIES = 2, 6
+# Larger files take long, and are held against nothing unless all are.
+_LARGE_BYTES = 1_000_000
 _EXPECTED = {"error": "failed", "recovers": "done"}
 _ENDING = {"done": RECOVERED, "failed": ERROR, "timeout": HUNG}
 
@@ -35,7 +38,7 @@ def batch_of_inputs(inputs, folder, decoder, n_apart):
     roots = [top, *(case.path for case, name in names.items() if "/" not in name)]
     out, mark = folder / "out", uuid.uuid4().hex
     options = ["--decoder", decoder, "--no-plots"]
-    how = ["--jobs", "2", "--timeout", EACH_S]
+    how = ["--jobs", str(N_JOBS), "--timeout", EACH_S]
     try:
         done = subprocess.run(
             [sys.executable, "-m", "dlgmd_cli", "batch", *roots, "--out", out, *options, *how],
@@ -51,7 +54,10 @@ def batch_of_inputs(inputs, folder, decoder, n_apart):
     folders, outcomes = folders_of(out), {}
     for number, (case, name) in enumerate(names.items()):
         outcomes[case] = _outcome(case, rows.get(name))
-        if number % n_apart == 0 and not outcomes[case].problem:
+        is_apart = n_apart == 1 or (
+            number % n_apart == 0 and case.path.lstat().st_size < _LARGE_BYTES
+        )
+        if is_apart and not outcomes[case].problem:
             mine = folders.get(str(case.path))
             fault = _difference_from_run(case, rows[name], mine, folder / "alone", options)
             outcomes[case] = replace(outcomes[case], problem=fault)
@@ -73,14 +79,16 @@ def _outcome(case, row):
 def _difference_from_run(case, row, mine, alone, options):
     """In what a row and its result differ from those of every run of its own; "" if in nothing.
 
-    What FFmpeg makes of damage depends on how its threads take turns, so that runs over the same
-    file may differ, too; then there is nothing to be held against.
+    What FFmpeg makes of damage depends on how many threads it has and how they take turns, so that
+    runs over the same file may differ, too; then there is nothing to be held against.
     """
     batch = (row["error"], timeless(files_below(mine)) if mine else {})
     runs = []
     for _ in range(N_TRIES):
         shutil.rmtree(alone, ignore_errors=True)
+        limit_threads(max(1, n_processors() // N_JOBS))
         ended = invoke(["run", str(case.path), "--out", str(alone), *options])
+        limit_threads(None)
         folders = list(alone.iterdir()) if alone.exists() else []
         files = timeless(files_below(folders[0])) if folders else {}
         why = ended.stderr.rstrip("\n").partition(f"Error: {case.path}: ")[2]

@@ -6,11 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from dlgmd_cli.batch.summary import COLUMNS
 from dlgmd_cli.results.cells import cell, text_cell
-from faults.outcome import CRASHED, ENDING, HALF_WRITTEN, LOADER, Outcome, fault_of_result
+from dlgmd_cli.results.record import parse_record
+from faults.outcome import CRASHED, ENDING, HALF_WRITTEN, Outcome, fault_of_result
 
 SUMMARY = "summary.csv"
 STATUSES = ("done", "failed", "crashed", "killed", "timeout")
@@ -82,8 +81,10 @@ def fault_of_files(out, truth, *, allows_hidden=False, ignored=(), allows_loss=F
         fault = fault_of_result(out / folder, must_be_complete=True)
         if fault:
             return f"{folder}: {fault}"
-        mine, theirs = ({n: d for n, d in all_.items() if Path(n).parent == folder}
-                        for all_ in (files, truth or files))
+        mine, theirs = (
+            {n: d for n, d in all_.items() if Path(n).parent == folder}
+            for all_ in (files, truth or files)
+        )
         if mine != theirs:
             return f"{folder}: its files are not those of an undisturbed run"
         record = _record_in(out / folder)
@@ -145,7 +146,7 @@ def folders_of(out):
 
 
 def _record_in(folder):
-    return yaml.load((folder / "run.yaml").read_bytes(), LOADER)
+    return parse_record((folder / "run.yaml").read_bytes())
 
 
 def files_below(folder):

@@ -4,15 +4,13 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import yaml
-
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.results.read import read_result
+from dlgmd_cli.results.record import parse_record
 
 ERROR, RECOVERED, INTERRUPTED = "error", "recovered", "interrupted"
 CRASHED, HUNG, HALF_WRITTEN = "crashed", "hung", "half-written"
 ENDINGS = (ERROR, RECOVERED, INTERRUPTED, CRASHED, HUNG, HALF_WRITTEN)
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the other one is slow
 ENDING = {0: RECOVERED, 1: ERROR, 130: INTERRUPTED}
 
 
@@ -63,9 +61,11 @@ def fault_of_result(folder: Path, *, must_be_complete: bool):
     """What is wrong with a folder of results, or None."""
     try:
         n_rows = len(read_result(folder).frame)
-        record = yaml.load((folder / "run.yaml").read_bytes(), LOADER)
-    except (DlgmdError, OSError, yaml.YAMLError) as error:
+        record = parse_record((folder / "run.yaml").read_bytes())
+    except (DlgmdError, OSError) as error:
         return f"unreadable ({error})"
+    if not record:
+        return "no record"
     if record["processed"]["frames"] != n_rows:
         return f"{n_rows} rows, and on record are {record['processed']['frames']}"
     if must_be_complete and record["complete"] is not True:

@@ -4,13 +4,7 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from faults import (
-    THOROUGH,
-    batch_disks,
-    batch_odd,
-    batch_signals,
-    processes,
-)
+from faults import THOROUGH, batch_disks, batch_odd, batch_signals, processes
 from faults.batch_bench import BatchBench
 from faults.batch_inputs import batch_of_inputs
 from faults.inputs import all_inputs
@@ -20,7 +14,7 @@ N_MUTANTS = 3000 if THOROUGH else 520
 N_KILLS = 50 if THOROUGH else 8
 N_SIGNALS = 50 if THOROUGH else 4
 N_BATCH_KILLS = 50 if THOROUGH else 6
-N_BATCH_SIGNALS = 18 if THOROUGH else 3
+N_BATCH_SIGNALS = 18 if THOROUGH else 2
 N_WORKERS = 20 if THOROUGH else 2
 # Every so manieth video of a batch is held against a run of its own.
 N_APART = 1 if THOROUGH else 8
@@ -73,9 +67,14 @@ def of_processes(folder):
 
 
 def of_batch_inputs(folder, decoders, n_mutants=N_MUTANTS):
-    """The outcomes of a batch over all inputs, by decoder and kind of input."""
-    inputs, groups = all_inputs(folder / "batch-inputs", n_mutants), {}
-    for decoder in decoders:
+    """The outcomes of a batch over all inputs, by decoder and kind of input.
+
+    Unless there is time, decoders after the first get fewer mutants.
+    """
+    groups = {}
+    for number, decoder in enumerate(decoders):
+        share = 1 if THOROUGH or number == 0 else 4
+        inputs = all_inputs(folder / f"batch-{decoder}" / "inputs", n_mutants // share)
         outcomes = batch_of_inputs(inputs, folder / f"batch-{decoder}", decoder, N_APART)
         for case, outcome in outcomes.items():
             kind = case.kind if case else "as a whole"
