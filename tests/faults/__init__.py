@@ -1,4 +1,4 @@
-"""What may befall a run or a batch: bad files, signals, full disks. See `python -m tests.faults`."""
+"""What may befall a run or a batch: files, signals, full disks. See `python -m tests.faults`."""
 
 import os
 

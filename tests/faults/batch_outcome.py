@@ -27,11 +27,11 @@ class Ended:
 
 
 def judge_batch(name, ended, out, truth, codes, *, allows_hidden=False, is_heard=True, **how):
-    """The outcome of a batch by its exit code, what it said, and what it left in `out`.
+    """The outcome of a batch by its exit code, what it said, and what it left.
 
     `truth` are the `timeless` files of an undisturbed one, `codes` the exit codes that it may
-    have. `allows_hidden` is for one that was killed with all its processes; see `fault_of_files`. Not
-    `is_heard` is one whose messages went nowhere.
+    have. `allows_hidden` is for one that was killed with all its processes. Not `is_heard` is one
+    whose messages went nowhere. For the rest see `fault_of_files`.
     """
     said = f"exit code {ended.code}: {ended.stderr[-1500:]}"
     if (
@@ -58,11 +58,13 @@ def fault_of_words(ended, out):
         return f"not one line, and the last: {ended.stderr}"
     if ended.code == 0 and any(row["status"] != "done" for row in rows_of(out).values()):
         return "ended well, and not all is done"
+    times = Counter(lines)
     for name, row in rows_of(out).items():
-        start = f"Warning: {name}: {row['status']}: "
-        n_warnings = sum(line.startswith(start) for line in lines)
-        if n_warnings != (row["status"] != "done"):
-            return f"{n_warnings} warnings of {name}, which is {row['status']}"
+        if row["status"] != "done":
+            what = f"Warning: {name.removeprefix('./')}: {row['status']}"
+            n_warnings = times[f"{what}: {row['error'].rstrip('.')}."]
+            if n_warnings != 1:
+                return f"{n_warnings} times {what!r} for {row}: {ended.stderr[-1500:]}"
     return None
 
 
@@ -77,28 +79,35 @@ def fault_of_files(out, truth, *, allows_hidden=False, ignored=(), allows_loss=F
         return f"left {hidden}"
     files = {name: data for name, data in files.items() if "/.dlgmd-" not in f"/{name}"}
     rows, records = rows_of(out), {}
-    for folder in sorted({Path(name).parent for name in files if name != SUMMARY}):
+    mine = by_folder(files)
+    theirs = mine if truth is None else by_folder(truth)
+    for folder in sorted(mine):
         fault = fault_of_result(out / folder, must_be_complete=True)
         if fault:
             return f"{folder}: {fault}"
-        mine, theirs = (
-            {n: d for n, d in all_.items() if Path(n).parent == folder}
-            for all_ in (files, truth or files)
-        )
-        if mine != theirs:
+        if mine[folder] != theirs.get(folder):
             return f"{folder}: its files are not those of an undisturbed run"
         record = _record_in(out / folder)
-        records[record["input"]["path"]] = record
+        records[text_cell(record["input"]["path"])] = record
     if "?" in rows:
         return f"{SUMMARY} is not whole: {rows['?']}"
     return fault_of_rows(rows, records, allows_loss=allows_loss)
+
+
+def by_folder(files):
+    """Files by their folder, then by their name."""
+    found = {}
+    for path, data in files.items():
+        folder, _, name = path.rpartition("/")
+        found.setdefault(folder, {})[name] = data
+    return found
 
 
 def fault_of_rows(rows, records, *, allows_loss=False):
     """Where summary.csv and the records disagree, or None."""
     for name, row in rows.items():
         end = f"/{name.removeprefix('./')}"
-        ends = [path for path in records if text_cell(path).endswith(end)]
+        ends = [path for path in records if path.endswith(end)]
         if row["status"] not in STATUSES or bool(row["error"]) != (row["status"] != "done"):
             return f"{name}: {row}"
         if row["status"] != "done":
