@@ -31,11 +31,11 @@ class BatchBench:
     `wall_s` is how long a process takes for that, from the first thing that it does.
     """
 
-    def __init__(self, folder: Path, options=("--no-plots",), n_videos=8, n_frames=300):
+    def __init__(self, folder: Path, options=("--no-plots",), n_videos=8, n_frames=300, jobs=2):
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.videos, self.out = folder, folder / "videos", folder / "out"
         (self.videos / "deep").mkdir(parents=True)
-        self.options = [*options, "--jobs", "2"]
+        self.options = [*options, "--jobs", str(jobs)]
         for number in range(n_videos):
             below = self.videos / "deep" if number % 3 == 2 else self.videos
             frames = looming_frames(20, 64, 48) * (n_frames // 20) + looming_frames(number, 64, 48)

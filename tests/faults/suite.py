@@ -15,6 +15,8 @@ N_KILLS = 50 if THOROUGH else 8
 N_SIGNALS = 50 if THOROUGH else 4
 N_BATCH_KILLS = 50 if THOROUGH else 6
 N_BATCH_SIGNALS = 18 if THOROUGH else 2
+# Each process more takes time to start.
+N_JOBS = 2 if THOROUGH else 1
 N_WORKERS = 20 if THOROUGH else 2
 # Every so manieth video of a batch is held against a run of its own.
 N_APART = 1 if THOROUGH else 8
@@ -96,7 +98,7 @@ def of_batch_processes(folder):
         return lambda: try_it(bench("long", plots), *arguments, **how)
 
     def on_short(try_it):
-        return lambda: try_it(bench("short", ["--no-plots"], 5, 60))
+        return lambda: try_it(bench("short", ["--no-plots"], 5, 60, N_JOBS))
 
     groups = {
         "nowhere to write": on_short(batch_disks.nowhere_to_write),
