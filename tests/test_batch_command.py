@@ -22,6 +22,8 @@ from dlgmd_cli.batch.local import LocalPool
 from dlgmd_cli.batch.places import Folder
 from dlgmd_cli.batch.resume import plan
 from dlgmd_cli.batch.task import Order, Task, Variant, Video
+from dlgmd_cli.batch.work import process
+from dlgmd_cli.errors import OutputError
 from dlgmd_cli.params import DlgmdParameters
 from dlgmd_cli.sources.choice import InputChoice
 
@@ -489,12 +491,44 @@ def test_so_many_videos_at_a_time(monkeypatch, jobs):
     monkeypatch.setattr("dlgmd_cli.batch.attend.prepare", prepare)
     tasks = [Task(Video(f"hangs{n}", f"/hangs{n}", f"hangs{n}"), (0,)) for n in range(2)]
     pool = LocalPool(Order((), InputChoice(), ()), jobs, timeout_s=0.5)
-    n_running, most = 0, 0
+    n_running, most, pids = 0, 0, set()
     with pool:
         for event in pool.work_on(tasks):
             n_running += isinstance(event, Began) - isinstance(event, Ended)
             most = max(most, n_running)
+            pids |= {worker.pid for worker in pool._attendants}
     assert (n_running, most) == (0, jobs)
+    for pid in pids:  # none hangs on
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_a_summary_that_cannot_be_written_now_is_written_later(dlgmd, flights, monkeypatch):
+    write_text, n_refused = Folder.write_text, []
+
+    def refusing(self, name, text):
+        if len(n_refused) < 2:
+            n_refused.append(1)
+            raise OutputError(name, "no room for a moment")
+        write_text(self, name, text)
+
+    monkeypatch.setattr(Folder, "write_text", refusing)
+    result = dlgmd("batch", flights, *QUICK)
+    assert "Error: 2 of 4 videos failed" in result.stderr and len(statuses()) == 4
+    n_refused.clear()
+    monkeypatch.setattr(Folder, "write_text", lambda *_: refusing(n_refused.clear(), "x", ""))
+    result = dlgmd("batch", flights, *QUICK, "--force")
+    assert result.exit_code == 1 and result.stderr.endswith("Error: x: no room for a moment.\n")
+
+
+def test_what_may_not_be_replaced_is_not_even_decoded(tmp_path, monkeypatch):
+    (tmp_path / "loom").mkdir()
+    (tmp_path / "loom" / "thesis.tex").touch()
+    monkeypatch.setattr(InputChoice, "open", lambda *_: pytest.fail("decoded"))
+    variant = Variant("set9", DlgmdParameters(), "auto", Folder.named(str(tmp_path)))
+    task = Task(Video("loom.avi", "/loom.avi", "loom"), (0,))
+    outcome = process(Order((variant,), InputChoice(), ()), task)
+    assert outcome[0].error.startswith("this folder holds other files, such as thesis.tex")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
