@@ -14,7 +14,6 @@ from dlgmd_cli.runs.ahead import opencv_threads
 
 # How long a task may take to clean up after itself once nobody waits for it.
 PATIENCE_S = 3.0
-_END = object()
 
 
 class _Line:
@@ -42,7 +41,7 @@ def note(value: Any) -> None:
 
 def serve() -> None:
     """Answer tasks; the entry point of a worker process, which ends with it."""
-    tasks: SimpleQueue[Any] = SimpleQueue()
+    tasks: SimpleQueue[bytes | None] = SimpleQueue()
     # What libraries print must not get between the messages.
     _line.open(os.fdopen(os.dup(1), "wb"))
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -57,29 +56,30 @@ def serve() -> None:
     os._exit(code)
 
 
-def _answer(tasks: "SimpleQueue[Any]") -> int:
-    """Answer tasks until there are no more, or something is raised."""
+def _answer(tasks: "SimpleQueue[bytes | None]") -> int:
+    """Answer tasks, of which the first is what answers, until None, or something is raised."""
     try:
         with opencv_threads(1):
-            prepare: Callable[[], Callable[[Any], Any]] = tasks.get()
-            if prepare is _END:
-                return 0
-            work = prepare()
-            _line.send("ready", None)
-            while (task := tasks.get()) is not _END:
-                _line.send("answer", work(task))
+            work: Callable[[Any], Any] | None = None
+            # Unpickled here, for that imports modules, and some heed the thread that they are in.
+            while (data := tasks.get()) is not None:
+                if work is None:
+                    work = pickle.loads(data)()
+                    _line.send("ready", None)
+                else:
+                    _line.send("answer", work(pickle.loads(data)))
     except Exception as error:
         _line.send("error", error)
         return 1
     return 0
 
 
-def _listen(pipe: IO[bytes], tasks: "SimpleQueue[Any]") -> None:
+def _listen(pipe: IO[bytes], tasks: "SimpleQueue[bytes | None]") -> None:
     """Take tasks in; once the line is closed, interrupt whatever is going on."""
     with suppress(Exception):  # the end, or a message that was cut off by it
         while True:
             tasks.put(pickle.load(pipe))
-    tasks.put(_END)
+    tasks.put(None)
     if hasattr(signal, "pthread_kill"):  # which ends waiting, too
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
     threading.Event().wait(PATIENCE_S)

@@ -101,7 +101,7 @@ class Worker:
             self._process.kill()
             self._read()
             raise _no_more(str(error)) from None
-        self._send(sys.path)
+        self._write(sys.path)
         self._send(prepare)
 
     @property
@@ -138,7 +138,10 @@ class Worker:
         return self._process.stdin
 
     def _send(self, thing: Any) -> None:
-        data = pickle.dumps(thing)
+        self._write(pickle.dumps(thing))  # which is unpickled when its turn comes
+
+    def _write(self, message: Any) -> None:
+        data = pickle.dumps(message)
         with suppress(OSError, ValueError):  # it is dead; its pipe may be closed already
             self._stdin.write(data)
             self._stdin.flush()
