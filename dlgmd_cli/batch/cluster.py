@@ -1,34 +1,27 @@
 """The workers of a Dask cluster, each of which does its tasks in children of its own."""
 
-import json
-import logging
-import re
 import secrets
 import time
-import warnings
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import chain
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from dlgmd_cli import __version__
 from dlgmd_cli.batch.errand import Job, dismiss, run_errand, signs_in, version_error
 from dlgmd_cli.batch.events import TICK_S, Advanced, Began, Ended, Event, Waiting
+from dlgmd_cli.batch.scheduler import CONNECT_S, connect
 from dlgmd_cli.batch.task import KILLED, Ending, Order, Task
 from dlgmd_cli.batch.work import as_failed
-from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError, WorkerError
+from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.results.workshop import Workshop
 
-_CONNECT_S = 10.0
 _CLOSE_S = 5.0
 # How many tasks a worker may have for each of its threads, so that none waits for its next one.
 PER_THREAD = 2
-_LOGGERS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
-_ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^\s/:]+:[0-9]{1,5}|[a-z]+://\[[^\s/]+\]:[0-9]+")
-_WHAT = "--scheduler"
 # What tells the release elsewhere, and can be sent to where there is none.
 _VERSION = "__import__('dlgmd_cli').__version__"
 
@@ -36,8 +29,9 @@ _VERSION = "__import__('dlgmd_cli').__version__"
 class Cluster:
     """The workers of a Dask scheduler; see `Pool`. It is looked for when there is work.
 
-    A task whose worker is lost goes to another one, a few times. More tasks than the workers can
-    hold stay here.
+    A task whose worker is lost goes to another one, a few times; and then, since it may have been
+    another task of that worker that did it, a few times more while nothing else is worked on. More
+    tasks than the workers can hold stay here.
 
     Parameters
     ----------
@@ -65,6 +59,8 @@ class Cluster:
         self._inbox: SimpleQueue[tuple[Any, ...]] = SimpleQueue()
         self._sent: dict[str, tuple[Task, Any]] = {}
         self._n_sent = 0
+        self._suspects: deque[Task] = deque()
+        self._is_alone = False
         self._capacity, self._counted_s = 0, 0.0
         self._known: set[str] = set()
         self._client: Any = None
@@ -107,6 +103,9 @@ class Cluster:
         while True:
             self._count()
             self._send_out(job, waiting)
+            if not self._sent and self._suspects:
+                self._is_alone = True
+                self._send(job, self._suspects.popleft())
             if not self._sent:
                 return
             try:
@@ -159,14 +158,18 @@ class Cluster:
             task = next(waiting, None)
             if task is None:
                 return
-            self._n_sent += 1
-            key = f"{self._name}-{self._n_sent}"
-            try:
-                future = self._client.submit(run_errand, job, task, key=key, pure=False)
-            except Exception:
-                raise self._lost() from None
-            self._sent[key] = task, future
-            self._watch(key, future)
+            self._send(job, task)
+
+    def _send(self, job: Job, task: Task) -> None:
+        """Submit a task."""
+        self._n_sent += 1
+        key = f"{self._name}-{self._n_sent}"
+        try:
+            future = self._client.submit(run_errand, job, task, key=key, pure=False)
+        except Exception:
+            raise self._lost() from None
+        self._sent[key] = task, future
+        self._watch(key, future)
 
     def _watch(self, key: str, future: Any) -> None:
         """Have the end of a task put into the inbox."""
@@ -181,20 +184,20 @@ class Cluster:
             n_frames, n_expected = news
             return Began(task) if n_frames is None else Advanced(task, n_frames, n_expected)
         ended = self._end(task, key, future)
-        if ended is not None:
+        if ended is not None or task in self._suspects:
             del self._sent[key]
         return ended
 
     def _end(self, task: Task, key: str, future: Any) -> Ended | None:
-        """How a task has ended; None if its worker died with the answer, and it begins anew."""
+        """How a task has ended; None if it has not: it begins anew, or is to be tried alone."""
         from distributed import KilledWorker, TimeoutError
 
         if future.status == "cancelled":
             raise self._lost()
         try:
-            error = future.exception(timeout=_CONNECT_S)
+            error = future.exception(timeout=CONNECT_S)
             if error is None:
-                return Ended(task, future.result(timeout=_CONNECT_S))
+                return Ended(task, future.result(timeout=CONNECT_S))
         except TimeoutError:
             self._watch(key, future)
             return None
@@ -202,6 +205,9 @@ class Cluster:
             raise self._lost() from None
         if isinstance(error, DlgmdError):
             raise error
+        if isinstance(error, KilledWorker) and not self._is_alone:
+            self._suspects.append(task)
+            return None
         if isinstance(error, KilledWorker):
             ending = Ending(
                 KILLED,
@@ -227,64 +233,6 @@ class Cluster:
             "the scheduler was lost, or dropped the work",
             "Start it again, then the same command, which goes on from there.",
         )
-
-
-def connect(scheduler: str, *, quiet: bool = False) -> Any:
-    """A Dask client of a scheduler, by its address or scheduler file; raises as `work_on`."""
-    address = _address(scheduler)
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MissingExtraError(
-            _WHAT,
-            "it needs the package 'distributed'",
-            "Install it with: pip install 'dlgmd[cluster]'.",
-        ) from None
-    if quiet:
-        _hush()
-    try:
-        return Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except OSError:
-        raise WorkerError(
-            scheduler,
-            f"no Dask scheduler answers within {_CONNECT_S:g} s",
-            "Start it with 'dask scheduler', or check --scheduler.",
-        ) from None
-    except Exception as error:
-        why = str(error).split("\n")[0] or type(error).__name__
-        raise WorkerError(scheduler, f"no connection ({why})", "Check --scheduler.") from None
-
-
-def _hush() -> None:
-    """Silence what Dask, whose import has set its loggers up, has to say."""
-    for name in _LOGGERS:
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    warnings.filterwarnings("ignore", module="distributed")
-
-
-def _address(scheduler: str) -> str:
-    """The address that a user means."""
-    path = Path(scheduler)
-    if not path.is_file() and not scheduler.endswith(".json"):
-        if _ADDRESS.fullmatch(scheduler):
-            return scheduler
-        raise ParameterError(
-            _WHAT,
-            f"{scheduler!r} is neither an address nor a scheduler file",
-            "Give one like tcp://HOST:8786, or the name of the file.",
-        )
-    try:
-        address = json.loads(path.read_bytes())["address"]
-    except OSError as error:
-        why = f"it cannot be read ({error.strerror})"
-    except (ValueError, KeyError, TypeError):
-        why = "it is no scheduler file"
-    else:
-        if isinstance(address, str) and _ADDRESS.fullmatch(address):
-            return address
-        why = "it holds no address"
-    mend = "Write it with: dask scheduler --scheduler-file FILE."
-    raise WorkerError(scheduler, why, mend)
 
 
 def _put(inbox: "SimpleQueue[tuple[Any, ...]]", key: str, future: Any) -> None:
