@@ -1,5 +1,6 @@
 """Tiny clips that are written once, and a way to call the command."""
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -110,6 +111,22 @@ def decoder(request) -> str:
     if request.param == "pyav":
         pytest.importorskip("av", reason="PyAV is not installed")
     return request.param
+
+
+@pytest.fixture
+def refuse_folder(monkeypatch):
+    """Make the folders of a name unreadable, even for root: `refuse_folder("a")`."""
+    scandir = os.scandir
+
+    def refuse(name):
+        def refusing(path):
+            if str(path).endswith(f"{os.sep}{name}"):
+                raise PermissionError(13, "Permission denied")
+            return scandir(path)
+
+        monkeypatch.setattr(os, "scandir", refusing)
+
+    return refuse
 
 
 @pytest.fixture

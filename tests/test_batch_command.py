@@ -416,15 +416,8 @@ def test_a_folder_of_others_is_left_alone(dlgmd, flights):
     assert statuses()["a/deep/other.mp4"] == "done"
 
 
-def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, monkeypatch):
-    scandir = os.scandir
-
-    def refusing(path):
-        if str(path).endswith("deep"):
-            raise PermissionError(13, "Permission denied")
-        return scandir(path)
-
-    monkeypatch.setattr(os, "scandir", refusing)
+def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, refuse_folder):
+    refuse_folder("deep")
     result = dlgmd("batch", flights / "a", *QUICK)
     assert result.exit_code == 1 and statuses() == {"loom.avi": "done"}
     assert result.stderr.splitlines() == [

@@ -1,12 +1,10 @@
 """Whatever befalls a batch, every video has its row, and no other video suffers from one."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from faults.suite import of_batch_inputs, of_batch_processes
+from faults.suite import DECODERS, of_batch_inputs, of_batch_processes, problems_of
 
-DECODERS = ["opencv", *(["pyav"] if find_spec("av") else [])]
 GROUPS = list(of_batch_processes(Path()))
 
 
@@ -18,10 +16,6 @@ def over_inputs(tmp_path_factory):
 @pytest.fixture(scope="module")
 def over_processes(tmp_path_factory):
     return of_batch_processes(tmp_path_factory.mktemp("faults"))
-
-
-def problems_of(outcomes):
-    return [outcome for outcome in outcomes if outcome.problem]
 
 
 @pytest.mark.parametrize("decoder", DECODERS)

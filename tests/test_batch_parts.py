@@ -106,16 +106,9 @@ def test_links_are_followed_once(tmp_path):
     ]
 
 
-def test_a_folder_that_cannot_be_read_is_said(tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_read_is_said(tmp_path, refuse_folder):
     tree(tmp_path, "a/x.mp4", "b/y.mp4")
-    scandir = os.scandir
-
-    def refusing(path):
-        if str(path).endswith("a"):
-            raise PermissionError(13, "Permission denied")
-        return scandir(path)
-
-    monkeypatch.setattr(os, "scandir", refusing)
+    refuse_folder("a")
     found = find_videos([("", str(tmp_path))])
     assert names(found) == ["b/y.mp4"]
     assert found.faults == [f"{tmp_path / 'a'}: this folder cannot be read (Permission denied)"]

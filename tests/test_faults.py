@@ -1,18 +1,16 @@
 """Whatever befalls a run, it ends with a whole result or one clear line, and nothing else."""
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from faults import worker
 from faults.inputs import Input
 from faults.outcome import CRASHED, HALF_WRITTEN, HUNG, judge
-from faults.suite import of_inputs, of_processes
+from faults.suite import DECODERS, of_inputs, of_processes, problems_of
 
 from dlgmd_cli.results.folder import ResultFolder
 
-DECODERS = ["opencv", *(["pyav"] if find_spec("av") else [])]
 GROUPS = list(of_processes(Path()))
 
 
@@ -24,10 +22,6 @@ def over_inputs(tmp_path_factory):
 @pytest.fixture(scope="module")
 def over_processes(tmp_path_factory):
     return of_processes(tmp_path_factory.mktemp("faults"))
-
-
-def problems_of(outcomes):
-    return [outcome for outcome in outcomes if outcome.problem]
 
 
 @pytest.mark.parametrize("decoder", DECODERS)

@@ -2,25 +2,30 @@
 
 import sys
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from faults.outcome import table
-from faults.suite import of_batch_inputs, of_batch_processes, of_inputs, of_processes
+from faults.suite import (
+    DECODERS,
+    of_batch_inputs,
+    of_batch_processes,
+    of_inputs,
+    of_processes,
+    problems_of,
+)
 
 
 def main():
     """Print the table, and what is wrong below it."""
     with tempfile.TemporaryDirectory() as folder:
-        decoders = ["opencv", *(["pyav"] if find_spec("av") else [])]
-        groups = of_inputs(Path(folder), decoders) | of_batch_inputs(Path(folder), decoders)
+        groups = of_inputs(Path(folder), DECODERS) | of_batch_inputs(Path(folder), DECODERS)
         tries = of_processes(Path(folder)) | of_batch_processes(Path(folder))
         for name, try_it in tries.items():
             groups[name] = try_it()
     groups["all"] = [outcome for outcomes in groups.values() for outcome in outcomes]
-    problems = [outcome for outcome in groups["all"] if outcome.problem]
+    problems = problems_of(groups["all"])
     print("\n".join(table(groups)))
     for outcome in problems:
         print(f"{outcome.name}: {outcome.ending}: {outcome.problem}")

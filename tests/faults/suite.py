@@ -3,6 +3,7 @@
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 
 from faults import THOROUGH, batch_disks, batch_odd, batch_signals, processes
 from faults.batch_bench import BatchBench
@@ -10,6 +11,7 @@ from faults.batch_inputs import batch_of_inputs
 from faults.inputs import all_inputs
 from faults.worker import run_all
 
+DECODERS = ["opencv", *(["pyav"] if find_spec("av") else [])]
 N_MUTANTS = 3000 if THOROUGH else 520
 N_KILLS = 50 if THOROUGH else 8
 N_SIGNALS = 50 if THOROUGH else 4
@@ -128,3 +130,8 @@ def of_batch_processes(folder):
             "a worker stopped": on_long(stopped, n_stopped),
         }
     return {f"batch: {name}": try_it for name, try_it in groups.items()}
+
+
+def problems_of(outcomes):
+    """Those that may not be so."""
+    return [outcome for outcome in outcomes if outcome.problem]
