@@ -4,10 +4,12 @@ import csv
 import os
 import posixpath
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from queue import SimpleQueue
 
 import pytest
@@ -24,7 +26,7 @@ from dlgmd_cli.batch.names import result_names
 from dlgmd_cli.batch.places import Folder
 from dlgmd_cli.batch.resume import plan
 from dlgmd_cli.batch.summary import COLUMNS, Summary
-from dlgmd_cli.batch.task import DONE, FAILED, Ending, Order, Task, Variant, Video
+from dlgmd_cli.batch.task import DONE, FAILED, TIMEOUT, Ending, Order, Task, Variant, Video
 from dlgmd_cli.commands._batch_view import Tally, failures
 from dlgmd_cli.errors import OutputExistsError, SourceError, WorkerError
 from dlgmd_cli.params import DlgmdParameters
@@ -409,3 +411,25 @@ def refusing(error):
 
 def faulty_prepare_none():
     return lambda given_task: faulty_prepare
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGSTOP")
+def test_a_process_that_stops_before_it_begins_is_overdue_all_the_same():
+    inbox = SimpleQueue()
+    attendant = Attendant(Order((), InputChoice(), ()), inbox, timeout_s=0.3)
+    assert attendant.hear(inbox.get(timeout=30)) is None  # it is ready
+    os.kill(attendant.worker.pid, signal.SIGSTOP)
+    attendant.give(task("one"))
+    assert attendant.overdue() is None
+    time.sleep(0.4)
+    ended = attendant.overdue()
+    assert ended.outcome[0].status == TIMEOUT and ended.outcome[0].wall_s >= 0.3
+    assert not attendant.is_alive
+
+
+def test_what_a_process_takes_to_start_is_not_the_videos():
+    attendant = Attendant(Order((), InputChoice(), ()), SimpleQueue(), timeout_s=1e-9)
+    attendant.give(task("one"))
+    time.sleep(0.01)
+    assert attendant.overdue() is None
+    attendant.worker.end()

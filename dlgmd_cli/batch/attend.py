@@ -42,12 +42,13 @@ class Attendant:
         self.task: Task | None = None
         self.is_alive = True
         self._timeout_s = timeout_s
-        self._began_s: float | None = None
+        # What a process takes to start is not the video's.
+        self._is_ready = self._has_begun = False
         self._given_s = self._heard_s = 0.0
 
     def give(self, task: Task) -> None:
         """Let it work on a task; it has none now."""
-        self.task, self._began_s = task, None
+        self.task, self._has_begun = task, False
         self._given_s = self._heard_s = time.monotonic()
         self.worker.send(task)
 
@@ -57,6 +58,8 @@ class Attendant:
         if message.kind == "death":
             self.is_alive = False
             return self._end(_ending_of(message.value)) if self.task else None
+        if message.kind == "ready":
+            self._is_ready, self._given_s = True, self._heard_s
         if self.task is None or message.kind == "ready":
             return None
         if message.kind == "error":  # not even the work could be made ready, and it ends
@@ -65,8 +68,8 @@ class Attendant:
         if message.kind == "answer":
             task, self.task = self.task, None
             return Ended(task, message.value)
-        if self._began_s is None:
-            self._began_s = self._heard_s
+        if not self._has_begun:
+            self._has_begun = True
             return Began(self.task)
         return Advanced(self.task, *message.value) if message.value else None
 
@@ -82,9 +85,8 @@ class Attendant:
     def _excess(self) -> str:
         """Why the task has taken too long, if it has."""
         now = time.monotonic()
-        # What a process takes to start is not the video's.
-        began_s = now if self._began_s is None else self._began_s
-        if self._timeout_s is not None and now - began_s > self._timeout_s:
+        given_s = self._given_s if self._is_ready else now
+        if self._timeout_s is not None and now - given_s > self._timeout_s:
             return f"it took more than {self._timeout_s:g} s. Give it more with --timeout."
         if now - self._heard_s > STALL_S:
             return f"nothing happened for {STALL_S:g} s. Try it alone with 'dlgmd run'."
@@ -95,7 +97,7 @@ class Attendant:
         assert self.task is not None
         task, self.task = self.task, None
         if ending.wall_s is None:
-            wall_s = round(time.monotonic() - (self._began_s or self._given_s), 3)
+            wall_s = round(time.monotonic() - self._given_s, 3)
             ending = Ending(ending.status, ending.error, wall_s=wall_s)
         return Ended(task, dict.fromkeys(task.wanted, ending))
 
