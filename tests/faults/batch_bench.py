@@ -146,7 +146,7 @@ class BatchBench:
 def at_event(act, number=0):
     """Calls `act(worker)` before an event of a batch in this process, by number; None: all.
 
-    `worker` is one that works on a video, or None.
+    `worker` is one that works on a video, and no longer starts, or None.
     """
     from dlgmd_cli.batch.local import LocalPool
 
@@ -155,7 +155,8 @@ def at_event(act, number=0):
     def disturbed(self, tasks):
         for event in work_on(self, tasks):
             if number is None or len(seen) == number:
-                busy = [one.worker for one in self._attendants.values() if one.task]
+                attendants = self._attendants.values()
+                busy = [one.worker for one in attendants if one.task and one._is_ready]
                 act(busy[0] if busy else None)
             seen.append(event)
             yield event

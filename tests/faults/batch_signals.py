@@ -77,7 +77,14 @@ def to_a_worker_that_stops(bench, count, timeout_s=2.0):
     """SIGSTOP to a worker in the middle of a video: --timeout ends it, and its video alone."""
     outcomes = []
     for number in range(count):
-        with at_event(lambda worker: worker and send(worker.pid, signal.SIGSTOP), 2 + 3 * number):
+        calls = []
+
+        def stop(worker, calls=calls, number=number):
+            calls.extend([worker] if worker else [])
+            if worker and len(calls) == 2 + 3 * number:
+                send(worker.pid, signal.SIGSTOP)
+
+        with at_event(stop, None):
             outcome = bench.run(f"worker stopped {number}", more=["--timeout", str(timeout_s)])
         outcomes.append(_one_is_lost(bench, outcome, {"timeout": 1}))
     return outcomes
