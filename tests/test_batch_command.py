@@ -22,6 +22,7 @@ from dlgmd_cli.batch.local import LocalPool
 from dlgmd_cli.batch.places import Folder
 from dlgmd_cli.batch.resume import plan
 from dlgmd_cli.batch.task import Order, Task, Variant, Video
+from dlgmd_cli.batch.work import prepare as prepare_work
 from dlgmd_cli.batch.work import process
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.params import DlgmdParameters
@@ -205,7 +206,9 @@ def test_a_changed_input_is_redone(dlgmd, flights, clips):
     assert result.stderr.splitlines()[0] == "1 of 4 videos were done already."
 
 
-@pytest.mark.parametrize("spoil", ["table", "record", "text", "incomplete", "nothing", "plots"])
+@pytest.mark.parametrize(
+    "spoil", ["table", "record", "text", "incomplete", "summary", "size", "nothing", "plots"]
+)
 def test_what_is_half_done_is_redone(dlgmd, flights, spoil):
     dlgmd("batch", flights, *QUICK)
     folder = Path("dlgmd-out/a/loom")
@@ -218,6 +221,12 @@ def test_what_is_half_done_is_redone(dlgmd, flights, spoil):
         record.write_bytes(record.read_bytes()[:200] + b"\x00\xff: [")
     elif spoil == "incomplete":
         record.write_text(record.read_text().replace("complete: true", "complete: false"))
+    elif spoil == "summary":
+        record.write_text(re.sub(r"(?m)^  collisions: .*\n", "", record.read_text()))
+    elif spoil == "size":
+        record.write_text(
+            re.sub(r"(?m)^  duration_s: .*$", "  duration_s: [1]", record.read_text())
+        )
     n_done = 1 if spoil not in ("nothing", "plots") else 2
     options = QUICK if spoil != "plots" else ("--jobs", 2, "--format", "svg")
     result = dlgmd("batch", flights, *options)
@@ -477,6 +486,16 @@ FAULTS = {
     "hangs.avi": ("timeout", "it took more than 1.5 s. Give it more with --timeout."),
     "bug.avi": ("failed", "internal error (IndexError)"),
 }
+
+
+def test_what_plots_need_is_there_before_the_first_video(monkeypatch):
+    imported = []
+    monkeypatch.setattr("dlgmd_cli.batch.work.import_module", imported.append)
+    monkeypatch.setattr("dlgmd_cli.batch.work.limit_threads", lambda count: None)
+    prepare_work(Order((), InputChoice(), ("png",)))
+    assert imported == ["dlgmd_cli.plots.traces"]
+    prepare_work(Order((), InputChoice(), ()))
+    assert len(imported) == 1
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

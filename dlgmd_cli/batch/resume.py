@@ -6,7 +6,7 @@ from typing import Any
 
 from dlgmd_cli import __version__
 from dlgmd_cli.batch.places import Standing
-from dlgmd_cli.batch.summary import Summary
+from dlgmd_cli.batch.summary import OF_INPUT, OF_SUMMARY, Summary
 from dlgmd_cli.batch.task import DONE, Ending, Order, Task, Variant, Video
 from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.models.engines import AUTO
@@ -84,6 +84,8 @@ def _is_done(video: Video, there: Standing, variant: Variant, order: Order) -> b
         record.get("complete") is True
         and bool(video.identity)
         and _holds(record["input"], video.identity)
+        and _has_numbers(record["input"], OF_INPUT)
+        and _has_numbers(record["summary"], OF_SUMMARY)
         and not _differing(record, variant, order)
         and there.files >= set(TABLES)
         and there.files >= {f"{name}.{kind}" for name in RUN_PLOTS for kind in order.formats}
@@ -120,6 +122,11 @@ def _differing(record: dict[str, Any], variant: Variant, order: Order) -> list[s
 
 def _holds(record: dict[str, Any], identity: dict[str, Any]) -> bool:
     return all(record.get(key) == value for key, value in identity.items())
+
+
+def _has_numbers(facts: dict[str, Any], keys: tuple[str, ...]) -> bool:
+    """Whether all are there, as numbers or as nothing, so that tables can show them."""
+    return all(isinstance(facts.get(key, ""), int | float | None) for key in keys)
 
 
 def _ending(record: dict[str, Any]) -> Ending:

@@ -11,8 +11,8 @@ from dlgmd_cli.batch.task import DONE, Ending
 from dlgmd_cli.results.cells import cell, text_cell
 
 NAME = "summary.csv"
-_OF_INPUT = ("frames", "width", "height", "fps", "duration_s")
-_OF_SUMMARY = (
+OF_INPUT = ("frames", "width", "height", "fps", "duration_s")
+OF_SUMMARY = (
     "mp_max",
     "mp_max_frame",
     "spikes",
@@ -21,7 +21,7 @@ _OF_SUMMARY = (
     "first_collision_time_s",
     "mean_attenuation_db",
 )
-COLUMNS = ("video", "status", "error", *_OF_INPUT, *_OF_SUMMARY, "wall_s")
+COLUMNS = ("video", "status", "error", *OF_INPUT, *OF_SUMMARY, "wall_s")
 # Rewriting a long table after every short video would take more time than the videos.
 _SHARE_OF_TIME = 0.05
 
@@ -75,11 +75,11 @@ class Summary:
 
 def _row(video: str, ending: Ending) -> list[str]:
     """The cells of one video; empty where there is nothing to say."""
-    numbers: list[Any] = [None] * (len(_OF_INPUT) + len(_OF_SUMMARY))
+    numbers: list[Any] = [None] * (len(OF_INPUT) + len(OF_SUMMARY))
     if ending.status == DONE:
         numbers = [
-            *_values(ending.record.get("input", {}), _OF_INPUT),
-            *_values(ending.record.get("summary", {}), _OF_SUMMARY),
+            *_values(ending.record.get("input", {}), OF_INPUT),
+            *_values(ending.record.get("summary", {}), OF_SUMMARY),
         ]
     wall = "" if ending.wall_s is None else f"{ending.wall_s:.3f}"
     text = [text_cell(video), ending.status, text_cell(ending.error)]

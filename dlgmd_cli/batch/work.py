@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from dlgmd_cli.batch.remote import at_hand
@@ -24,8 +25,8 @@ _NOTE_EVERY_S = 0.25
 def prepare(order: Order) -> Callable[[Task], Outcome]:
     """What answers the tasks of an order, in a process of its own."""
     limit_threads(order.threads)
-    if order.formats:
-        pass  # takes long, and does not belong to the first video
+    if order.formats:  # which takes long to import, and is not the first video's to wait for
+        import_module("dlgmd_cli.plots.traces")
     return partial(process, order)
 
 
