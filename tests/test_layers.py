@@ -12,7 +12,7 @@ STEPS = [
     {"errors", "stops", "threads"},
     {"params"},
     {"presets"},
-    {"models", "sources", "results"},
+    {"models", "sources", "results", "render"},
     {"stimuli", "runs", "plots"},
     {"paper", "batch"},
     {"commands"},

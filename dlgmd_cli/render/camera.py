@@ -1,0 +1,113 @@
+"""Where a camera stands, and where what it looks at lies in its picture.
+
+The world has x and y on the level and z up, in metres. A body has x forward, y to its left and z
+up. In pictures x goes right and y down, in px; pixel (0, 0) reaches from 0 to 1.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+# From the body's axes (forward, left, up) to the camera's (right, down, forward).
+_CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
+    """The body's axes in the world, as the columns of a matrix: Rz(yaw) Ry(-pitch) Rx(roll).
+
+    Parameters
+    ----------
+    roll_deg : float
+        Right side down is positive.
+    pitch_deg : float
+        Nose up is positive.
+    yaw_deg : float
+        Counter-clockwise as seen from above; at 0 the nose points along x.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), float64
+    """
+    roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    about_y = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    turned: FloatArray = about_z @ about_y @ about_x
+    return turned
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the camera is and where it looks; it looks along the body's x.
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (3,)
+        In the world.
+    rotation : ndarray, shape (3, 3)
+        The body's axes in the world, as columns; see `rotation`.
+    """
+
+    position_m: FloatArray
+    rotation: FloatArray
+
+    @property
+    def camera_from_world(self) -> FloatArray:
+        """The camera's axes (right, down, forward) in the world, as rows."""
+        axes: FloatArray = _CAMERA_FROM_BODY @ self.rotation.T
+        return axes
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole with square pixels; its axis meets the picture in the middle.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Height and width of the picture, in px.
+    fov_deg : float
+        Horizontal field of view.
+    """
+
+    shape: tuple[int, int]
+    fov_deg: float
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length, in px."""
+        return self.shape[1] / 2.0 / math.tan(math.radians(self.fov_deg) / 2.0)
+
+    @property
+    def middle_xy(self) -> FloatArray:
+        """Where the axis meets the picture, in px."""
+        return np.array([self.shape[1] / 2.0, self.shape[0] / 2.0])
+
+    def view(self, points_m: FloatArray, pose: Pose) -> FloatArray:
+        """Points of the world, (..., 3), as the camera has them: right, down and forward, in m."""
+        seen: FloatArray = (points_m - pose.position_m) @ pose.camera_from_world.T
+        return seen
+
+    def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
+        """Where points of the world, (..., 3), lie in the picture: x and y in px, (..., 2).
+
+        Means something only for points in front of the camera.
+        """
+        seen = self.view(points_m, pose)
+        flat: FloatArray = self.middle_xy + self.focal_px * seen[..., :2] / seen[..., 2:]
+        return flat
+
+    def rays(self, points_xy: FloatArray, pose: Pose) -> FloatArray:
+        """Directions in the world, (..., 3), that points of the picture, (..., 2), look along.
+
+        Their component along the camera's axis is 1: a point at depth d lies d times as far.
+        """
+        across = (np.asarray(points_xy) - self.middle_xy) / self.focal_px
+        seen = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
+        rays: FloatArray = seen @ pose.camera_from_world
+        return rays
