@@ -88,6 +88,14 @@ class Camera:
         """Where the axis meets the picture, in px."""
         return np.array([self.shape[1] / 2.0, self.shape[0] / 2.0])
 
+    @property
+    def rays_from_xy(self) -> FloatArray:
+        """From (x, y, 1), in px, to the direction that is seen there, as the camera has it."""
+        (x, y), focal = self.middle_xy, self.focal_px
+        return np.array(
+            [[1.0 / focal, 0.0, -x / focal], [0.0, 1.0 / focal, -y / focal], [0, 0, 1.0]]
+        )
+
     def view(self, points_m: FloatArray, pose: Pose) -> FloatArray:
         """Points of the world, (..., 3), as the camera has them: right, down and forward, in m."""
         seen: FloatArray = (points_m - pose.position_m) @ pose.camera_from_world.T

@@ -1,0 +1,166 @@
+"""What of a face or a round body is in sight: a polygon in the picture, and a plane behind it."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.render.camera import Camera, FloatArray, Pose
+from dlgmd_cli.render.solids import Round
+from dlgmd_cli.render.texture import Texture
+
+# Nothing nearer than this is drawn; a lens could not focus on it either.
+NEAR_M = 0.01
+# By how much a polygon of corners may miss a circle.
+_ROUNDNESS_PX = 0.05
+_MAX_CORNERS = 360
+# A face whose plane passes this close to the camera is a line.
+EDGE_ON_M = 1e-9
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A convex polygon of the picture, and the textured plane that is seen through it.
+
+    Attributes
+    ----------
+    corners_xy : ndarray, shape (n, 2)
+        In px, clockwise on the screen.
+    plane : ndarray, shape (3,)
+        1 / depth at the point (x, y) of the picture is ``plane @ (x, y, 1)``, in 1/m.
+    distance_m : float
+        From the camera to the plane.
+    texture_from_xy : ndarray, shape (3, 3)
+        Homography from (x, y, 1) to the texture, whose width and height are 1.
+    texels_per_m : float
+        Resolution of the texture, along its finer side.
+    texture : Texture
+    gain : float
+        See `Face`.
+    """
+
+    corners_xy: FloatArray
+    plane: FloatArray
+    distance_m: float
+    texture_from_xy: FloatArray
+    texels_per_m: float
+    texture: Texture
+    gain: float
+
+    @cached_property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors (n, 2) and offsets (n,): by these, how far inside of each side (x, y) is."""
+        along = np.concatenate([self.corners_xy[1:], self.corners_xy[:1]]) - self.corners_xy
+        lengths = np.sqrt((along * along).sum(axis=1))
+        is_side = lengths > 1e-9
+        inward = along[is_side][:, ::-1] * (-1.0, 1.0) / lengths[is_side, None]
+        return inward, -(inward * self.corners_xy[is_side]).sum(axis=1)
+
+    @cached_property
+    def inverse_depths(self) -> tuple[float, float]:
+        """1 / depth of its farthest and its nearest corner, in 1/m."""
+        inverse = self.corners_xy @ self.plane[:2] + self.plane[2]
+        return float(inverse.min()), float(inverse.max())
+
+
+def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
+    """The outline of a capsule or a ball: around the circles where sight touches its end balls.
+
+    Its texture stands upright along it, and faces the camera.
+    """
+    ends = camera.view(body.ends_m, pose)
+    circles = [_touching_circle(end, body.radius_m, camera) for end in ends]
+    if any(circle is None for circle in circles):
+        return None  # the camera is inside
+    clipped = [clip_near(circle) for circle in circles if circle is not None]
+    points = np.concatenate([to_picture(circle, camera) for circle in clipped if len(circle) > 2])
+    if len(points) < 3:
+        return None
+    # What OpenCV calls counter-clockwise has y upwards.
+    hull = cv2.convexHull(points.astype(np.float32), clockwise=False)[:, 0].astype(np.float64)
+    up = ends[1] - ends[0]
+    length = math.sqrt(up @ up)
+    middle = ends.mean(axis=0)
+    if length == 0.0:
+        up = pose.camera_from_world @ np.array([0.0, 0.0, 1.0])
+    right = np.cross(middle, up)
+    facing = right @ right > 1e-12 * (up @ up) * (middle @ middle)
+    if not facing:  # seen along its axis
+        right = np.cross(middle, np.array([0.0, -1.0, 0.0]))
+    right /= math.sqrt(right @ right)
+    if length == 0.0 or not facing:
+        up = np.cross(right, middle)
+    up /= math.sqrt(up @ up)
+    # Of a ball near the camera, less than the half is seen: the picture fills what is seen.
+    distance = math.sqrt(middle @ middle)
+    share = math.sqrt(max(1.0 - (body.radius_m / distance) ** 2, 1e-6)) if distance else 1.0
+    radius = body.radius_m * share
+    toward = middle / distance * (body.radius_m**2 / distance)
+    half_height = up * (length / 2.0 + radius)
+    origin = middle - toward - right * radius + half_height
+    normal = np.cross(right, up)
+    distance = float(normal @ origin)
+    if abs(distance) < EDGE_ON_M:
+        return None
+    rays = camera.rays_from_xy
+    width, height = 2.0 * radius, 2.0 * math.sqrt(half_height @ half_height)
+    rows = [
+        (distance * axis - (axis @ origin) * normal) / side
+        for axis, side in ((right, width), (-up, height))
+    ]
+    n_rows, n_columns = body.texture.image.shape
+    return Outline(
+        hull,
+        normal @ rays / distance,
+        abs(distance),
+        np.array([*rows, normal]) @ rays,
+        max(n_columns / width, n_rows / height),
+        body.texture,
+        body.gain,
+    )
+
+
+def clip_near(seen: FloatArray) -> FloatArray:
+    """The part of a polygon, (n, 3), that is `NEAR_M` or more in front of the camera."""
+    depths = seen[:, 2]
+    if depths.min() >= NEAR_M:
+        return seen
+    kept: list[FloatArray] = []
+    for here, there in zip(seen, np.roll(seen, -1, axis=0), strict=True):
+        if here[2] >= NEAR_M:
+            kept.append(here)
+        if (here[2] >= NEAR_M) != (there[2] >= NEAR_M):
+            share = (NEAR_M - here[2]) / (there[2] - here[2])
+            kept.append(here + share * (there - here))
+    return np.array(kept).reshape(-1, 3)
+
+
+def to_picture(seen: FloatArray, camera: Camera) -> FloatArray:
+    """Points in front of the camera, (n, 3), to px, (n, 2)."""
+    flat: FloatArray = camera.middle_xy + camera.focal_px * seen[:, :2] / seen[:, 2:]
+    return flat
+
+
+def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> FloatArray | None:
+    """Where sight touches a ball: a circle, as a polygon around it; None from inside the ball."""
+    square = float(center @ center)
+    if square <= radius * radius:
+        return None
+    distance = math.sqrt(square)
+    toward = center / distance
+    across = np.cross(toward, np.array([0.0, 1.0, 0.0] if abs(toward[1]) < 0.9 else [1.0, 0.0, 0]))
+    across /= math.sqrt(across @ across)
+    down = np.cross(toward, across)
+    radius_px = camera.focal_px * radius / max(distance - radius, NEAR_M)
+    wanted = math.pi * math.sqrt(radius_px / (2.0 * _ROUNDNESS_PX))
+    n_corners = int(min(max(wanted, 16), _MAX_CORNERS))
+    angles = np.arange(n_corners) * (2.0 * math.pi / n_corners)
+    seen_radius = radius * math.sqrt(1.0 - radius * radius / square)
+    # Half of the polygon's error inside the circle, half of it outside.
+    seen_radius *= 2.0 / (1.0 + math.cos(math.pi / n_corners))
+    circle: FloatArray = toward * (distance - radius * radius / distance) + seen_radius * (
+        np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * down
+    )
+    return circle
