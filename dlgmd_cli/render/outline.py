@@ -74,10 +74,10 @@ def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
     circles = [_touching_circle(end, body.radius_m, camera) for end in ends]
     if any(circle is None for circle in circles):
         return None  # the camera is inside
-    clipped = [clip_near(circle) for circle in circles if circle is not None]
-    points = np.concatenate([to_picture(circle, camera) for circle in clipped if len(circle) > 2])
-    if len(points) < 3:
+    clipped = np.concatenate([clip_near(circle) for circle in circles if circle is not None])
+    if len(clipped) < 3:
         return None
+    points = to_picture(clipped, camera)
     # What OpenCV calls counter-clockwise has y upwards.
     hull = cv2.convexHull(points.astype(np.float32), clockwise=False)[:, 0].astype(np.float64)
     up = ends[1] - ends[0]
