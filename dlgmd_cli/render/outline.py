@@ -79,7 +79,9 @@ def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
         return None
     points = to_picture(clipped, camera)
     # What OpenCV calls counter-clockwise has y upwards.
-    hull = cv2.convexHull(points.astype(np.float32), clockwise=False)[:, 0].astype(np.float64)
+    hull = cv2.convexHull(points.astype(np.float32), clockwise=False)
+    if hull is None or len(hull) < 3:
+        return None  # too far to be more than a point
     up = ends[1] - ends[0]
     length = math.sqrt(up @ up)
     middle = ends.mean(axis=0)
@@ -112,7 +114,7 @@ def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
     ]
     n_rows, n_columns = body.texture.image.shape
     return Outline(
-        hull,
+        hull[:, 0].astype(np.float64),
         normal @ rays / distance,
         abs(distance),
         np.array([*rows, normal]) @ rays,

@@ -7,16 +7,15 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.render.camera import FloatArray
+from dlgmd_cli.render.coverage import Window, coverage
 from dlgmd_cli.render.outline import Outline
-from dlgmd_cli.render.texture import FloatImage
+from dlgmd_cli.render.texture import MARGIN, FloatImage
 
 # What is painted at a time: a band stays in the cache, and has few sizes of texture.
 _BAND_PX, _MIN_ROWS = 65_536, 32
 # How far foreshortening counts when the size of the texture is chosen: 0 would sample it too
 # coarsely in one direction, 1 blurs it in the other.
 _FORESHORTENING = 0.75
-
-Window = tuple[int, int, int, int]
 
 
 def bands(outline: Outline, shape: tuple[int, int], rows: tuple[int, int]) -> Iterator[Window]:
@@ -64,25 +63,18 @@ def bands(outline: Outline, shape: tuple[int, int], rows: tuple[int, int]) -> It
             yield (*window, int(row_end))
 
 
-def coverage(outline: Outline, window: Window) -> FloatImage | None:
+def share_of(outline: Outline, window: Window) -> FloatImage | None:
     """Which share of each pixel of a window is inside the outline; None if all of all.
 
     Two outlines that share an edge cover its pixels with shares that add up to 1.
     """
     left, top, right, bottom = window
     inward, offsets = outline.sides
-    low, high = (left + 0.5, top + 0.5), (right - 0.5, bottom - 0.5)
-    near = np.minimum(inward * low, inward * high).sum(axis=1) + offsets < 0.5
-    if not near.any():
+    if (
+        np.minimum(inward * (left, top), inward * (right, bottom)).sum(axis=1) + offsets
+    ).min() >= 0:
         return None
-    x = np.arange(left + 0.5, right)
-    y = np.arange(top + 0.5, bottom)
-    covered: FloatImage | None = None
-    for (a, b), c in zip(inward[near], offsets[near], strict=True):
-        share = _ramp(a, b, c + 0.5, x, y)
-        covered = share if covered is None else np.minimum(covered, share, out=covered)
-    assert covered is not None
-    return np.clip(covered, 0.0, 1.0, out=covered)
+    return coverage(outline.corners_xy, window)
 
 
 def sample(outline: Outline, window: Window, focal_px: float) -> FloatImage:
@@ -94,21 +86,23 @@ def sample(outline: Outline, window: Window, focal_px: float) -> FloatImage:
     left, top, right, bottom = window
     size_wh = right - left, bottom - top
     if len(levels) == 1:
-        return np.full(size_wh[::-1], levels[0][0, 0], np.float32)
+        return np.full(size_wh[::-1], outline.texture.mean, np.float32)
     finest, coarsest = _levels(outline, window, focal_px)
     to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
     texture_from_pixel = outline.texture_from_xy @ to_window
     picture: FloatImage | None = None
     for index in range(coarsest, finest - 1, -1):
-        height, width = levels[index].shape
-        texel = np.array([[width, 0.0, -0.5], [0.0, height, -0.5], [0.0, 0.0, 1.0]])
+        height, width = (side - 2 * MARGIN for side in levels[index].shape)
+        shift = MARGIN - 0.5
+        texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
         warped: FloatImage = np.asarray(
             cv2.warpPerspective(
                 levels[index],
                 texel @ texture_from_pixel,
                 size_wh,
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_REPLICATE,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=outline.texture.mean,
             ),
             np.float32,
         )

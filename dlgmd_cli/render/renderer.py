@@ -8,7 +8,7 @@ import numpy as np
 from dlgmd_cli.render.camera import Camera, Pose
 from dlgmd_cli.render.order import Order
 from dlgmd_cli.render.outline import Outline, outline_round
-from dlgmd_cli.render.paint import bands, coverage, sample
+from dlgmd_cli.render.paint import bands, sample, share_of
 from dlgmd_cli.render.sight import Sight
 from dlgmd_cli.render.solids import Body, Round, Solid, World
 from dlgmd_cli.render.texture import FloatImage
@@ -103,7 +103,7 @@ class Renderer:
                 x, y, x_end, y_end = window
                 texture = sample(outline, window, self.camera.focal_px)
                 texture *= np.float32(outline.gain)
-                share = coverage(outline, window)
+                share = share_of(outline, window)
                 target = picture[y:y_end, x:x_end]
                 if share is None:
                     target[...] = texture

@@ -24,8 +24,8 @@ class Face:
     corners_m : ndarray, shape (n, 3)
         Counter-clockwise as seen from the front.
     texture : Texture
-        Its picture fills the rectangle at `origin_m` with the sides `right_m` and `down_m`, and
-        its margin goes on beyond.
+        Its picture fills the rectangle at `origin_m` with the sides `right_m` and `down_m`,
+        in which all corners lie.
     origin_m, right_m, down_m : ndarray, shape (3,)
         The picture's top left corner; from there along its width; and along its height.
     gain : float
