@@ -18,12 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.stimuli.approach import ApproachOptions
 from dlgmd_cli.stimuli.base import GreyImage, Scene
 from dlgmd_cli.stimuli.encode import write_clip
+from dlgmd_cli.stimuli.flat.approach import ApproachOptions
+from dlgmd_cli.stimuli.flat.base import FlatTruth
+from dlgmd_cli.stimuli.flat.shapes import Patch, disc, rectangle
+from dlgmd_cli.stimuli.flat.translation import TranslationOptions
 from dlgmd_cli.stimuli.scenes import SCENES, find_scene
-from dlgmd_cli.stimuli.shapes import Patch, disc, rectangle
-from dlgmd_cli.stimuli.translation import TranslationOptions
 
 SHAPE = (24, 32)
 SMALL = {"--size": (48, 64), "--frames": 6}
@@ -474,6 +475,7 @@ class Scripted(Scene[ApproachOptions]):
     """Shows given frames, and raises what stands among them."""
 
     name, description, defaults = "scripted", "frames as given", ApproachOptions(shape=(48, 64))
+    truth_type = FlatTruth
 
     def __init__(self, script: list[Any]) -> None:
         self.script = script

@@ -3,7 +3,7 @@
 import math
 import numbers
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.stimuli.shapes import FloatImage, Patch
 
 GreyImage = npt.NDArray[np.uint8]
 
 # The largest even side that MPEG-4 takes.
 MAX_SIDE_PX = 8190
 MAX_FRAMES = 100_000
-DEFAULT_FRAMES = 75
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Limits:
 
 
 def option(default: Any, flag: str, low: float, high: float, **limits: Any) -> Any:
-    """A field of `SceneOptions`: its default, its flag, and the range of its number or numbers."""
+    """A field of `ClipOptions`: its default, its flag, and the range of its number or numbers."""
     return field(default=default, metadata={"limits": Limits(flag, low, high, **limits)})
 
 
@@ -60,8 +58,8 @@ def invalid(flag: str, why: str, mend: str = "") -> ParameterError:
 
 
 @dataclass(frozen=True)
-class SceneOptions:
-    """What all scenes can be told; checked on construction.
+class ClipOptions:
+    """What every clip has; checked on construction.
 
     Attributes
     ----------
@@ -73,24 +71,14 @@ class SceneOptions:
         Length of the clip; None leaves it to the scene.
     fov_deg : float
         Horizontal field of view of the pinhole camera; its pixels are square.
-    contrast : float
-        Weber contrast of the object, (object - background) / background.
-    background : float
-        Luminance of the background in 0..1; 1 is grey level 255, in proportion.
-    noise : float
-        Standard deviation of Gaussian noise that every pixel of every frame gets, in units of
-        luminance, before frames are rounded to grey levels.
     seed : int
-        Where that noise starts.
+        Where all that is random starts.
     """
 
     shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", whole=True)
     fps: float = option(30.0, "--fps", 1, 600)
     n_frames: int | None = option(None, "--frames", 1, MAX_FRAMES, whole=True)
     fov_deg: float = option(60.0, "--fov", 1, 170, unit="degrees")
-    contrast: float = option(-0.75, "--contrast", -1, 1000)
-    background: float = option(0.8, "--background", 0, 1, low_open=True)
-    noise: float = option(0.0, "--noise", 0, 1)
     seed: int = option(0, "--seed", 0, 2**63 - 1, whole=True)
 
     def __post_init__(self) -> None:
@@ -108,18 +96,6 @@ class SceneOptions:
                 object.__setattr__(self, each.name, limits.checked(value))
         if len(self.shape) != 2:
             raise invalid("--size", "it needs a height and a width")
-        if not 0.0 <= self.object_luminance <= 1.0:
-            raise invalid(
-                "--contrast",
-                f"{self.contrast:g} on a background of {self.background:g} makes the object "
-                "brighter than white",
-                f"Choose -1 to {1 / self.background - 1:.3g}, or a darker --background.",
-            )
-
-    @property
-    def object_luminance(self) -> float:
-        """Luminance of the object in 0..1."""
-        return self.background * (1.0 + self.contrast)
 
     @property
     def focal_px(self) -> float:
@@ -127,18 +103,7 @@ class SceneOptions:
         return self.shape[1] / 2 / math.tan(math.radians(self.fov_deg) / 2)
 
 
-OptionsT = TypeVar("OptionsT", bound=SceneOptions)
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What is so at one frame; the fields are the columns of the CSV, NaN an empty cell."""
-
-    frame: int
-    time_s: float
-    angular_size_deg: float
-    angular_velocity_deg_s: float
-    time_to_contact_s: float
+OptionsT = TypeVar("OptionsT", bound=ClipOptions)
 
 
 class Scene(ABC, Generic[OptionsT]):
@@ -150,13 +115,16 @@ class Scene(ABC, Generic[OptionsT]):
         What it is called on the command line; also the stem of its files.
     description : str
         One line for a list.
-    defaults : SceneOptions
+    defaults : ClipOptions
         Its options, with their defaults.
+    truth_type : type
+        The dataclass of what is so at a frame; its fields are the columns of the CSV.
     """
 
     name: str
     description: str
     defaults: OptionsT
+    truth_type: type
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
         """The defaults with some options replaced.
@@ -190,19 +158,5 @@ class Scene(ABC, Generic[OptionsT]):
         """The frames in order, (H, W) uint8; the same again at every call."""
 
     @abstractmethod
-    def truth(self, options: OptionsT) -> Iterator[Truth]:
-        """What is so at each frame."""
-
-
-def render(
-    options: SceneOptions, n_frames: int, patches: Callable[[int], Iterable[Patch]]
-) -> Iterator[GreyImage]:
-    """Frames of objects that are all alike, `patches` of the frame's index, on the background."""
-    rng = np.random.default_rng(options.seed)
-    for index in range(n_frames):
-        picture: FloatImage = np.full(options.shape, options.background, np.float32)
-        for patch in patches(index):
-            patch.paint(picture, options.object_luminance)
-        if options.noise > 0.0:
-            picture += options.noise * rng.standard_normal(options.shape, np.float32)
-        yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+    def truth(self, options: OptionsT) -> Iterator[Any]:
+        """What is so at each frame, as a `truth_type`; NaN where nothing is defined."""

@@ -2,23 +2,21 @@
 
 import csv
 from collections.abc import Iterable
-from dataclasses import astuple, fields
+from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
-from dlgmd_cli.results.cells import cell
+from dlgmd_cli.results.cells import cell, text_cell
 from dlgmd_cli.results.files import appearing, refuse_existing
 from dlgmd_cli.results.video import MAX_TICKS_PER_S, check_arrived, encode
 from dlgmd_cli.sources.count import count_frames
 from dlgmd_cli.stimuli.base import (
+    ClipOptions,
     OptionsT,
     Scene,
-    SceneOptions,
-    Truth,
     invalid,
 )
-
-TRUTH_COLUMNS = tuple(field.name for field in fields(Truth))
 
 
 def write_clip(
@@ -35,7 +33,7 @@ def write_clip(
     ----------
     scene : Scene
         What to render.
-    options : SceneOptions
+    options : ClipOptions
         Options of that scene.
     folder : Path
         Where to; made if need be.
@@ -67,19 +65,35 @@ def write_clip(
     with appearing(video, truth) as (new_video, new_truth):
         encode(new_video, scene.frames(options), options.shape, options.fps, lossless=lossless)
         check_arrived(video, count_frames(new_video), n_frames)
-        write_truth(new_truth, scene.truth(options))
+        write_truth(new_truth, scene.truth_type, scene.truth(options))
     return video, truth
 
 
-def write_truth(path: Path, rows: Iterable[Truth]) -> None:
-    """Write ground truth as CSV, an empty cell where nothing is defined; OSError passes through."""
-    with path.open("w", newline="", encoding="ascii") as file:
+def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
+    """Write ground truth as CSV; OSError passes through.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : type
+        The dataclass that the rows are of; its fields are the columns.
+    rows : iterable
+        One a frame. NaN becomes an empty cell.
+    """
+    names = [field.name for field in fields(columns)]
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(TRUTH_COLUMNS)
-        writer.writerows([cell(value) for value in astuple(row)] for row in rows)
+        writer.writerow(names)
+        writer.writerows([_cell(getattr(row, name)) for name in names] for row in rows)
 
 
-def check_encodable(options: SceneOptions, *, lossless: bool) -> None:
+def _cell(value: Any) -> str:
+    """A number or text as it stands in a CSV."""
+    return text_cell(value) if isinstance(value, str) else cell(value)
+
+
+def check_encodable(options: ClipOptions, *, lossless: bool) -> None:
     """Raise ParameterError if a video would not keep the size or the frame rate as they are."""
     height, width = options.shape
     if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently

@@ -4,9 +4,9 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import nearest
-from dlgmd_cli.stimuli.approach import Approach, ApproachOptions, Ball, Cube
 from dlgmd_cli.stimuli.base import Scene
-from dlgmd_cli.stimuli.translation import Translation, TranslationOptions
+from dlgmd_cli.stimuli.flat.approach import Approach, ApproachOptions, Ball, Cube
+from dlgmd_cli.stimuli.flat.translation import Translation, TranslationOptions
 
 _LOOMING = ApproachOptions()
 # Starts where the looming cube ends, so that the one is the other played backwards.

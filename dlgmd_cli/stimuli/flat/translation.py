@@ -5,21 +5,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from dlgmd_cli.stimuli.base import (
-    DEFAULT_FRAMES,
     MAX_SIDE_PX,
     GreyImage,
     Scene,
-    SceneOptions,
-    Truth,
     invalid,
     option,
-    render,
 )
-from dlgmd_cli.stimuli.shapes import Patch, rectangle
+from dlgmd_cli.stimuli.flat.base import DEFAULT_FRAMES, FlatOptions, FlatTruth, render
+from dlgmd_cli.stimuli.flat.shapes import Patch, rectangle
 
 
 @dataclass(frozen=True)
-class TranslationOptions(SceneOptions):
+class TranslationOptions(FlatOptions):
     """Options of a scene with squares that move sideways.
 
     Attributes
@@ -45,6 +42,8 @@ class TranslationOptions(SceneOptions):
 
 class Translation(Scene[TranslationOptions]):
     """Squares that are in sight as a whole for the whole clip, and halfway in the middle."""
+
+    truth_type = FlatTruth
 
     def __init__(self, name: str, description: str, defaults: TranslationOptions) -> None:
         self.name, self.description, self.defaults = name, description, defaults
@@ -78,14 +77,14 @@ class Translation(Scene[TranslationOptions]):
         n_frames = self.n_frames(options)
         return render(options, n_frames, lambda index: _squares(options, index, n_frames))
 
-    def truth(self, options: TranslationOptions) -> Iterator[Truth]:
+    def truth(self, options: TranslationOptions) -> Iterator[FlatTruth]:
         """What is so at each frame: nothing grows, and nothing comes closer.
 
         The angular size is that of a square in the middle of the picture.
         """
         angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
         for index in range(self.n_frames(options)):
-            yield Truth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
+            yield FlatTruth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
 
 
 def _squares(options: TranslationOptions, index: int, n_frames: int) -> Iterator[Patch]:

@@ -6,23 +6,20 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dlgmd_cli.stimuli.base import (
-    DEFAULT_FRAMES,
     MAX_FRAMES,
     GreyImage,
     Scene,
-    SceneOptions,
-    Truth,
     invalid,
     option,
-    render,
 )
-from dlgmd_cli.stimuli.shapes import Patch, disc, rectangle
+from dlgmd_cli.stimuli.flat.base import DEFAULT_FRAMES, FlatOptions, FlatTruth, render
+from dlgmd_cli.stimuli.flat.shapes import Patch, disc, rectangle
 
 MIN_METRES, MAX_METRES = 0.001, 10_000
 
 
 @dataclass(frozen=True)
-class ApproachOptions(SceneOptions):
+class ApproachOptions(FlatOptions):
     """Options of a scene with one object on the optical axis.
 
     Attributes
@@ -106,6 +103,8 @@ class Approach(Scene[ApproachOptions]):
         Whether it goes away, so that there is no contact.
     """
 
+    truth_type = FlatTruth
+
     def __init__(
         self,
         name: str,
@@ -147,13 +146,13 @@ class Approach(Scene[ApproachOptions]):
             lambda index: [self._solid.patch(options, self._distance(options, index))],
         )
 
-    def truth(self, options: ApproachOptions) -> Iterator[Truth]:
+    def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
         """What is so at each frame, from the geometry alone."""
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance = self._distance(options, index)
             slope = self._solid.angle_slope(options.object_size_m, distance)
-            yield Truth(
+            yield FlatTruth(
                 index,
                 index / options.fps,
                 math.degrees(self._solid.angle(options.object_size_m, distance)),
@@ -167,7 +166,7 @@ class Approach(Scene[ApproachOptions]):
         return options.distance_m + (covered if self._recedes else -covered)
 
 
-def _middle(options: SceneOptions) -> tuple[float, float]:
+def _middle(options: FlatOptions) -> tuple[float, float]:
     """Where the optical axis meets the picture."""
     height, width = options.shape
     return height / 2.0, width / 2.0
