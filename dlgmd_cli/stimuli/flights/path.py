@@ -124,7 +124,7 @@ class Path:
             At the time of contact, what it is just before.
         """
         time = min(max(time_s, 0.0), self.duration_s)
-        begun = [stretch for stretch in self.stretches if stretch.start_s < time]
+        begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
         position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         spin = _angular_velocity(angles, rates)

@@ -22,6 +22,7 @@ from dlgmd_cli.stimuli.flights.pilot import Orders, Pilot
 from dlgmd_cli.stimuli.flights.script import Phase, hover
 
 STEP_S = 0.001
+MAX_SPEED_M_S, MAX_JITTER = 30.0, 20.0
 # Of a blow: the share of the speed that it leaves, backwards, the greatest angle by which it
 # throws the nose up, that for each m/s of speed, and how far the drone backs off.
 RESTITUTION = 0.25
@@ -70,7 +71,7 @@ def fly(
     ParameterError
         If the script is empty or stands on the floor later on, or a number is out of its range.
     """
-    _check(script, contact_s)
+    _check(script, speed_m_s, jitter, contact_s)
     starts = [0.0]
     for each in script:
         starts.append(starts[-1] + each.seconds)
@@ -101,8 +102,14 @@ def fly(
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
 
-def _check(script: Sequence[Phase], contact_s: float | None) -> None:
+def _check(
+    script: Sequence[Phase], speed_m_s: float, jitter: float, contact_s: float | None
+) -> None:
     """Refuse what cannot be flown."""
+    if not 0.0 <= speed_m_s <= MAX_SPEED_M_S:
+        raise ParameterError("speed_m_s", f"{speed_m_s:g} is not 0 to {MAX_SPEED_M_S:g}")
+    if not 0.0 <= jitter <= MAX_JITTER:
+        raise ParameterError("jitter", f"{jitter:g} is not 0 to {MAX_JITTER:g}")
     if not script:
         raise ParameterError("the flight's script", "it has no phase")
     if contact_s is not None and not contact_s > 0.0:
