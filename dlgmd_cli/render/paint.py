@@ -32,20 +32,20 @@ def bands(outline: Outline, shape: tuple[int, int], rows: tuple[int, int]) -> It
     start = outline.corners_xy
     end = np.concatenate([start[1:], start[:1]])
     (left, top), (right, bottom) = start.min(axis=0), start.max(axis=0)
-    first_row = max(math.floor(top - 0.5), rows[0])
-    last_row = min(math.ceil(bottom + 0.5), rows[1])
+    first_row = max(math.floor(top), rows[0])
+    last_row = min(math.ceil(bottom), rows[1])
     width = min(right, shape[1]) - max(left, 0.0) + 1.0
     n_rows = max(_MIN_ROWS, int(_BAND_PX / width)) if width > 1.0 else _MIN_ROWS
     tops = np.arange(first_row, last_row, n_rows)
     bottoms = np.minimum(tops + n_rows, last_row)
     if len(tops) == 1:
-        x, x_end = max(math.floor(left - 0.5), 0), min(math.ceil(right + 0.5), shape[1])
+        x, x_end = max(math.floor(left), 0), min(math.ceil(right), shape[1])
         if x < x_end:
             yield x, first_row, x_end, last_row
         return
     # Of each side, the part that passes through each band, and its least and greatest x there.
-    low = np.clip(tops[:, None] - 0.5, np.minimum(start[:, 1], end[:, 1]), None)
-    high = np.clip(bottoms[:, None] + 0.5, None, np.maximum(start[:, 1], end[:, 1]))
+    low = np.clip(tops[:, None], np.minimum(start[:, 1], end[:, 1]), None)
+    high = np.clip(bottoms[:, None], None, np.maximum(start[:, 1], end[:, 1]))
     rise = end[:, 1] - start[:, 1]
     run = end[:, 0] - start[:, 0]
     is_level = np.abs(rise) < 1e-9
@@ -58,7 +58,7 @@ def bands(outline: Outline, shape: tuple[int, int], rows: tuple[int, int]) -> It
     for row, row_end, x, x_end in zip(tops, bottoms, lefts, rights, strict=True):
         if x_end < -1.0 or x > shape[1] + 1.0:
             continue
-        window = max(math.floor(x - 0.5), 0), int(row), min(math.ceil(x_end + 0.5), shape[1])
+        window = max(math.floor(x), 0), int(row), min(math.ceil(x_end), shape[1])
         if window[0] < window[2]:
             yield (*window, int(row_end))
 
@@ -120,9 +120,9 @@ def _levels(outline: Outline, window: Window, focal_px: float) -> tuple[int, int
     """The finest and the coarsest size of the texture that a window needs."""
     left, top, right, bottom = window
     a, b, c = outline.plane
-    farthest, nearest = outline.inverse_depths
-    farthest = max(farthest, c + min(a * left, a * right) + min(b * top, b * bottom))
-    nearest = min(nearest, c + max(a * left, a * right) + max(b * top, b * bottom))
+    least, most = outline.inverse_depths
+    farthest = max(least, c + min(a * left, a * right) + min(b * top, b * bottom))
+    nearest = max(least, min(most, c + max(a * left, a * right) + max(b * top, b * bottom)))
     last = len(outline.texture.levels) - 1
     finest = min(max(math.floor(_level(outline, nearest, focal_px)), 0), last)
     coarsest = math.ceil(_level(outline, min(farthest, nearest), focal_px))

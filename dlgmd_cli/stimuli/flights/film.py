@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class _Shutter:
         n_strips = _steps(speed * self._readout_s / _STRIP_STEP_PX, min(_MAX_STRIPS, self._n_rows))
         borders = np.linspace(0, self._n_rows, n_strips + 1).round().astype(int).tolist()
         strips = []
-        for first, last in zip(borders[:-1], borders[1:], strict=True):
+        for first, last in pairwise(borders):
             late = ((first + last) / 2.0 / self._n_rows - 0.5) * self._readout_s
             strips.append(self._exposed(time_s + late, n_pictures, (first, last)))
         return np.concatenate(strips)
