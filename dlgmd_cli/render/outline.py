@@ -50,15 +50,6 @@ class Outline:
     gain: float
 
     @cached_property
-    def sides(self) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors (n, 2) and offsets (n,): by these, how far inside of each side (x, y) is."""
-        along = np.concatenate([self.corners_xy[1:], self.corners_xy[:1]]) - self.corners_xy
-        lengths = np.sqrt((along * along).sum(axis=1))
-        is_side = lengths > 1e-9
-        inward = along[is_side][:, ::-1] * (-1.0, 1.0) / lengths[is_side, None]
-        return inward, -(inward * self.corners_xy[is_side]).sum(axis=1)
-
-    @cached_property
     def inverse_depths(self) -> tuple[float, float]:
         """1 / depth of its farthest and its nearest corner, in 1/m."""
         inverse = self.corners_xy @ self.plane[:2] + self.plane[2]

@@ -1,14 +1,11 @@
 """A world as a camera sees it, in linear light."""
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 
 from dlgmd_cli.render.camera import Camera, Pose
 from dlgmd_cli.render.order import Order
 from dlgmd_cli.render.outline import Outline, outline_round
-from dlgmd_cli.render.paint import bands, sample, share_of
+from dlgmd_cli.render.paint import paint
 from dlgmd_cli.render.sight import Sight
 from dlgmd_cli.render.solids import Body, Round, Solid, World
 from dlgmd_cli.render.texture import FloatImage
@@ -55,16 +52,15 @@ class Renderer:
             The first row and the one after the last: only they are painted and returned.
         """
         rows = rows or (0, self.camera.shape[0])
-        picture: FloatImage = np.zeros(self.camera.shape, np.float32)
-        for outlines in self._room.outlines(self.camera, pose).values():
-            self._paint(picture, outlines, rows)
+        painted = [*self._room.outlines(self.camera, pose).values()]
         outlines_of = self._outlines(pose, time_s)
         for index in self._order.back_to_front(pose.position_m, outlines_of):
-            self._paint(picture, outlines_of[index], rows)
+            painted.append(outlines_of[index])
+        picture = paint(painted, self.camera, rows)
         light = self.world.light(time_s)
         if light != 1.0:
             picture *= np.float32(light)
-        return picture[rows[0] : rows[1]]
+        return picture
 
     def _outlines(self, pose: Pose, time_s: float) -> dict[int, list[Outline]]:
         """What is in sight, by the index of the body."""
@@ -82,35 +78,6 @@ class Renderer:
                 if outlines:
                     found[index] = outlines[0]
         return found
-
-    def _paint(
-        self, picture: FloatImage, outlines: Sequence[Outline], rows: tuple[int, int]
-    ) -> None:
-        """Paint the faces of one body in place, in some rows.
-
-        Faces of a body share edges: each adds its share to what was there before all of them.
-        """
-        top = left = 0
-        before = picture
-        if len(outlines) > 1:
-            corners = np.concatenate([outline.corners_xy for outline in outlines])
-            (low_x, low_y), (high_x, high_y) = corners.min(axis=0), corners.max(axis=0)
-            left, top = max(math.floor(low_x) - 1, 0), max(math.floor(low_y) - 1, rows[0])
-            right, bottom = max(math.ceil(high_x) + 1, 0), min(math.ceil(high_y) + 1, rows[1])
-            before = picture[top : max(bottom, top), left:right].copy()
-        for outline in outlines:
-            for window in bands(outline, self.camera.shape, rows):
-                x, y, x_end, y_end = window
-                texture = sample(outline, window, self.camera.focal_px)
-                texture *= np.float32(outline.gain)
-                share = share_of(outline, window)
-                target = picture[y:y_end, x:x_end]
-                if share is None:
-                    target[...] = texture
-                    continue
-                texture -= before[y - top : y_end - top, x - left : x_end - left]
-                texture *= share
-                target += texture
 
 
 def placed(world: World, time_s: float) -> list[Body]:
