@@ -1,6 +1,5 @@
 """Which of two convex bodies is behind the other, by a plane that lies between them."""
 
-import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -16,8 +15,9 @@ _TOUCHING_M = 1e-6
 class Order:
     """The order in which bodies are to be painted, so that each covers what is behind it.
 
-    Exact wherever a plane along a face of one of two bodies has them on its two sides. Where none
-    has, or where several bodies hide each other in a ring, the farther middle comes first.
+    Exact wherever a plane along an axis, or along a face of one of two bodies, has them on its two
+    sides. Where none has, or where several bodies hide each other in a ring, the farther middle
+    comes first.
 
     Parameters
     ----------
@@ -28,12 +28,13 @@ class Order:
     def __init__(self, bodies: Sequence[Body]) -> None:
         n = len(bodies)
         self._bodies = list(bodies)
-        self._middles = np.array([_middle(body) for body in bodies]).reshape(-1, 3)
+        boxes = np.array([_box(body) for body in bodies]).reshape(-1, 2, 3)
+        self._low, self._high = boxes[:, 0], boxes[:, 1]
         # Of a body i and a later one j: normal and offset of a plane with i behind it.
         self._planes = np.zeros((n, n, 4))
         self._is_apart = np.zeros((n, n), bool)
-        for i, j in itertools.combinations(range(n), 2):
-            self._part(i, j)
+        for i in range(n):
+            self._part(i, np.arange(i + 1, n))
 
     @property
     def is_exact(self) -> bool:
@@ -44,15 +45,15 @@ class Order:
     def move(self, index: int, body: Body) -> None:
         """Put `body` in the place of the one with that index."""
         self._bodies[index] = body
-        self._middles[index] = _middle(body)
-        for other in range(len(self._bodies)):
-            if other != index:
-                self._part(min(index, other), max(index, other))
+        self._low[index], self._high[index] = _box(body)
+        others = np.arange(len(self._bodies))
+        self._part(index, others[others != index])
 
     def back_to_front(self, eye_m: FloatArray, chosen: Iterable[int]) -> list[int]:
         """The bodies with the indices `chosen`, farthest first, as seen from a point."""
         indices = np.array(list(chosen), int)
-        distances = np.linalg.norm(self._middles[indices] - eye_m, axis=1)
+        middles = (self._low[indices] + self._high[indices]) / 2.0
+        distances = np.linalg.norm(middles - eye_m, axis=1)
         pairs = np.ix_(indices, indices)
         planes = self._planes[pairs]
         # With the eye in front of the plane, the body behind it is the farther one.
@@ -65,16 +66,34 @@ class Order:
         behind[j, i] = ~is_first_behind[i, j]
         return [int(indices[place]) for place in _sorted(behind, distances)]
 
-    def _part(self, i: int, j: int) -> None:
-        plane = between(self._bodies[i], self._bodies[j])
-        self._is_apart[i, j] = plane is not None
-        if plane is not None:
-            self._planes[i, j] = plane
+    def _part(self, index: int, others: npt.NDArray[np.intp]) -> None:
+        """Find the planes between a body and others: upright or level ones where that will do."""
+        gaps = np.concatenate(
+            [self._low[others] - self._high[index], self._low[index] - self._high[others]], axis=1
+        )
+        axes = gaps.argmax(axis=1)
+        for other, axis, gap in zip(others, axes, gaps.max(axis=1, initial=-1.0), strict=True):
+            i, j = (index, other) if index < other else (other, index)
+            if gap < -_TOUCHING_M:
+                plane = between(self._bodies[i], self._bodies[j])
+                self._is_apart[i, j] = plane is not None
+                self._planes[i, j] = plane or 0.0
+                continue
+            # On the lower side of the plane is the first of the two or the second.
+            is_first_lower = (axis < 3) == (index < other)
+            axis, sign = axis % 3, 1.0 if is_first_lower else -1.0
+            lower, upper = (i, j) if is_first_lower else (j, i)
+            middle = (self._high[lower, axis] + self._low[upper, axis]) / 2.0
+            self._planes[i, j] = 0.0
+            self._planes[i, j, axis] = sign
+            self._planes[i, j, 3] = sign * middle
+            self._is_apart[i, j] = True
 
 
 def between(body: Body, other: Body) -> tuple[float, float, float, float] | None:
     """A plane with `body` behind it and `other` in front: normal and offset; None without one."""
-    line = _middle(other) - _middle(body)
+    (low, high), (low2, high2) = _box(body), _box(other)
+    line = (low2 + high2 - low - high) / 2.0
     length = float(np.linalg.norm(line))
     candidates = [body.normals, -body.normals, other.normals, -other.normals]
     if length > 0.0 and not (len(body.normals) and len(other.normals)):
@@ -90,11 +109,10 @@ def between(body: Body, other: Body) -> tuple[float, float, float, float] | None
     return float(x), float(y), float(z), float(ends[best] + begins[best]) / 2.0
 
 
-def _middle(body: Body) -> FloatArray:
-    """The middle of the box around a body."""
+def _box(body: Body) -> tuple[FloatArray, FloatArray]:
+    """The least and the greatest coordinates of a body."""
     axes = np.eye(3)
-    middle: FloatArray = (body.reach(axes) - body.reach(-axes)) / 2.0
-    return middle
+    return -body.reach(-axes), body.reach(axes)
 
 
 def _sorted(behind: npt.NDArray[np.bool_], distances: FloatArray) -> list[int]:
