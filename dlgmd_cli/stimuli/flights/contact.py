@@ -18,6 +18,9 @@ _LONGEST_S, _SHORTEST_S = 0.02, 0.002
 # What the drone or a body may gain in speed until the next look.
 _MARGIN_M_S = 0.5
 _N_HALVINGS = 40
+# A flight that is thrown back by what it touches is within reach for an instant only, but for
+# rounding.
+_ROUNDING_M = 1e-6
 
 
 class Surroundings:
@@ -84,6 +87,7 @@ def first_contact(
     def distances(time_s: float) -> FloatArray:
         return surroundings.distances(path.state(time_s).position_m, time_s)
 
+    blows = [stretch.start_s for stretch in path.stretches[1:]]
     time, was = 0.0, distances(0.0)
     clear = was > REACH_M
     while time < path.duration_s and len(was):
@@ -91,9 +95,9 @@ def first_contact(
         fastest = speed + surroundings.top_speed(time) + _MARGIN_M_S
         gap = float((was[clear] - REACH_M).min(initial=math.inf))
         step = min(max(gap / fastest, _SHORTEST_S), _LONGEST_S)
-        later = min(time + step, path.duration_s)
+        later = min(time + step, path.duration_s, *(blow for blow in blows if blow > time))
         now = distances(later)
-        touched = clear & (now <= REACH_M)
+        touched = clear & (now <= REACH_M + _ROUNDING_M)
         if touched.any():
             return _bisected(distances, touched, time, later)
         clear |= now > REACH_M

@@ -80,7 +80,7 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
     ParameterError
         If nothing in the world has the target's name.
     """
-    target = _Target(stage)
+    target = Target(stage)
     speeds = ImageSpeed(stage.world, camera, stage.target)
     for index in range(n_frames):
         time = index / fps
@@ -101,8 +101,18 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
         )
 
 
-class _Target:
-    """The bodies of a stage that distances and angles are about."""
+class Target:
+    """The bodies of a stage that distances and angles are about.
+
+    Parameters
+    ----------
+    stage : Stage
+
+    Raises
+    ------
+    ParameterError
+        If nothing in the world has the target's name.
+    """
 
     def __init__(self, stage: Stage) -> None:
         world, name = stage.world, stage.target
@@ -114,7 +124,7 @@ class _Target:
         self._nearest, self._extent = Nearest(self._surfaces), Extent(self._surfaces)
 
     def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
-        """Distance in m, angular size in degrees, and its rate in degrees/s."""
+        """Distance in m, angular size in degrees, and its rate in degrees/s; see `FlightTruth`."""
         distance = float(self._nearest.distances(state.position_m, time_s).min())
         if self._surrounds or distance == 0.0:
             return distance, 180.0, 0.0
