@@ -282,6 +282,9 @@ def test_phases_have_no_gaps_and_contact_ends_those_that_follow():
 
 
 def test_a_phase_begins_on_the_frame_that_it_is_said_to():
+    thirds = flown(hover(0.1), hover(0.1), hover(0.1), cruise(1))
+    assert thirds.phases[3][1] > 9 / 30
+    assert thirds.phase(9 / 30) == "cruise"
     path = flown(hover(40 / 30), accelerate(80 / 30, -12), decelerate(1, 10))
     assert [path.phase(n / 30) for n in (39, 40, 119, 120)] == (
         ["hover", "accelerate", "accelerate", "decelerate"]

@@ -158,6 +158,16 @@ def test_inside_a_body_there_is_no_distance():
         assert (row.distance_m, row.angular_size_deg, row.angular_velocity_deg_s) == (0, 180, 0)
 
 
+def test_only_closed_bodies_have_an_inside():
+    slanted = Solid("x", [polygon((3, 0, 0), (4, 1, 0), (4, 1, 2), (3, 0, 2))])
+    without_a_bottom = [f for f in box("x", (3, 0, 1), (4, 1, 2)).faces if f.normal[2] >= 0]
+    path = fly([hover(1)], position_m=(3.4, 0.6, 0.8), jitter=0.0)
+    row = truth([slanted], path, "x", n_frames=1)[0]
+    assert row.distance_m == pytest.approx(0.2 / math.sqrt(2))
+    row = truth([Solid("x", without_a_bottom)], path, "x", n_frames=1)[0]
+    assert row.distance_m == pytest.approx(math.hypot(0.2, 0.4))
+
+
 numbers = st.floats(-3, 3)
 
 
@@ -247,9 +257,10 @@ def test_a_capsule_spans_its_ends_and_their_halves():
     row = truth([capsule], straight(), "pole", n_frames=1)[0]
     half = math.atan(0.5 / 2) + math.asin(0.1 / math.hypot(2, 0.5))
     assert row.angular_size_deg == pytest.approx(math.degrees(2 * half))
-    end_on = Round("pole", np.array([[2, 0, 1], [3, 0, 1.0]]), 0.1, PLAIN)
-    row = truth([end_on], straight(), "pole", n_frames=1)[0]
-    assert row.angular_size_deg == pytest.approx(math.degrees(2 * math.asin(0.1 / 2)))
+    for ends in ([[2, 0, 1], [3, 0, 1.0]], [[3, 0, 1], [2, 0, 1.0]]):
+        end_on = Round("pole", np.array(ends), 0.1, PLAIN)
+        row = truth([end_on], straight(), "pole", n_frames=1)[0]
+        assert row.angular_size_deg == pytest.approx(math.degrees(2 * math.asin(0.1 / 2)))
 
 
 def test_what_is_behind_or_all_round_counts_too():
@@ -360,8 +371,16 @@ def test_a_small_target_is_found_between_the_lines():
     found = max_image_speed(World(ROOM, [tiny]), CAMERA, still(), 0.0, "ball")
     assert found == pytest.approx(CAMERA.focal_px * 3 / 4, rel=2e-3)
     small = box("box", (4, 0.02, 1.01), (4.01, 0.025, 1.015), motion=lambda t: (0, 3 * t, 0))
-    found = max_image_speed(World(ROOM, [small]), CAMERA, still(), 0.0, "box")
-    assert found == pytest.approx(CAMERA.focal_px * 3 / 4, rel=1e-6)
+    for angles in np.random.default_rng(0).uniform(-1, 1, (20, 3)):
+        found = max_image_speed(World(ROOM, [small]), CAMERA, still(angles=angles), 0.0, "box")
+        assert found == pytest.approx(CAMERA.focal_px * 3 / 4, rel=2e-3)
+
+
+def test_a_target_beside_the_picture_does_not_count():
+    aside = box("box", (4, 5, 0.5), (5, 6, 1.5), motion=lambda t: (0, 0, 2 * t))
+    assert max_image_speed(World(ROOM, [aside]), CAMERA, still(), 0.0, "box") == 0.0
+    turned = still(angles=(0, 0, 50))
+    assert max_image_speed(World(ROOM, [aside]), CAMERA, turned, 0.0, "box") > 10.0
 
 
 def test_a_body_beside_the_camera_hides_what_it_should():
@@ -451,9 +470,11 @@ def test_the_fastest_point_is_that_of_brute_force(time_s, monkeypatch):
 
 
 def test_each_line_of_sight_meets_what_brute_force_says():
+    # One that reaches from behind the camera across its plane.
+    across = [(1, 0.5, 0.8), (-5, -1.5, 0.8), (-5, -1.5, 1.4), (1, 0.5, 1.4)]
     bodies = [
         box("a", (3, -1.2, 0), (4, -0.3, 1.2), motion=moving),
-        box("b", (-1, 1.2, 0), (4, 1.6, 2)),
+        Solid("across", [polygon(*across), polygon(*across[::-1])]),
         Round("c", np.array([[3, -1, 0.5], [4, 1, 1.5]]), 0.25, PLAIN, motion=moving),
         board(6, 3),
     ]
@@ -507,13 +528,13 @@ def test_a_frame_of_a_full_room_takes_a_few_milliseconds():
     ids=lambda body: body.name,
 )
 def test_contact_is_when_the_nearest_point_is_within_reach(body):
-    path = straight(2.0, 3.0)
+    path = straight(1.3, 3.0)
     found = first_contact(path, World(ROOM, [body]))
-    assert found == pytest.approx((3 - REACH_M) / 2.0, abs=1e-3)
+    assert found == pytest.approx((3 - REACH_M) / 1.3, abs=1e-3)
     assert math.dist(path.state(found).position_m, (3, 0, 1)) == pytest.approx(REACH_M, abs=1e-6)
-    hit = fly([cruise(3)], position_m=(0, 0, 1), jitter=0, speed_m_s=2.0, contact_s=found)
+    hit = fly([cruise(3)], position_m=(0, 0, 1), jitter=0, speed_m_s=1.3, contact_s=found)
     assert first_contact(hit, World(ROOM, [body])) == pytest.approx(found, abs=1e-9)
-    assert first_contact(straight(2.0, 1.4), World(ROOM, [body])) is None
+    assert first_contact(straight(1.3, 2.2), World(ROOM, [body])) is None
 
 
 def test_only_the_names_that_are_asked_for_count():
@@ -530,6 +551,15 @@ def test_a_body_can_come_to_the_drone():
     path = fly([hover(3)], position_m=(0, 0, 1), jitter=0.0)
     swift = ball(0.1, (6, 0, 1), motion=lambda t: (-12.0 * max(t - 1, 0), 0, 0))
     assert first_contact(path, World(ROOM, [swift])) == pytest.approx(1 + 5.8 / 12, abs=1e-3)
+    bullet = ball(0.01, (3, 0, 1), motion=lambda t: (-40.0 * t, 0, 0))
+    assert first_contact(path, World(ROOM, [bullet])) == pytest.approx(2.89 / 40, abs=1e-4)
+
+
+def test_what_is_near_at_first_counts_once_it_has_been_away():
+    path = fly([hover(4)], position_m=(0, 0, 1), jitter=0.0)
+    near = ball(0.1, (0.15, 0, 1), motion=lambda t: (0.3 * math.sin(t), 0, 0))
+    found = first_contact(path, World(ROOM, [near]))
+    assert found == pytest.approx(math.pi - math.asin(0.05 / 0.3), abs=1e-4)
 
 
 def test_the_floor_it_stands_on_is_no_contact_and_a_ceiling_is():

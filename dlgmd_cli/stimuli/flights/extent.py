@@ -64,8 +64,6 @@ class Extent:
         units = towards / distances[:, None]
         halves = np.arcsin(self.radii_m / distances)
         between = np.arccos(np.clip(units @ units.T, -1.0, 1.0))
-        # Rounding leaves an angle between a direction and itself.
-        np.fill_diagonal(between, 0.0)
         spans = between + halves[:, None] + halves
         i, j = np.unravel_index(int(spans.argmax()), spans.shape)
         apart, apart_rate = _between(units, speeds / distances[:, None], int(i), int(j))
