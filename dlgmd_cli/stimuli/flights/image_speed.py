@@ -30,10 +30,10 @@ class ImageSpeed:
     """
 
     def __init__(self, world: World, camera: Camera, target: str | None = None) -> None:
-        self._surfaces = Surfaces([*world.bodies, world.room])
-        self._camera, self._lines = camera, Sightlines(self._surfaces, camera)
+        self._surfaces = Surfaces(world.bodies)
+        self._camera, self._lines = camera, Sightlines(self._surfaces, world.room, camera)
         marks = Extent(self._surfaces)
-        names = [body.name for body in self._surfaces.bodies]
+        names = [body.name for body in world.bodies]
         of_target = np.array([names[body] == target for body in marks.body], bool)
         self._marks = marks.points_m[of_target]
         self._mark_body, self._mark_radii = marks.body[of_target], marks.radii_m[of_target]
@@ -49,7 +49,9 @@ class ImageSpeed:
         shown = closeness[n_lines:] <= own * (1.0 + _HIDES)
         closeness[n_lines:], body[n_lines:] = np.where(shown, own, 0.0), mark_body
         axes = pose.camera_from_world.T
-        speeds = (self._surfaces.velocities(time_s) - state.velocity_m_s) @ axes
+        # The last one is the room's, which rests.
+        velocities = np.concatenate([self._surfaces.velocities(time_s), np.zeros((1, 3))])
+        speeds = (velocities - state.velocity_m_s) @ axes
         flow = _flow(rays, closeness, speeds[body], state.angular_velocity_rad_s @ axes)
         seen = closeness > 0.0
         fastest = np.sqrt((flow[seen] ** 2).sum(axis=-1)).max(initial=0.0)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from dlgmd_cli.render.camera import Camera, FloatArray, Pose
+from dlgmd_cli.render.solids import Solid
 from dlgmd_cli.stimuli.flights.surfaces import IntArray, Surfaces
 
 # Cells of the grid whose crossings are looked along, its rim being the picture's.
@@ -19,12 +20,16 @@ class Sightlines:
     Parameters
     ----------
     surfaces : Surfaces
-        All that can be seen.
+        The bodies that can be seen.
+    room : Solid
+        What is behind them; its faces go on beyond their corners.
     camera : Camera
     """
 
-    def __init__(self, surfaces: Surfaces, camera: Camera) -> None:
+    def __init__(self, surfaces: Surfaces, room: Solid, camera: Camera) -> None:
         self._surfaces, self._camera = surfaces, camera
+        self._walls = room.normals
+        self._levels = np.array([wall.normal @ wall.corners_m[0] for wall in room.faces])
         half_width, half_height = camera.middle_xy / camera.focal_px
         self._columns = np.linspace(-half_width, half_width, N_COLUMNS + 1)
         self._rows = np.linspace(-half_height, half_height, N_ROWS + 1)
@@ -49,9 +54,9 @@ class Sightlines:
         closeness : ndarray, shape (n,)
             1 / depth along the camera's axis, in 1/m; 0 where there is nothing.
         body : ndarray, shape (n,)
-            Which it is; -1 where there is nothing.
+            Which it is; -1 for the room, and where there is nothing.
         """
-        closeness, body = np.zeros(len(rays)), np.full(len(rays), -1, np.intp)
+        closeness, body = self._room(rays, pose), np.full(len(rays), -1, np.intp)
         hits = self._faces(rays, pose, offsets_m)
         for near, ray, owner in [hits, *self._rounds(rays, pose, offsets_m)]:
             nearer = near > closeness[ray]
@@ -60,6 +65,14 @@ class Sightlines:
             order = np.argsort(near)
             closeness[ray[order]], body[ray[order]] = near[order], owner[order]
         return closeness, body
+
+    def _room(self, rays: FloatArray, pose: Pose) -> FloatArray:
+        """Closeness of the room along each line; 0 where it has no face."""
+        heights = self._walls @ pose.position_m - self._levels
+        before = heights > 0.0
+        walls = self._walls[before] @ pose.camera_from_world.T / -heights[before, None]
+        nearest: FloatArray = (rays @ walls.T).max(axis=1, initial=0.0)
+        return nearest
 
     def _faces(
         self, rays: FloatArray, pose: Pose, offsets_m: FloatArray
@@ -88,17 +101,11 @@ class Sightlines:
         depth = corners[..., 2]
         flat = corners[..., :2] / np.maximum(depth, _NEAREST_M)[..., None]
         # What reaches behind the camera may be anywhere in the picture.
-        whole = (depth <= _NEAREST_M).any(axis=1)[:, None]
+        whole = depth.min(axis=1, keepdims=True) <= _NEAREST_M
         low = np.where(whole, -np.inf, flat.min(axis=1)) - _ROUNDING
         high = np.where(whole, np.inf, flat.max(axis=1)) + _ROUNDING
-        left, right = (
-            np.searchsorted(self._columns, low[:, 0]),
-            np.searchsorted(self._columns, high[:, 0], side="right"),
-        )
-        top, bottom = (
-            np.searchsorted(self._rows, low[:, 1]),
-            np.searchsorted(self._rows, high[:, 1], side="right"),
-        )
+        left, right = _within(self._columns, low[:, 0], high[:, 0])
+        top, bottom = _within(self._rows, low[:, 1], high[:, 1])
         widths = right - left
         counts = widths * (bottom - top)
         face = np.repeat(np.arange(len(corners)), counts)
@@ -127,6 +134,12 @@ class Sightlines:
             met = np.flatnonzero(near)
             hits.append((near[met], met, np.full(len(met), owner)))
         return hits
+
+
+def _within(values: FloatArray, low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
+    """From and before which of some sorted values they lie in each of some ranges."""
+    first, last = np.searchsorted(values, low), np.searchsorted(values, high, side="right")
+    return first, last
 
 
 def _ball(rays: FloatArray, middle: FloatArray, radius: float) -> FloatArray:
