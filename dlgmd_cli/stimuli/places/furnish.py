@@ -1,0 +1,88 @@
+"""Putting things along the walls of a room, one after the other, where there is room for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dlgmd_cli.render.camera import FloatArray
+from dlgmd_cli.render.solids import Body, Solid
+from dlgmd_cli.stimuli.places.pieces import PIECES
+from dlgmd_cli.stimuli.places.rooms import Hall
+from dlgmd_cli.stimuli.places.sheet import Rng
+
+_SPACE_M = 0.02  # between two things
+_AXES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+@dataclass
+class Furnishing:
+    """What is in a room so far.
+
+    Attributes
+    ----------
+    hall : Hall
+    guests : sequence of Body
+        What stands there already and is kept clear of.
+    bodies : list of Solid
+        What was added.
+    """
+
+    hall: Hall
+    guests: Sequence[Body] = ()
+    bodies: list[Solid] = field(default_factory=list)
+
+    def add(self, bodies: Sequence[Solid]) -> bool:
+        """Add a thing if all of it is clear of all others and inside the room; say whether."""
+        length, width, height = self.hall.size_m
+        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
+        boxes = np.array([body.reach(_AXES) for body in bodies])
+        if (boxes > most + 1e-9).any():
+            return False
+        others = [body.reach(_AXES) for body in (*self.guests, *self.bodies)]
+        if any(_overlap(box, other) for box in boxes for other in others):
+            return False
+        self.bodies += bodies
+        return True
+
+    def line(
+        self,
+        rng: Rng,
+        side: str,
+        names: Sequence[str],
+        span_m: tuple[float, float],
+        *,
+        depth_m: float,
+        gap_m: tuple[float, float] = (0.1, 0.4),
+    ) -> None:
+        """Put things along a wall from one end of a span to the other, as far as they go.
+
+        Parameters
+        ----------
+        side : str
+            The wall; see `Hall.stand`.
+        names : sequence of str
+            Keys of `PIECES`, in their order along the wall.
+        span_m : (float, float)
+            Where along the wall.
+        depth_m : float
+            What reaches farther into the room than this is left out.
+        gap_m : (float, float)
+            The least and the most space between two things.
+        """
+        at, end = span_m
+        for name in names:
+            piece = PIECES[name]
+            if piece.depth_m > depth_m or at + piece.width_m > end:
+                continue
+            # What finds its place taken tries farther on.
+            for middle in np.arange(at + piece.width_m / 2, end - piece.width_m / 2, 0.3):
+                if self.add(piece.made(rng, self.hall, side, float(middle))):
+                    at = float(middle) + piece.width_m / 2 + rng.uniform(*gap_m)
+                    break
+
+
+def _overlap(one: FloatArray, other: FloatArray) -> bool:
+    """Whether the boxes around two bodies, by how far they reach both ways, nearly meet."""
+    gaps = np.concatenate([one[:3] + other[3:], other[:3] + one[3:]])
+    return bool((gaps > -_SPACE_M).all())
