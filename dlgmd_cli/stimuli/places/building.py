@@ -6,12 +6,15 @@ on it, which is the middle of its lower edge; see `Hall.on`.
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from dlgmd_cli.render.solids import Solid
 from dlgmd_cli.render.texture import FloatImage
 from dlgmd_cli.stimuli.places.blocks import AROUND, Spot, block, panel, prism, ring, skin, spot
 from dlgmd_cli.stimuli.places.fittings import door_leaf, window_pane
 from dlgmd_cli.stimuli.places.materials import brick, concrete, curtain, plain, plaster, wood
 from dlgmd_cli.stimuli.places.prints import poster, whiteboard
+from dlgmd_cli.stimuli.places.shade import Wall, shaded
 from dlgmd_cli.stimuli.places.sheet import Rng, Sheet, Size
 
 
@@ -68,12 +71,14 @@ def partition(
     casing = 0.09
     # As seen from the near side, y runs to the left.
     start, end = width / 2 - left, width / 2 - right
-    sheet.rectangle(0.0, height - 0.08, width, 0.08, 0.25)
-    sheet.rectangle(start - casing, height - top - casing, end - start + 2 * casing, height, 0.2)
-    sheet.frame(
-        start - casing, height - top - casing, end - start + 2 * casing, height, 0.012, 0.08
-    )
-    picture = sheet.finished()
+    sheet.rectangle(0.0, height - 0.08, width, 0.08, 0.22)
+    # Posts up to the ceiling: where the parts of the wall meet there is an edge in any case.
+    for x in (start - casing, end):
+        sheet.rectangle(x, 0.0, casing, height, 0.2)
+        sheet.rectangle(x, 0.0, 0.012, height, 0.1)
+    sheet.rectangle(start, height - top - casing, end - start, casing, 0.2)
+    seen = Wall(np.zeros(3), np.array([width, 0.0, 0.0]), np.array([0.0, 0.0, -height]))
+    picture = shaded(sheet.finished(), seen, ())
     frame = skin(wood(rng, (0.2, 2.2), 300.0, 0.2), (0.2, 2.2))
 
     def part(y: tuple[float, float], z: tuple[float, float], sides: Sequence[str]) -> Solid:

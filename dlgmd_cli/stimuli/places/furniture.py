@@ -25,7 +25,7 @@ from dlgmd_cli.stimuli.places.blocks import (
 from dlgmd_cli.stimuli.places.fittings import cupboard_front, radiator_front
 from dlgmd_cli.stimuli.places.materials import cloth, leaves, plain, wood
 from dlgmd_cli.stimuli.places.prints import carton_side, spines
-from dlgmd_cli.stimuli.places.sheet import Rng
+from dlgmd_cli.stimuli.places.sheet import Rng, Sheet
 
 
 def shelf(
@@ -53,9 +53,11 @@ def shelf(
     back = panel(name, where.inside((0.01 - deep, 0, 0)), (2 * inner, height_m), skin(plain(0.08)))
     parts = [*sides, back]
     levels = np.linspace(0.06, height_m, boards + 1)
+    # Their left ends cannot be seen, but tell them apart from those of a shelf next to this one.
+    seen = ("front", "top", "bottom", "left")
     for z in levels:
-        low, high = (0.02 - deep, -inner, z - thick), (deep, inner, z)
-        parts.append(block(name, where, low, high, covered, sides=("front", "top", "bottom")))
+        low, high = (0.05 - deep, -inner, z - thick), (deep, inner, z)
+        parts.append(block(name, where, low, high, covered, sides=seen))
     for z, above in pairwise(levels):
         room = above - thick - z
         start = -inner + rng.choice([0.0, 0.0, 0.25 * width_m])
@@ -64,10 +66,38 @@ def shelf(
         tall = 0.75 * room if is_carton else min(0.9 * room, rng.uniform(0.24, 0.32))
         drawn: Callable[..., FloatImage] = carton_side if is_carton else spines
         content = skin(drawn(rng, (end - start, tall), 500.0))
-        low, high = (0.03 - deep, start, z), (deep - rng.uniform(0.02, 0.1), end, z + tall)
+        low, high = (0.05 - deep, start, z), (deep - rng.uniform(0.02, 0.1), end, z + tall)
         plainer = dict.fromkeys(("left", "right", "top"), skin(plain(0.3)))
         parts.append(block(name, where, low, high, content, sides=AGAINST_WALL, others=plainer))
     return parts
+
+
+def bookcase(
+    rng: Rng,
+    at_m: Sequence[float],
+    yaw_deg: float = 0.0,
+    *,
+    size_m: tuple[float, float, float] = (0.32, 1.0, 1.9),
+    boards: int = 5,
+    name: str = "bookcase",
+) -> list[Solid]:
+    """Rows of books behind glass; as flat as it is, it has far fewer faces than a shelf."""
+    deep, wide, high = size_m
+    tone = rng.uniform(0.12, 0.4)
+    covered = skin(wood(rng, (0.4, 2.0), 300.0, tone), (0.4, 2.0))
+    sheet = Sheet((wide, high), 400.0, tone)
+    tall = (high - 0.1) / boards
+    for row in range(boards):
+        books = spines(rng, (wide - 0.08, tall - 0.06), 400.0)
+        # The board above keeps the light from the rear and from what stands there.
+        books *= np.linspace(0.45, 1.0, len(books), dtype=np.float32)[:, None]
+        sheet.stick(books, 0.04, 0.05 + row * tall)
+    sheet.rectangle(0.5 * wide - 0.02, 0.0, 0.04, high, tone)
+    sheet.rectangle(0.5 * wide - 0.003, 0.0, 0.006, high, 0.2 * tone)
+    front = {"front": skin(sheet.finished())}
+    low_m, high_m = (-deep / 2, -wide / 2, 0.0), (deep / 2, wide / 2, high)
+    where = spot(at_m, yaw_deg)
+    return [block(name, where, low_m, high_m, covered, sides=AGAINST_WALL, others=front)]
 
 
 def cupboard(
@@ -116,18 +146,18 @@ def plant(
     yaw_deg: float = 0.0,
     *,
     height_m: float = 1.3,
-    count: int = 10,
+    count: int = 7,
     name: str = "plant",
 ) -> list[Solid]:
     """A pot and long leaves that spread from its middle, each in an upright plane of its own."""
     where = spot(at_m, yaw_deg)
-    pot = prism(name, where, ring(0.19, 8), (0.0, 0.34), skin(plain(rng.uniform(0.15, 0.6))))
+    pot = prism(name, where, ring(0.19, 6), (0.0, 0.34), skin(plain(rng.uniform(0.15, 0.6))))
     green = skin(leaves(rng, (0.5, 0.9), 400.0, rng.uniform(0.08, 0.16)))
     parts = [pot]
     for number in range(count):
         turned = where.inside((0, 0, 0.34), (number + rng.uniform(-0.15, 0.15)) * 360.0 / count)
         tall = (height_m - 0.34) * rng.uniform(0.6, 1.0)
-        wide = rng.uniform(0.3, 0.45)
+        wide = rng.uniform(0.32, 0.47)
         outline = [
             (0.03, 0),
             (0.5 * wide, 0.25 * tall),
@@ -152,9 +182,9 @@ def floor_lamp(
     shade = skin(cloth(rng, (0.4, 0.3), 300.0, 0.85))
     under = height_m - 0.32
     return [
-        prism(name, where, ring(0.16, 8), (0.0, 0.03), dark),
+        prism(name, where, ring(0.16, 6), (0.0, 0.03), dark),
         prism(name, where, ring(0.015, 4), (0.03, under), dark, capped=False),
-        prism(name, where, ring(0.2, 8), (under, height_m), shade),
+        prism(name, where, ring(0.2, 6), (under, height_m), shade),
     ]
 
 

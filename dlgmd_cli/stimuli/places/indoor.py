@@ -14,11 +14,11 @@ from dlgmd_cli.stimuli.places.rooms import Hall, Place, room
 from dlgmd_cli.stimuli.places.sheet import Rng
 
 _CLUTTER = (
-    *("shelf", "desk", "window", "sofa", "cupboard", "plant", "cartons", "shelf", "door"),
-    *("sideboard", "chair", "cartons", "lamp", "window", "poster", "poster"),
+    *("shelf", "desk", "window", "sofa", "cupboard", "plant", "cartons", "bookcase", "door"),
+    *("sideboard", "lamp", "window", "bookcase", "poster"),
 )
 _LITTLE = ("window", "door", "cupboard", "poster", "plant", "window", "poster", "sideboard")
-_END = ("plant", "poster", "cupboard", "door", "cartons", "poster", "lamp")
+_END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
 _FLAT = ("poster", "door", "window")
 
 
@@ -58,7 +58,7 @@ def cluttered_room(
     half = len(names) // 2
     for side, share in (("left", names[:half]), ("right", names[half:])):
         # Posters come last: they fill what is left of the wall.
-        share = [*share, *("poster",) * 6]
+        share = [*share, *("poster",) * 4]
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
     furnishing.line(rng, "near", near, (0.1 - width_m / 2, width_m / 2 - 0.1), depth_m=0.2)

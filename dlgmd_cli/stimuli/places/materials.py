@@ -107,7 +107,7 @@ def parquet(
 
 
 def tiles(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.5, side_m: float = 0.3
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.35, side_m: float = 0.3
 ) -> FloatImage:
     """Square tiles with dark joints."""
     sheet = Sheet(size_m, px_per_m, tone)

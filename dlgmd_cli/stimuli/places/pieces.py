@@ -7,6 +7,7 @@ from dlgmd_cli.render.solids import Solid
 from dlgmd_cli.stimuli.places.blocks import spot
 from dlgmd_cli.stimuli.places.building import door, notes_on_wall, print_on_wall, window
 from dlgmd_cli.stimuli.places.furniture import (
+    bookcase,
     cartons,
     cupboard,
     floor_lamp,
@@ -44,6 +45,11 @@ class Piece:
 def _shelf(rng: Rng, hall: Hall, side: str, along_m: float) -> Sequence[Solid]:
     """A shelf as high as a person."""
     return shelf(rng, *hall.stand(side, along_m, 0.17), boards=4)
+
+
+def _bookcase(rng: Rng, hall: Hall, side: str, along_m: float) -> Sequence[Solid]:
+    """A bookcase as high as a person."""
+    return bookcase(rng, *hall.stand(side, along_m, 0.16))
 
 
 def _cupboard(rng: Rng, hall: Hall, side: str, along_m: float) -> Sequence[Solid]:
@@ -121,6 +127,7 @@ def _poster(rng: Rng, hall: Hall, side: str, along_m: float) -> Sequence[Solid]:
 
 PIECES = {
     "shelf": Piece(1.0, 0.34, _shelf),
+    "bookcase": Piece(1.0, 0.32, _bookcase),
     "cupboard": Piece(1.0, 0.5, _cupboard),
     "sideboard": Piece(1.6, 0.44, _sideboard),
     "sofa": Piece(1.8, 0.87, _sofa),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from dlgmd_cli.render.solids import Solid
 from dlgmd_cli.stimuli.places.blocks import (
+    AGAINST_WALL,
     AROUND,
     SIDES,
     STANDING,
@@ -91,29 +92,19 @@ def sofa(
     """A sofa with its back at -0.45 m along x; it has no rear, which stands at a wall."""
     where = spot(at_m, yaw_deg)
     covered = skin(cloth(rng, (0.9, 0.9), 400.0, tone), (0.9, 0.9))
-    half, arm = width_m / 2, 0.18
+    half, inner = width_m / 2, width_m / 2 - 0.18
+    base = ((-0.45, -half, 0.0), (0.38, half, 0.26))
+    back = ((-0.45, -inner, 0.26), (-0.2, inner, 0.85))
     parts = [
-        block(
-            name,
-            where,
-            (-0.45, y, 0.0),
-            (0.42, y + arm, 0.6),
-            covered,
-            sides=("front", "left", "right", "top"),
-        )
-        for y in (-half, half - arm)
+        block(name, where, *base, covered, sides=AGAINST_WALL),
+        block(name, where, *back, covered, sides=STANDING),
     ]
-    inner = half - arm
-    parts += [
-        block(
-            name, where, (-0.45, -inner, 0.0), (0.38, inner, 0.26), covered, sides=("front", "top")
-        ),
-        block(name, where, (-0.45, -inner, 0.26), (-0.2, inner, 0.85), covered, sides=STANDING),
-    ]
+    for y in (-half, inner):
+        low, high = (-0.45, y, 0.26), (0.38, y + half - inner, 0.6)
+        parts.append(block(name, where, low, high, covered, sides=AGAINST_WALL))
     for y in (-inner, 0.0):
-        low, high = (-0.2, y + 0.005, 0.26), (0.4, y + inner - 0.005, 0.44)
-        sides = ("front", "left", "right", "top")
-        parts.append(block(name, where, low, high, covered, sides=sides))
+        low, high = (-0.2, y + 0.005, 0.26), (0.41, y + inner - 0.005, 0.44)
+        parts.append(block(name, where, low, high, covered, sides=AGAINST_WALL))
     return parts
 
 
