@@ -23,7 +23,7 @@ from dlgmd_cli.stimuli.places.blocks import (
     spot,
 )
 from dlgmd_cli.stimuli.places.fittings import cupboard_front, radiator_front
-from dlgmd_cli.stimuli.places.materials import cloth, leaves, plain, wood
+from dlgmd_cli.stimuli.places.materials import cloth, plain, wood
 from dlgmd_cli.stimuli.places.prints import carton_side, spines
 from dlgmd_cli.stimuli.places.sheet import Rng, Sheet
 
@@ -146,26 +146,26 @@ def plant(
     yaw_deg: float = 0.0,
     *,
     height_m: float = 1.3,
-    count: int = 7,
+    count: int = 9,
     name: str = "plant",
 ) -> list[Solid]:
     """A pot and long leaves that spread from its middle, each in an upright plane of its own."""
     where = spot(at_m, yaw_deg)
     pot = prism(name, where, ring(0.19, 6), (0.0, 0.34), skin(plain(rng.uniform(0.15, 0.6))))
-    green = skin(leaves(rng, (0.5, 0.9), 400.0, rng.uniform(0.08, 0.16)))
+    greens = [skin(wood(rng, (0.4, 0.9), 300.0, tone)) for tone in rng.uniform(0.05, 0.2, 3)]
     parts = [pot]
     for number in range(count):
         turned = where.inside((0, 0, 0.34), (number + rng.uniform(-0.15, 0.15)) * 360.0 / count)
-        tall = (height_m - 0.34) * rng.uniform(0.6, 1.0)
-        wide = rng.uniform(0.32, 0.47)
+        tall = (height_m - 0.34) * rng.uniform(0.55, 1.0)
+        wide = rng.uniform(0.3, 0.47)
         outline = [
-            (0.03, 0),
-            (0.5 * wide, 0.25 * tall),
-            (wide, 0.7 * tall),
-            (0.9 * wide, 0.85 * tall),
+            (0.03, 0.0),
+            (0.55 * wide + 0.06, 0.42 * tall),
+            (wide, tall),
+            (0.55 * wide - 0.07, 0.68 * tall),
+            (0.03, 0.12 * tall),
         ]
-        outline += [(0.35 * wide, tall), (0.03, 0.7 * tall)]
-        parts.append(leaf(name, turned, outline, green))
+        parts.append(leaf(name, turned, outline, greens[number % 3]))
     return parts
 
 
