@@ -1,7 +1,7 @@
 """The bodies that furniture is made of: boxes, upright prisms and flat pictures, turned anyhow."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +77,7 @@ def light_on(normal: FloatArray) -> float:
     """Share of the light on a face that looks along a unit vector; there are lamps above."""
     up = normal[2] ** 2
     most = _ABOVE if normal[2] > 0 else _BELOW
-    return float((1.0 - up) * _LEVEL + up * most + _LAMP_SIDE @ normal)
+    return min(1.0, float((1.0 - up) * _LEVEL + up * most + _LAMP_SIDE @ normal))
 
 
 def block(
@@ -178,19 +178,21 @@ def leaf(name: str, where: Spot, outline_m: npt.ArrayLike, covered: Skin) -> Sol
     """
     outline = np.asarray(outline_m, float)
     (x0, z0), (x1, z1) = outline.min(axis=0), outline.max(axis=0)
-    seen = _face(where, (x0, 0, z1), (x1 - x0, 0, 0), (0, 0, z0 - z1), covered)
-    flat = where.world(np.insert(outline, 1, 0.0, axis=1))
-    thick = where.axes[:, 1] * _LEAF_M / 2
-    near, far = flat - thick, (flat + thick)[::-1]
-    # The plane across the leaf: without it, nothing tells apart two leaves that cross in the sky.
-    edge = np.array([near[-1], near[0], far[-1], far[0]])[::-1]
-    return Solid(
-        name,
-        [
-            Face(corners, seen.texture, seen.origin_m, seen.right_m, seen.down_m, gain)
-            for corners, gain in ((near, 1.0), (far, 0.75), (edge, 0.6))
-        ],
+    wide, tall, thick = x1 - x0, z1 - z0, _LEAF_M / 2
+    flat = np.insert(outline, 1, -thick, axis=1)
+    behind = flat + np.array([0.0, _LEAF_M, 0.0])
+    # The edge is a plane across the leaf: no other tells apart two leaves that cross in the sky.
+    edge = np.array([flat[0], flat[-1], behind[-1], behind[0]])
+    shown = (
+        (flat, (x0, -thick, z1), (wide, 0, 0)),
+        (behind[::-1], (x1, thick, z1), (-wide, 0, 0)),
+        (edge, (x0, thick, z1), (0, -_LEAF_M, 0)),
     )
+    faces = []
+    for corners, origin, right in shown:
+        seen = _face(where, origin, right, (0, 0, -tall), covered)
+        faces.append(replace(seen, corners_m=where.world(corners)))
+    return Solid(name, faces)
 
 
 def ring(radius_m: float, count: int) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from dlgmd_cli.render.camera import FloatArray
 from dlgmd_cli.render.solids import Body, Solid
-from dlgmd_cli.stimuli.places.pieces import PIECES
+from dlgmd_cli.stimuli.places.pieces import PIECES, Piece
 from dlgmd_cli.stimuli.places.rooms import Hall
 from dlgmd_cli.stimuli.places.sheet import Rng
 
@@ -34,16 +34,25 @@ class Furnishing:
 
     def add(self, bodies: Sequence[Solid]) -> bool:
         """Add a thing if all of it is clear of all others and inside the room; say whether."""
-        length, width, height = self.hall.size_m
-        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
         boxes = np.array([body.reach(_AXES) for body in bodies])
-        if (boxes > most + 1e-9).any():
-            return False
-        others = [body.reach(_AXES) for body in (*self.guests, *self.bodies)]
-        if any(_overlap(box, other) for box in boxes for other in others):
+        if not all(self.is_free(box) for box in boxes):
             return False
         self.bodies += bodies
         return True
+
+    def is_free(self, box_m: FloatArray) -> bool:
+        """Whether a box is inside the room and clear of all that is in it.
+
+        Parameters
+        ----------
+        box_m : ndarray, shape (6,)
+            Its upper ends along x, y and z, and its lower ends with the sign changed.
+        """
+        length, width, height = self.hall.size_m
+        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
+        others = [body.reach(_AXES) for body in (*self.guests, *self.bodies)]
+        is_inside = bool((box_m <= most + 1e-9).all())
+        return is_inside and not any(_overlap(box_m, other) for other in others)
 
     def line(
         self,
@@ -77,9 +86,19 @@ class Furnishing:
                 continue
             # What finds its place taken tries farther on.
             for middle in np.arange(at + piece.width_m / 2, end - piece.width_m / 2, 0.3):
-                if self.add(piece.made(rng, self.hall, side, float(middle))):
+                # Things are drawn as they are made, which takes long: first see whether they fit.
+                if self.is_free(self._ground(side, float(middle), piece)) and self.add(
+                    piece.made(rng, self.hall, side, float(middle))
+                ):
                     at = float(middle) + piece.width_m / 2 + rng.uniform(*gap_m)
                     break
+
+    def _ground(self, side: str, along_m: float, piece: Piece) -> FloatArray:
+        """The box, from floor to ceiling, that a thing takes at a wall; see `is_free`."""
+        (x, y), yaw_deg = self.hall.stand(side, along_m, piece.depth_m / 2)
+        deep, wide = piece.depth_m / 2, piece.width_m / 2
+        dx, dy = (deep, wide) if yaw_deg % 180.0 == 0.0 else (wide, deep)
+        return np.array([x + dx, y + dy, self.hall.size_m[2], dx - x, dy - y, 0.0])
 
 
 def _overlap(one: FloatArray, other: FloatArray) -> bool:

@@ -113,7 +113,7 @@ def corridor(
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
     lamps = (max(1, round(length_m / 2.4)), 1)
     floor = str(rng.choice(["tiles", "carpet"]))
-    return _place(rng, furnishing, "plaster", None, floor, width_m - 0.1, 0.0, lamps)
+    return _place(rng, furnishing, "plaster", None, floor, width_m - 0.1, 0.1, lamps)
 
 
 def pillared_room(

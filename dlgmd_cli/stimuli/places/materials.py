@@ -21,7 +21,7 @@ def plain(tone: float) -> FloatImage:
 
 
 def plaster(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.6, rough: float = 0.035
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.6, rough: float = 0.045
 ) -> FloatImage:
     """Painted plaster, uneven by `rough`, with stains and a few scratches."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -63,7 +63,7 @@ def brick(rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float =
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
             of_brick = tone * rng.uniform(0.7, 1.3)
             sheet.rectangle(x, y, long - joint, high - joint, of_brick)
-    return limited(sheet.finished(0.8) * (1.0 + 0.07 * layered(rng, sheet, (1.0, 0.1, 0.03))))
+    return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
 
 
 def concrete(
@@ -78,7 +78,9 @@ def concrete(
     for x in np.arange(0.3, size_m[0], 0.65):
         for y in np.arange(0.3, size_m[1], 0.65):
             sheet.disc(x, y, 0.015, 0.4 * tone)
-    return limited(sheet.finished(0.8) * (1.0 + 0.1 * layered(rng, sheet, (0.9, 0.25, 0.07, 0.02))))
+    return limited(
+        sheet.finished(0.8) * (1.0 + 0.13 * layered(rng, sheet, (0.9, 0.25, 0.07, 0.02)))
+    )
 
 
 def wood(rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.3) -> FloatImage:
@@ -88,7 +90,7 @@ def wood(rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float =
     x = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale
     rings = np.sin(2.0 * np.pi * (x / 0.025 + 0.7 * bent))
     fibres = clouds(rng, sheet.shape, (max(2.5, 0.004 * sheet.scale), 0.25 * sheet.scale))
-    return limited(tone * (1.0 + 0.09 * rings + 0.06 * fibres + 0.06 * bent))
+    return limited(tone * (1.0 + 0.09 * rings + 0.08 * fibres + 0.08 * bent))
 
 
 def parquet(
@@ -103,7 +105,7 @@ def parquet(
             sheet.rectangle(x, y, 0.007, high, 0.45 * tone)
         sheet.rectangle(0.0, y, size_m[0], 0.006, 0.5 * tone)
     fibres = clouds(rng, sheet.shape, (0.25 * sheet.scale, 0.015 * sheet.scale))
-    return limited(sheet.finished() * (1.0 + 0.09 * fibres + 0.03 * grain(rng, sheet.shape)))
+    return limited(sheet.finished() * (1.0 + 0.12 * fibres + 0.03 * grain(rng, sheet.shape)))
 
 
 def tiles(
@@ -117,7 +119,7 @@ def tiles(
         sheet.rectangle(0.0, y, size_m[0], 0.008, 0.5 * tone)
     for x in np.arange(0.0, size_m[0], side_m):
         sheet.rectangle(x, 0.0, 0.008, size_m[1], 0.5 * tone)
-    return limited(sheet.finished() * (1.0 + 0.05 * layered(rng, sheet, (0.5, 0.12, 0.04))))
+    return limited(sheet.finished() * (1.0 + 0.065 * layered(rng, sheet, (0.5, 0.12, 0.04))))
 
 
 def carpet(
@@ -129,7 +131,7 @@ def carpet(
         for row, y in enumerate(np.arange(0.0, size_m[1], 0.5)):
             sheet.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
     pile = layered(rng, sheet, (1.5, 0.3, 0.06, 0.025), fine=1.2)
-    return limited(sheet.finished(1.0) * (1.0 + 0.13 * pile))
+    return limited(sheet.finished(1.0) * (1.0 + 0.16 * pile))
 
 
 def cloth(
@@ -139,7 +141,7 @@ def cloth(
     sheet = Sheet(size_m, px_per_m, tone)
     weave = clouds(rng, sheet.shape, (3.0, 14.0)) + clouds(rng, sheet.shape, (14.0, 3.0))
     creased = layered(rng, sheet, (0.4, 0.1), fine=0.2)
-    return limited(tone * (1.0 + 0.06 * weave + 0.06 * creased))
+    return limited(tone * (1.0 + 0.08 * weave + 0.08 * creased))
 
 
 def metal(

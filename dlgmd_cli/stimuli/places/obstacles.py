@@ -146,7 +146,7 @@ def person(
     shoes, bare = skin(plain(0.05)), rng.uniform(0.15, 0.45)
     bodies: list[Body] = []
     for side, swing in ((-1.0, 14.0), (1.0, -14.0)):
-        hip = where.inside((0.0, side * 0.1 * unit, 0.84 * unit), pitch_deg=swing)
+        hip = where.inside((0.0, side * 0.1 * unit, 0.85 * unit), pitch_deg=swing)
         low, high = (-0.08, -0.075, -0.76), (0.08, 0.075, 0.0)
         leg = block(name, hip, _times(unit, low), _times(unit, high), trousers, motion=motion)
         low, high = (-0.09, -0.06, -0.83), (0.16, 0.06, -0.76)
@@ -160,7 +160,7 @@ def person(
             name, arm_at, _times(unit, low), _times(unit, high), skin(plain(bare)), motion=motion
         )
         bodies += [sleeve, hand]
-    low, high = (-0.12, -0.215, 0.865), (0.12, 0.215, 1.46)
+    low, high = (-0.12, -0.215, 0.875), (0.12, 0.215, 1.46)
     bodies.append(block(name, where, _times(unit, low), _times(unit, high), shirt, motion=motion))
     low, high = (-0.05, -0.05, 1.46), (0.05, 0.05, 1.5)
     neck = skin(plain(0.8 * bare))

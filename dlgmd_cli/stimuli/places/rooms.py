@@ -101,7 +101,7 @@ class Place:
     free_width_m : float
         No furniture is within half of this from the x axis.
     free_end_m : float
-        That holds from x = 0 to here.
+        That holds up to this x; a radiator at the near wall does not count.
     """
 
     hall: Hall

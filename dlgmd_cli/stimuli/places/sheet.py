@@ -16,6 +16,7 @@ DARKEST, BRIGHTEST = 0.02, 0.95
 _SHIFT = 4  # binary places of the fractions of a pixel that OpenCV draws with
 _GRAIN_PX = 256
 _CELL_PX = 8.0
+_EVENED = 1.16  # what interpolation takes off the standard deviation
 
 
 class Sheet:
@@ -125,7 +126,7 @@ def clouds(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImag
     cell = (cell[0] / steps[0], cell[1] / steps[1])
     # Another cell on each side: what is stretched over the edge has a plain rim there.
     width, height = (math.ceil(side / each) + 3 for side, each in zip(small, cell, strict=True))
-    coarse = rng.standard_normal((height, width), np.float32) * 1.6
+    coarse = rng.standard_normal((height, width), np.float32) * _EVENED
     place = np.array([[cell[0], 0, -1.5 * cell[0]], [0, cell[1], -1.5 * cell[1]]])
     smooth = cv2.warpAffine(
         coarse, place, small, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
