@@ -35,7 +35,7 @@ def pillar(
         covered = skin(concrete(rng, strip, 400.0, 0.5))
         return [prism(name, where, ring(half, 12), (0.0, height_m), covered, capped=False)]
     made = brick if rng.uniform() < 0.5 else concrete
-    covered = skin(made(rng, (width_m, height_m), 400.0))
+    covered = skin(made(rng, (width_m, height_m), 800.0))
     low, high = (-half, -half, 0.0), (half, half, height_m)
     return [block(name, where, low, high, covered, sides=AROUND)]
 
