@@ -12,7 +12,7 @@ from dlgmd_cli.render.solids import Solid
 from dlgmd_cli.render.texture import FloatImage
 from dlgmd_cli.stimuli.places.blocks import AROUND, Spot, block, panel, prism, ring, skin, spot
 from dlgmd_cli.stimuli.places.fittings import door_leaf, window_pane
-from dlgmd_cli.stimuli.places.materials import brick, concrete, curtain, plain, plaster, wood
+from dlgmd_cli.stimuli.places.materials import brick, concrete, curtain, plaster, wood
 from dlgmd_cli.stimuli.places.prints import poster, whiteboard
 from dlgmd_cli.stimuli.places.shade import Wall, shaded
 from dlgmd_cli.stimuli.places.sheet import Rng, Sheet, Size
@@ -25,12 +25,12 @@ def pillar(
     *,
     width_m: float = 0.4,
     height_m: float = 2.8,
-    round_: bool = False,
+    is_round: bool = False,
     name: str = "pillar",
 ) -> list[Solid]:
     """A square pillar of brick or concrete, or a round one of twelve faces."""
     where, half = spot(at_m, yaw_deg), width_m / 2
-    if round_:
+    if is_round:
         strip = (0.28 * width_m, height_m)
         covered = skin(concrete(rng, strip, 400.0, 0.5))
         return [prism(name, where, ring(half, 12), (0.0, height_m), covered, capped=False)]
@@ -139,10 +139,3 @@ def notes_on_wall(
 ) -> list[Solid]:
     """A whiteboard that has been written on."""
     return hung(where, whiteboard(rng, size_m), size_m, name)
-
-
-def lamp_bar(where: Spot, *, length_m: float = 1.2, name: str = "lamp") -> list[Solid]:
-    """A bar of light under a ceiling, along x of its spot, which is the middle of its top."""
-    bright, low, high = skin(plain(0.95)), (-length_m / 2, -0.06, -0.05), (length_m / 2, 0.06, 0.0)
-    sides = (*AROUND, "bottom")
-    return [block(name, where, low, high, bright, sides=sides)]

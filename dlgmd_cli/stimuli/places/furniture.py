@@ -23,7 +23,7 @@ from dlgmd_cli.stimuli.places.blocks import (
     spot,
 )
 from dlgmd_cli.stimuli.places.fittings import cupboard_front, radiator_front
-from dlgmd_cli.stimuli.places.materials import cloth, plain, wood
+from dlgmd_cli.stimuli.places.materials import cloth, metal, plain, wood
 from dlgmd_cli.stimuli.places.prints import carton_side, spines
 from dlgmd_cli.stimuli.places.sheet import Rng, Sheet
 
@@ -178,7 +178,8 @@ def floor_lamp(
     name: str = "lamp",
 ) -> list[Solid]:
     """A foot, a pole and a bright shade."""
-    where, dark = spot(at_m, yaw_deg), skin(plain(0.06))
+    where = spot(at_m, yaw_deg)
+    dark = skin(metal(rng, (0.4, 1.6), 200.0, 0.1), (0.4, 1.6))
     shade = skin(cloth(rng, (0.4, 0.3), 300.0, 0.85))
     under = height_m - 0.32
     return [
