@@ -47,7 +47,7 @@ def cluttered_room(
     wall, floor : str, optional
         See `room`; chosen by the generator unless told.
     guests : sequence of Body
-        See above.
+        See the head of this module.
     """
     hall = Hall((length_m, width_m, height_m))
     furnishing = Furnishing(hall, guests)
