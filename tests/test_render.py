@@ -321,7 +321,8 @@ def test_order_is_exact_for_upright_bodies():
     assert (x, y, z, offset) == pytest.approx((0, 0, 1, 3.5))
     cut = [*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))]
     assert not Order(cut).is_exact
-    assert sorted(Order(cut).back_to_front(np.array([-5.0, 0, 1]), range(11))) == list(range(11))
+    everywhere = dict.fromkeys(range(11), (0.0, 0.0, 9.0, 9.0))
+    assert sorted(Order(cut).back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]
 
 
 def test_a_moving_body_is_where_it_moves_to():

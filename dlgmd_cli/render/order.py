@@ -1,6 +1,6 @@
 """Which of two convex bodies is behind the other, by a plane that lies between them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,10 @@ _TOUCHING_M = 1e-6
 class Order:
     """The order in which bodies are to be painted, so that each covers what is behind it.
 
-    Exact wherever a plane along an axis, or along a face of one of two bodies, has them on its two
-    sides. Where none has, or where several bodies hide each other in a ring, the farther middle
-    comes first.
+    Of two bodies on the two sides of a plane, the one on the far side cannot hide the other. Looked
+    at are the planes along the axes and, where none of them will do, along the faces of the two.
+    Where bodies cut into each other, or several hide each other in a ring, the farther middle comes
+    first.
 
     Parameters
     ----------
@@ -30,7 +31,11 @@ class Order:
         self._bodies = list(bodies)
         boxes = np.array([_box(body) for body in bodies]).reshape(-1, 2, 3)
         self._low, self._high = boxes[:, 0], boxes[:, 1]
-        # Of a body i and a later one j: normal and offset of a plane with i behind it.
+        # Of a body i and another one j: for each axis, 1 or -1 if i has less or more of it than j,
+        # else 0, and where the plane between them is.
+        self._signs = np.zeros((n, n, 3))
+        self._levels = np.zeros((n, n, 3))
+        # Where no axis will do: normal and offset of a plane with i behind it.
         self._planes = np.zeros((n, n, 4))
         self._is_apart = np.zeros((n, n), bool)
         for i in range(n):
@@ -49,45 +54,54 @@ class Order:
         others = np.arange(len(self._bodies))
         self._part(index, others[others != index])
 
-    def back_to_front(self, eye_m: FloatArray, chosen: Iterable[int]) -> list[int]:
-        """The bodies with the indices `chosen`, farthest first, as seen from a point."""
-        indices = np.array(list(chosen), int)
+    def back_to_front(
+        self, eye_m: FloatArray, extents: Mapping[int, tuple[float, float, float, float]]
+    ) -> list[int]:
+        """Some bodies, farthest first, as seen from a point.
+
+        Parameters
+        ----------
+        eye_m : ndarray, shape (3,)
+        extents : mapping of int to (float, float, float, float)
+            Which, and where each is in the picture: left, top, right and bottom. What does not
+            overlap there may come in any order.
+        """
+        indices = np.array(list(extents), int)
         middles = (self._low[indices] + self._high[indices]) / 2.0
-        distances = np.linalg.norm(middles - eye_m, axis=1)
+        distances = np.sqrt(((middles - eye_m) ** 2).sum(axis=1))
         pairs = np.ix_(indices, indices)
+        # On which side of the planes the eye is: positive means that the first body is behind.
+        sides = self._signs[pairs] * (eye_m - self._levels[pairs])
         planes = self._planes[pairs]
-        # With the eye in front of the plane, the body behind it is the farther one.
-        by_plane = planes[..., :3] @ eye_m > planes[..., 3]
-        by_middle = distances[:, None] > distances[None, :]
-        is_first_behind = np.where(self._is_apart[pairs], by_plane, by_middle)
-        i, j = np.triu_indices(len(indices), 1)
-        behind = np.zeros(is_first_behind.shape, bool)
-        behind[i, j] = is_first_behind[i, j]
-        behind[j, i] = ~is_first_behind[i, j]
-        return [int(indices[place]) for place in _sorted(behind, distances)]
+        by_face = planes[..., :3] @ eye_m - planes[..., 3]
+        is_behind = (sides > 0.0).any(axis=2) | (by_face > 0.0)
+        is_cut = ~self._is_apart[pairs]
+        is_behind |= is_cut & (distances[:, None] > distances[None, :])
+        # Of two that are both behind the other, by different planes, neither hides the other.
+        left, top, right, bottom = np.array(list(extents.values())).reshape(-1, 4).T
+        overlaps = (left[:, None] < right) & (top[:, None] < bottom)
+        hides = is_behind & ~is_behind.T & overlaps & overlaps.T
+        return [int(indices[place]) for place in _sorted(hides, distances)]
 
     def _part(self, index: int, others: npt.NDArray[np.intp]) -> None:
-        """Find the planes between a body and others: upright or level ones where that will do."""
-        gaps = np.concatenate(
-            [self._low[others] - self._high[index], self._low[index] - self._high[others]], axis=1
-        )
-        axes = gaps.argmax(axis=1)
-        for other, axis, gap in zip(others, axes, gaps.max(axis=1, initial=-1.0), strict=True):
-            i, j = (index, other) if index < other else (other, index)
-            if gap < -_TOUCHING_M:
-                plane = between(self._bodies[i], self._bodies[j])
-                self._is_apart[i, j] = plane is not None
-                self._planes[i, j] = plane or 0.0
-                continue
-            # On the lower side of the plane is the first of the two or the second.
-            is_first_lower = (axis < 3) == (index < other)
-            axis, sign = axis % 3, 1.0 if is_first_lower else -1.0
-            lower, upper = (i, j) if is_first_lower else (j, i)
-            middle = (self._high[lower, axis] + self._low[upper, axis]) / 2.0
-            self._planes[i, j] = 0.0
-            self._planes[i, j, axis] = sign
-            self._planes[i, j, 3] = sign * middle
-            self._is_apart[i, j] = True
+        """Find the planes between a body and others."""
+        low, high = self._low[index], self._high[index]
+        is_less = high <= self._low[others] + _TOUCHING_M
+        is_more = low >= self._high[others] - _TOUCHING_M
+        signs = is_less.astype(float) - is_more
+        levels = np.where(is_less, high + self._low[others], low + self._high[others]) / 2.0
+        self._signs[index, others], self._signs[others, index] = signs, -signs
+        self._levels[index, others] = self._levels[others, index] = levels
+        self._planes[index, others] = self._planes[others, index] = 0.0
+        is_apart = (signs != 0.0).any(axis=1)
+        for place in np.flatnonzero(~is_apart):
+            other = others[place]
+            plane = between(self._bodies[index], self._bodies[other])
+            if plane is not None:
+                self._planes[index, other] = plane
+                self._planes[other, index] = np.negative(plane)
+                is_apart[place] = True
+        self._is_apart[index, others] = self._is_apart[others, index] = is_apart
 
 
 def between(body: Body, other: Body) -> tuple[float, float, float, float] | None:

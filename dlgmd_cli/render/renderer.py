@@ -1,5 +1,7 @@
 """A world as a camera sees it, in linear light."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dlgmd_cli.render.camera import Camera, Pose
@@ -54,7 +56,8 @@ class Renderer:
         rows = rows or (0, self.camera.shape[0])
         painted = [*self._room.outlines(self.camera, pose).values()]
         outlines_of = self._outlines(pose, time_s)
-        for index in self._order.back_to_front(pose.position_m, outlines_of):
+        extents = {index: _extent(outlines) for index, outlines in outlines_of.items()}
+        for index in self._order.back_to_front(pose.position_m, extents):
             painted.append(outlines_of[index])
         picture = paint(painted, self.camera, rows)
         light = self.world.light(time_s)
@@ -78,6 +81,13 @@ class Renderer:
                 if outlines:
                     found[index] = outlines[0]
         return found
+
+
+def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom of what is seen of a body."""
+    corners = np.concatenate([outline.corners_xy for outline in outlines])
+    (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return left, top, right, bottom
 
 
 def placed(world: World, time_s: float) -> list[Body]:
