@@ -24,9 +24,11 @@ from dlgmd_cli.stimuli.flat.approach import ApproachOptions
 from dlgmd_cli.stimuli.flat.base import FlatTruth
 from dlgmd_cli.stimuli.flat.shapes import Patch, disc, rectangle
 from dlgmd_cli.stimuli.flat.translation import TranslationOptions
+from dlgmd_cli.stimuli.form import Form
 from dlgmd_cli.stimuli.scenes import SCENES, find_scene
 
 SHAPE = (24, 32)
+LOSSLESS = Form.choose(lossless=True)
 SMALL = {"--size": (48, 64), "--frames": 6}
 
 near = st.floats(-10.0, 40.0)
@@ -375,7 +377,7 @@ def test_translation_has_a_size_but_no_growth() -> None:
 def test_lossless_video_is_exact_and_the_other_close(tmp_path: Path, scene: Scene[Any]) -> None:
     options = scene.configure({**SMALL, "--noise": 0.02, "--fps": 12.5})
     frames = list(scene.frames(options))
-    exact, _ = write_clip(scene, options, tmp_path / "a", lossless=True)
+    exact, _ = write_clip(scene, options, tmp_path / "a", LOSSLESS)
     coded, _ = write_clip(scene, options, tmp_path / "b")
     assert (exact.name, coded.name) == (f"{scene.name}.avi", f"{scene.name}.mp4")
     np.testing.assert_array_equal(decoded(exact), frames)
@@ -388,7 +390,7 @@ def test_lossless_video_is_exact_and_the_other_close(tmp_path: Path, scene: Scen
 def test_every_grey_level_survives_the_lossless_codec(tmp_path: Path) -> None:
     ramp = np.arange(256, dtype=np.uint8).repeat(4).reshape(16, 64)
     scene = Scripted([ramp, ramp[::-1], np.roll(ramp, 3, axis=1)])
-    video, _ = write_clip(scene, ApproachOptions(shape=(16, 64)), tmp_path, lossless=True)
+    video, _ = write_clip(scene, ApproachOptions(shape=(16, 64)), tmp_path, LOSSLESS)
     np.testing.assert_array_equal(decoded(video), scene.script)
 
 
@@ -422,7 +424,7 @@ def test_what_no_video_can_hold_is_refused_before_anything_is_written(
 ) -> None:
     scene = SCENES["looming-cube"]
     with pytest.raises(ParameterError, match=why):
-        write_clip(scene, scene.configure(given), tmp_path / "new", lossless=lossless)
+        write_clip(scene, scene.configure(given), tmp_path / "new", Form.choose(lossless=lossless))
     assert not (tmp_path / "new").exists()
 
 
@@ -433,7 +435,7 @@ def test_times_in_the_video_are_those_of_the_truth(
 ) -> None:
     scene = SCENES["looming-cube"]
     options = scene.configure({**SMALL, "--speed": 0.1, "--fps": fps})
-    video, _ = write_clip(scene, options, tmp_path, lossless=lossless)
+    video, _ = write_clip(scene, options, tmp_path, Form.choose(lossless=lossless))
     capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
     for row in scene.truth(options):
         assert capture.grab()
@@ -466,7 +468,9 @@ def test_odd_folder_names(
         Path(name).mkdir()
     except (OSError, UnicodeError):
         pytest.skip("no folder can be called so here")
-    video, truth = write_clip(scene, scene.configure(SMALL), Path(name), lossless=lossless)
+    video, truth = write_clip(
+        scene, scene.configure(SMALL), Path(name), Form.choose(lossless=lossless)
+    )
     assert sorted(Path(name).iterdir()) == sorted([video, truth])
     assert video.stat().st_size > 1000
 
@@ -498,7 +502,7 @@ class Scripted(Scene[ApproachOptions]):
 def test_nothing_half_written_stays(tmp_path: Path, error: BaseException, lossless: bool) -> None:
     scene = Scripted([np.zeros((48, 64), np.uint8)] * 3 + [error])
     with pytest.raises(type(error)):
-        write_clip(scene, scene.defaults, tmp_path, lossless=lossless)
+        write_clip(scene, scene.defaults, tmp_path, Form.choose(lossless=lossless))
     assert not list(tmp_path.iterdir())
 
 
@@ -517,12 +521,13 @@ import resource
 from pathlib import Path
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.stimuli.encode import write_clip
+from dlgmd_cli.stimuli.form import Form
 from dlgmd_cli.stimuli.scenes import find_scene
 scene = find_scene("looming-cube")
 options = scene.configure({{"--noise": 0.2}})
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 try:
-    write_clip(scene, options, Path("."), lossless={lossless})
+    write_clip(scene, options, Path("."), Form.choose(lossless={lossless}))
 except OutputError as error:
     print(error)
 """

@@ -1,80 +1,30 @@
 """`dlgmd synth`: stimuli with their ground truth."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_path, print_table, say, settings
-from dlgmd_cli.commands._types import OptionGroup, Size
-
-scene_options = OptionGroup(
-    "given",
-    dict,
-    click.option("--size", type=Size(), help="Size of the frames, even.  [default: 480x270]"),
-    click.option("--fps", type=float, metavar="F", help="Frames per second.  [default: 30]"),
-    click.option(
-        "--frames",
-        type=int,
-        metavar="N",
-        help="Length of the clip.  [default: all before contact; 75 where there is none]",
-    ),
-    click.option(
-        "--object-size",
-        type=float,
-        metavar="S",
-        help="Side or diameter: m, or px for translating-cubes.  "
-        "[default: 0.5 m; a ninth of the height]",
-    ),
-    click.option(
-        "--speed",
-        type=float,
-        multiple=True,
-        metavar="V",
-        help="Speed in m/s; for translating-cubes in px/frame, negative to the left, and "
-        "repeatable for more cubes.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]",
-    ),
-    click.option(
-        "--distance",
-        type=float,
-        metavar="D",
-        help="Distance in m at the first frame.  [default: 7.5; 0.1 for receding-cube]",
-    ),
-    click.option(
-        "--contrast",
-        type=float,
-        metavar="C",
-        help="Weber contrast: the object is 1 + C times as bright as the background.  "
-        "[default: -0.75]",
-    ),
-    click.option(
-        "--background",
-        type=float,
-        metavar="L",
-        help="Luminance of the background, 0 to 1.  [default: 0.8]",
-    ),
-    click.option(
-        "--noise",
-        type=float,
-        metavar="SD",
-        help="Standard deviation of Gaussian luminance noise.  [default: 0]",
-    ),
-    click.option("--seed", type=int, metavar="N", help="Seed of the noise.  [default: 0]"),
-    click.option(
-        "--fov",
-        type=float,
-        metavar="DEG",
-        help="Horizontal field of view of the camera.  [default: 60]",
-    ),
+from dlgmd_cli.commands._clip_options import (
+    SectionedCommand,
+    by_flag,
+    clip_options,
+    count_option,
+    jobs_option,
 )
+from dlgmd_cli.commands._console import print_path, print_table, progress, say, settings
+
+if TYPE_CHECKING:
+    from dlgmd_cli.stimuli.base import Scene
+    from dlgmd_cli.stimuli.form import Form
 
 
 @click.command(
-    cls=Command,
+    cls=SectionedCommand,
     epilog="Example: dlgmd synth looming-cube --speed 5 --noise 0.02 --seed 1 --out stimuli",
 )
 @click.argument("scene_name", metavar="SCENE", required=False)
-@scene_options
+@click.option("--list", "lists", is_flag=True, help="List the scenes and stop.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -84,46 +34,83 @@ scene_options = OptionGroup(
     help="Folder for the files.",
 )
 @click.option("--lossless", is_flag=True, help="Write FFV1 in .avi, which keeps every grey level.")
+@click.option("--png", is_flag=True, help="Write a folder of PNG, which keeps every grey level.")
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
-@click.option("--list", "lists", is_flag=True, help="List the scenes and stop.")
+@clip_options
+@count_option
+@jobs_option
 def synth(
     scene_name: str | None,
+    lists: bool,
     out: Path,
     lossless: bool,
+    png: bool,
     overwrite: bool,
-    lists: bool,
     given: dict[str, Any],
+    count: int | None,
+    jobs: int | None,
 ) -> None:
     """Render a stimulus with its ground truth.
 
-    Makes DIR/SCENE.mp4 and DIR/SCENE.csv; 'dlgmd synth --list' has the scenes. The truth has a row
-    a frame: time, angular size, its rate of change, and time to contact.
-    """
-    from dlgmd_cli.stimuli.scenes import SCENES, find_scene
+    Makes DIR/SCENE.mp4 and DIR/SCENE.csv, whose rows say what is true of each frame; of a flight
+    also DIR/SCENE.yaml with its phases and the frame of the collision. 'dlgmd synth --list' has the
+    scenes: flights in rendered rooms, and flat ones, plain objects on a plain background.
 
+    --count makes DIR/SCENE-0000.mp4 and so on, the first with --seed, each other with the next
+    seed, and DIR/labels.csv. Flights that are there already are kept: after an interrupt, the same
+    command goes on.
+    """
+    if count is None and jobs is not None:
+        raise click.UsageError("--jobs shares out the flights of --count. Add it.")
     if lists:
-        print_table(("scene", "shows"), [(name, SCENES[name].description) for name in SCENES])
+        _list()
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' has them.")
+    from dlgmd_cli.stimuli.form import Form
+    from dlgmd_cli.stimuli.scenes import find_scene
+
     scene = find_scene(scene_name)
-    options = scene.configure(_by_flag(given))
+    options = scene.configure(by_flag(given))
+    form = Form.choose(lossless=lossless, png=png, playable=scene.is_playable)
+    if count is None:
+        _render_one(scene, options, form, out, overwrite)
+        return
+    from dlgmd_cli.commands._flights import render_fleet
+    from dlgmd_cli.stimuli.flights.scene import FlightScene
+    from dlgmd_cli.stimuli.many import Fleet
+
+    if not isinstance(scene, FlightScene):
+        raise click.UsageError(f"--count is for flights, and {scene.name} is none.")
+    fleet = Fleet(scene, options, count, out, form)
+    render_fleet(fleet, jobs=jobs, overwrite=overwrite)
+
+
+def _list() -> None:
+    """The scenes by kind, on stdout."""
+    from dlgmd_cli.stimuli.flights.scene import FlightScene
+    from dlgmd_cli.stimuli.scenes import SCENES
+
+    flights = [scene for scene in SCENES.values() if isinstance(scene, FlightScene)]
+    flat = [scene for scene in SCENES.values() if not isinstance(scene, FlightScene)]
+    width = max(map(len, SCENES))
+    for kind, scenes in (("flight", flights), ("flat scene", flat)):
+        if scenes:
+            rows = [(scene.name.ljust(width), scene.description) for scene in scenes]
+            print_table((kind, "shows"), rows)
+
+
+def _render_one(
+    scene: "Scene[Any]", options: Any, form: "Form", out: Path, overwrite: bool
+) -> None:
+    """Render a clip and print the paths of its files."""
     from dlgmd_cli.stimuli.encode import write_clip
 
-    if options.noise > 0.0 and not lossless and not settings().quiet:
+    # A flight has noise unless told otherwise, and what its video keeps of it is a camera's share.
+    is_smoothed = form.codec == "mpeg4" and not scene.is_playable and options.noise > 0.0
+    if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
-    for path in write_clip(scene, options, out, lossless=lossless, overwrite=overwrite):
+    with progress(scene.name, scene.n_frames(options)) as on_frame:
+        paths = write_clip(scene, options, out, form, overwrite=overwrite, on_frame=on_frame)
+    for path in paths:
         print_path(path)
-
-
-def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
-    """What the user has set, by flag, as scenes take it."""
-    values = {
-        f"--{name.replace('_', '-')}": value
-        for name, value in given.items()
-        if value not in (None, ())
-    }
-    if "--size" in values:
-        width, height = values["--size"]
-        values["--size"] = (height, width)
-    return values

@@ -1,7 +1,7 @@
-"""Single files that appear whole or not at all."""
+"""Files, and folders of pictures, that appear whole or not at all."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -23,6 +23,37 @@ def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> No
         raise OutputExistsError(str(path), "it stands here already", mend)
 
 
+def refuse_foreign(
+    path: Path, is_ours: Callable[[str], bool], *, overwrite: bool, option: str = "--out"
+) -> None:
+    """Raise OutputExistsError if a folder that `option` asks for may not take the place of `path`.
+
+    Parameters
+    ----------
+    path : Path
+        Where the folder is to stand.
+    is_ours : callable
+        Whether a file in it, by its name, is one that may be replaced.
+    overwrite : bool
+        Whether a folder with nothing but such files may be.
+    """
+    if not os.path.lexists(path):
+        return
+    mend = f"Choose another {option}."
+    if path.is_symlink() or not path.is_dir():
+        raise OutputExistsError(str(path), "this is no folder of pictures", mend)
+    strays = [
+        entry.name for entry in path.iterdir() if not is_ours(entry.name) or not entry.is_file()
+    ]
+    if strays:
+        why = f"this folder holds other files, such as {min(strays)}"
+        raise OutputExistsError(str(path), why, mend)
+    if not overwrite:
+        raise OutputExistsError(
+            str(path), "it stands here already", "Add --overwrite to replace it."
+        )
+
+
 @contextmanager
 def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
     """Stand-ins to write instead of `paths`; renamed to them together at the end, or removed.
@@ -30,7 +61,8 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
     Parameters
     ----------
     paths : Path
-        Where the files are to stand.
+        Where the files are to stand. A stand-in may also be made a folder, which takes the place
+        of what stands there.
     option : str
         The option that says so, for the error.
 
@@ -50,7 +82,10 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
             )
             yield stand_ins
             for stand_in, path in zip(stand_ins, paths, strict=True):
-                stand_in.replace(path)
+                if stand_in.is_dir():
+                    shops[path.parent].put(stand_in, path)
+                else:
+                    stand_in.replace(path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(

@@ -68,18 +68,33 @@ def write_record(
     (folder / kind.record).write_text(header + text, encoding="utf-8")
 
 
-def parse_record(text: bytes) -> dict[str, Any]:
-    """What `write_record` wrote, or nothing if it is not such; never raises."""
+def parse_document(text: bytes) -> dict[str, Any]:
+    """A record of any kind, or nothing if it is none; never raises."""
     if len(text) > MAX_RECORD_BYTES:
         return {}
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
     if _UNDECODABLE.search(text):
         loader = yaml.SafeLoader  # the fast one refuses them
     try:
-        record = yaml.load(text, loader)
+        document = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}
-    is_record = isinstance(record, dict) and all(
+    return document if isinstance(document, dict) else {}
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The record of any kind in a file, or nothing if it cannot be read or is none."""
+    try:
+        with path.open("rb") as file:
+            return parse_document(file.read(MAX_RECORD_BYTES + 1))
+    except OSError:
+        return {}
+
+
+def parse_record(text: bytes) -> dict[str, Any]:
+    """What `write_record` wrote, or nothing if it is not such; never raises."""
+    record = parse_document(text)
+    is_record = all(
         isinstance(record.get(key), dict) for key in ("input", "processed", "versions", "summary")
     )
     return record if is_record else {}

@@ -22,6 +22,12 @@ MAX_TICKS_PER_S = 65_535
 # What a player can be expected to show.
 PLAYABLE_FPS = (1.0, 240.0)
 
+_X264_COLOUR = {"preset": "veryfast", "crf": "20"}
+# What it makes of a frame depends on the number of threads.
+_X264_GREY = {"preset": "medium", "crf": "18", "threads": "1"}
+# Grey levels as players expect them: black at 16, white at 235.
+_LIMITED: Image = np.rint(16.0 + np.arange(256) * (219.0 / 255.0)).astype(np.uint8)
+
 
 def best_codec() -> str:
     """`h264`, which every player and browser shows, where PyAV brings an encoder; else `mpeg4`."""
@@ -55,7 +61,8 @@ def open_video(
     codec : {"mpeg4", "ffv1", "h264"}
         FFV1 keeps every grey level; H.264 needs PyAV.
     is_colour : bool
-        Whether frames are (H, W, 3) BGR, else (H, W) grey; uint8 both. H.264 takes colour only.
+        Whether frames are (H, W, 3) BGR, else (H, W) grey; uint8 both. Grey frames are kept as
+        well as H.264 can that is not exact, and the same ones always give the same file.
 
     Raises
     ------
@@ -64,35 +71,27 @@ def open_video(
         missing in the file without a word: count the frames afterwards, see `check_arrived`.
     """
     if codec == "h264":
-        return _by_pyav(path, shape, fps)
+        return _by_pyav(path, shape, fps, is_colour)
     return _by_opencv(path, shape, fps, _FOURCC[codec], is_colour)
 
 
 def encode(
-    path: Path,
-    frames: Iterable[Image],
-    shape: tuple[int, int],
-    fps: float,
-    *,
-    lossless: bool = False,
+    path: Path, frames: Iterable[Image], shape: tuple[int, int], fps: float, *, codec: str = "mpeg4"
 ) -> None:
-    """Encode grey frames as MPEG-4, or as FFV1, which keeps every grey level.
+    """Encode grey frames.
 
     Parameters
     ----------
-    path, shape, fps
+    path, shape, fps, codec
         See `open_video`.
     frames : iterable of ndarray
         (H, W) uint8 each.
-    lossless : bool
-        FFV1 instead of MPEG-4.
 
     Raises
     ------
     OSError
         If the file cannot be written at all, see `open_video`.
     """
-    codec = "ffv1" if lossless else "mpeg4"
     with open_video(path, shape, fps, codec=codec, is_colour=False) as write:
         for frame in frames:
             write(frame)
@@ -152,10 +151,20 @@ def _by_opencv(
 
 
 @contextmanager
-def _by_pyav(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Write]:
+def _by_pyav(path: Path, shape: tuple[int, int], fps: float, is_colour: bool) -> Iterator[Write]:
     """H.264 with the colours of HD video, and the index in front, so that browsers can stream."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
+
+    def picture_of(image: Image) -> Any:
+        """A frame as it is encoded."""
+        if not is_colour:
+            return av.VideoFrame.from_ndarray(_planes(image), format="yuv420p")
+        return av.VideoFrame.from_ndarray(image, format="bgr24").reformat(
+            format="yuv420p",
+            dst_colorspace=Colorspace.ITU709,
+            dst_color_range=ColorRange.MPEG,
+        )
 
     height, width = shape
     path.touch()
@@ -166,21 +175,24 @@ def _by_pyav(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Write]:
                     "libx264", rate=Fraction(fps).limit_denominator(1001)
                 )
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-                stream.options = {"preset": "veryfast", "crf": "20"}
+                stream.options = _X264_COLOUR if is_colour else _X264_GREY
                 # Players take video of this size for BT.709 unless told otherwise; so say it is.
                 context = stream.codec_context
                 context.color_range, context.colorspace = ColorRange.MPEG, Colorspace.ITU709
                 context.color_primaries = context.color_trc = 1
 
                 def write(image: Image) -> None:
-                    picture = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(
-                        format="yuv420p",
-                        dst_colorspace=Colorspace.ITU709,
-                        dst_color_range=ColorRange.MPEG,
-                    )
-                    container.mux(stream.encode(picture))
+                    container.mux(stream.encode(picture_of(image)))
 
                 yield write
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
             raise OSError(error.errno, error.strerror) from None
+
+
+def _planes(image: Image) -> Image:
+    """A grey frame as the planes of yuv420p, one below the other."""
+    height, width = image.shape
+    planes: Image = np.full((height * 3 // 2, width), 128, np.uint8)
+    planes[:height] = _LIMITED[image]
+    return planes

@@ -97,6 +97,14 @@ class ClipOptions:
         if len(self.shape) != 2:
             raise invalid("--size", "it needs a height and a width")
 
+    def to_dict(self) -> dict[str, Any]:
+        """Every option by its flag, without the dashes, as records have it."""
+        values = {
+            each.metadata["limits"].flag[2:]: getattr(self, each.name) for each in fields(self)
+        }
+        height, width = self.shape
+        return {**values, "size": f"{width}x{height}"}
+
     @property
     def focal_px(self) -> float:
         """Focal length of the camera, in px."""
@@ -119,12 +127,18 @@ class Scene(ABC, Generic[OptionsT]):
         Its options, with their defaults.
     truth_type : type
         The dataclass of what is so at a frame; its fields are the columns of the CSV.
+    is_playable : bool
+        Whether its video is to be one that most players show, rather than the same everywhere.
+    has_record : bool
+        Whether it has more to say of a clip than a row a frame: `record`.
     """
 
     name: str
     description: str
     defaults: OptionsT
     truth_type: type
+    is_playable = False
+    has_record = False
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
         """The defaults with some options replaced.
@@ -160,3 +174,7 @@ class Scene(ABC, Generic[OptionsT]):
     @abstractmethod
     def truth(self, options: OptionsT) -> Iterator[Any]:
         """What is so at each frame, as a `truth_type`; NaN where nothing is defined."""
+
+    def record(self, options: OptionsT) -> dict[str, Any]:
+        """What is so of the clip as a whole, as YAML can hold it."""
+        return {}

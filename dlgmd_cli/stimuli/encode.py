@@ -1,33 +1,43 @@
-"""A scene as a video with its ground truth beside it; both appear whole or not at all."""
+"""A scene as a clip with its ground truth beside it; all files appear whole or not at all."""
 
 import csv
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.results.cells import cell, text_cell
-from dlgmd_cli.results.files import appearing, refuse_existing
-from dlgmd_cli.results.video import MAX_TICKS_PER_S, check_arrived, encode
+from dlgmd_cli.results.files import appearing, refuse_existing, refuse_foreign
+from dlgmd_cli.results.record import versions, yaml_text
+from dlgmd_cli.results.video import check_arrived
 from dlgmd_cli.sources.count import count_frames
-from dlgmd_cli.stimuli.base import (
-    ClipOptions,
-    OptionsT,
-    Scene,
-    invalid,
-)
+from dlgmd_cli.stimuli.base import GreyImage, OptionsT, Scene
+from dlgmd_cli.stimuli.form import Form
+
+_PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
+
+
+def clip_paths(scene: Scene[Any], form: Form, folder: Path, name: str) -> tuple[Path, ...]:
+    """The files of a clip: its frames, their truth, and the record if the scene has one."""
+    truth, record = (folder / f"{name}.{suffix}" for suffix in ("csv", "yaml"))
+    frames = form.path(folder, name)
+    return (frames, truth, record) if scene.has_record else (frames, truth)
 
 
 def write_clip(
     scene: Scene[OptionsT],
     options: OptionsT,
     folder: Path,
+    form: Form | None = None,
     *,
-    lossless: bool = False,
+    name: str | None = None,
     overwrite: bool = False,
-) -> tuple[Path, Path]:
-    """Render a scene to ``folder/NAME.mp4`` and its ground truth to ``folder/NAME.csv``.
+    on_frame: Callable[[int], None] = lambda n_rendered: None,
+) -> tuple[Path, ...]:
+    """Render a scene to ``folder/NAME.mp4``, its ground truth to ``folder/NAME.csv``.
+
+    Of a flight, ``folder/NAME.yaml`` says what it is, and when which phase and the collision come.
 
     Parameters
     ----------
@@ -37,15 +47,20 @@ def write_clip(
         Options of that scene.
     folder : Path
         Where to; made if need be.
-    lossless : bool
-        Write ``NAME.avi`` in FFV1 instead, which keeps every grey level. MPEG-4 smooths noise.
+    form : Form, optional
+        What else than the scene's own kind of video: ``NAME.avi`` in FFV1, or ``NAME/0000.png``
+        and so on.
+    name : str, optional
+        The files' stem, if not the scene's name.
     overwrite : bool
-        Replace earlier files.
+        Replace earlier files. A folder that holds more than numbered pictures never is.
+    on_frame : callable, optional
+        Called after each frame with the number of frames that are rendered.
 
     Returns
     -------
-    (Path, Path)
-        The video and the truth.
+    tuple of Path
+        The video or folder, the truth, and the record if there is one.
 
     Raises
     ------
@@ -56,17 +71,42 @@ def write_clip(
     OutputError
         If the files cannot be written.
     """
+    form = form or Form.choose(playable=scene.is_playable)
     n_frames = scene.n_frames(options)
-    check_encodable(options, lossless=lossless)
-    video = folder / f"{scene.name}{'.avi' if lossless else '.mp4'}"
-    truth = folder / f"{scene.name}.csv"
-    for path in (video, truth):
+    form.check(options)
+    paths = clip_paths(scene, form, folder, name or scene.name)
+    refuse_standing(paths, form, overwrite=overwrite)
+    with appearing(*paths) as (frames, truth, *records):
+        form.write(frames, _counted(scene.frames(options), on_frame), n_frames, options)
+        if form.is_video:
+            check_arrived(paths[0], count_frames(frames), n_frames)
+        write_truth(truth, scene.truth_type, scene.truth(options))
+        for record in records:
+            facts = {**identity(scene, options, form), **scene.record(options)}
+            record.write_text("# Written by dlgmd.\n" + yaml_text(facts), encoding="utf-8")
+    return paths
+
+
+def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str, Any]:
+    """All that the files of a clip depend on, known before it is rendered."""
+    return {
+        "scene": scene.name,
+        "seed": options.seed,
+        "options": options.to_dict(),
+        "codec": form.codec,
+        "versions": versions(*form.made_by),
+    }
+
+
+def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
+    """Raise OutputExistsError if a file of a clip stands there and may not be replaced."""
+    frames, *others = paths
+    if form.is_video:
+        others.insert(0, frames)
+    else:
+        refuse_foreign(frames, lambda name: bool(_PICTURE.fullmatch(name)), overwrite=overwrite)
+    for path in others:
         refuse_existing(path, overwrite=overwrite)
-    with appearing(video, truth) as (new_video, new_truth):
-        encode(new_video, scene.frames(options), options.shape, options.fps, lossless=lossless)
-        check_arrived(video, count_frames(new_video), n_frames)
-        write_truth(new_truth, scene.truth_type, scene.truth(options))
-    return video, truth
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
@@ -93,23 +133,8 @@ def _cell(value: Any) -> str:
     return text_cell(value) if isinstance(value, str) else cell(value)
 
 
-def check_encodable(options: ClipOptions, *, lossless: bool) -> None:
-    """Raise ParameterError if a video would not keep the size or the frame rate as they are."""
-    height, width = options.shape
-    if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
-        raise invalid(
-            "--size",
-            f"{width}x{height} is odd, and a video needs an even width and height",
-            f"Choose {width + width % 2}x{height + height % 2}.",
-        )
-    rounded = round(options.fps, 3)
-    if rounded != options.fps:
-        raise invalid(
-            "--fps",
-            f"{options.fps!r} has more than three decimals, which a video file does not keep",
-            f"Choose {rounded:g}.",
-        )
-    if not lossless and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
-        raise invalid(
-            "--fps", f"MPEG-4 cannot hold {rounded:g}", "Choose fewer decimals, or --lossless."
-        )
+def _counted(frames: Iterable[GreyImage], on_frame: Callable[[int], None]) -> Iterator[GreyImage]:
+    """The frames, telling how many were taken."""
+    for number, frame in enumerate(frames, start=1):
+        yield frame
+        on_frame(number)

@@ -26,7 +26,7 @@ SCENES: dict[str, Scene[Any]] = {
         Approach("looming-ball", "a ball that comes straight at the camera", Ball(), _LOOMING),
         Translation(
             "translating-cubes",
-            "cubes that cross the picture sideways, each at its own speed",
+            "cubes that cross the picture, each at its own speed",
             TranslationOptions(),
         ),
     )
