@@ -54,6 +54,10 @@ def test_help_and_usage_errors_import_nothing_heavy():
         ["layers", "--help"],
         ["layers", "x", "--frames", "a"],
         ["layers", "x", "--video", "x.avi"],
+        ["synth", "--help"],
+        ["synth"],
+        ["synth", "x", "--jobs", "2"],
+        ["synth", "x", "--size", "y"],
         ["nonsense"],
     ):
         program = (

@@ -206,6 +206,20 @@ def test_fewer_flights_do_not_take_others_off_the_list(synth):
     assert labels() == LABELS_OF_4
 
 
+def test_labels_cannot_take_the_place_of_a_folder(synth):
+    (OUT / "labels.csv").mkdir(parents=True)
+    result = synth("--overwrite")
+    assert result.exit_code == 2 and "labels.csv: it stands here already" in result.stderr
+    assert len(list(OUT.iterdir())) == 1
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(synth):
+    OUT.touch()
+    result = synth()
+    assert result.exit_code == 1 and result.stderr.count("\n") == 1
+    assert result.stderr.startswith(f"Error: {OUT}: it cannot be written (")
+
+
 # Ending before the end
 
 
@@ -214,7 +228,7 @@ def test_one_that_fails_keeps_the_others(synth, jobs):
     result = synth("--jobs", jobs, at_1="error")
     assert result.exit_code == 1
     assert result.stderr.splitlines() == [
-        "here: it cannot be. Mend it.",
+        "quick-0001: here: it cannot be. Mend it.",
         f"Error: 1 of 4 flights failed, 3 are in {OUT}. "
         "Mend what stands above; the same command goes on.",
     ]
@@ -226,7 +240,7 @@ def test_one_that_fails_keeps_the_others(synth, jobs):
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
     assert result.exit_code == 1
-    assert "'--frames': the flight ends after 10 frames. Choose 1 to 10" in result.stderr
+    assert result.stderr.startswith("quick-0001: Invalid value for '--frames': the flight ends aft")
     assert labels() == HEADER + "quick-0000.mp4,\nquick-0002.mp4,\n"
 
 

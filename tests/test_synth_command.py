@@ -4,11 +4,15 @@ import re
 import shlex
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from flightscenes import Quick
+
+from dlgmd_cli.stimuli.scenes import SCENES
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_videos"
@@ -71,11 +75,60 @@ def test_noise_in_mpeg4_is_pointed_out(dlgmd):
     assert dlgmd("--quiet", *arguments).stderr == ""
 
 
-def test_lists_the_scenes(dlgmd):
+def test_a_flight_has_a_record_and_no_note_on_its_noise(dlgmd, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    result = dlgmd("synth", "quick", "--frames", 3, "--noise", 0.5)
+    assert result.exit_code == 0 and result.stderr == ""
+    assert result.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert dlgmd("synth", "quick", "--noise", 0.5, "--overwrite").stderr == ""
+
+
+def test_pictures(dlgmd):
+    result = dlgmd("synth", "looming-cube", "--png", "--lossless", "--size", "63x47", "--frames", 2)
+    assert result.stdout.split() == ["looming-cube", "looming-cube.csv"] and result.stderr == ""
+    pictures = sorted(Path("looming-cube").iterdir())
+    assert [path.name for path in pictures] == ["0000.png", "0001.png"]
+    assert cv2.imread(str(pictures[0]), cv2.IMREAD_UNCHANGED).shape == (47, 63)
+    refused = dlgmd("synth", "looming-cube", "--png")
+    assert refused.exit_code == 2 and "Error: looming-cube: it stands here al" in refused.stderr
+
+
+def test_a_bar_counts_the_frames(dlgmd, monkeypatch):
+    seen = []
+
+    @contextmanager
+    def progress(name, total, unit="frame"):
+        yield lambda done: seen.append((name, total, unit, done))
+
+    monkeypatch.setattr("dlgmd_cli.commands.synth.progress", progress)
+    dlgmd("synth", "looming-cube", "--size", "64x48", "--frames", 3)
+    assert seen == [("looming-cube", 3, "frame", n) for n in (1, 2, 3)]
+
+
+def test_lists_the_scenes_by_kind(dlgmd, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick())
     result = dlgmd("synth", "--list")
     assert result.exit_code == 0 and result.stderr == ""
+    flights, flat = result.stdout.split("flat scene")
+    assert re.match(r"^\s*flight +shows", flights)
+    assert re.search(r"^ *quick +noise for a picture *$", flights, re.M)
     for name in ("looming-cube", "receding-cube", "looming-ball", "translating-cubes"):
-        assert re.search(rf"^ *{name} +(a cube|a ball|cubes) ", result.stdout, re.M)
+        assert re.search(rf"^ *{name} +(a cube|a ball|cubes) ", flat, re.M)
+        assert name not in flights
+    assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_help_says_what_is_for_which_scenes(dlgmd):
+    text = dlgmd("synth", "--help").stdout
+    every, flights, flat = re.split(r"^Of .* only:$", text, flags=re.M)
+    for section, flags in (
+        (every, "--size --fps --frames --fov --noise --seed --out --lossless --png --list"),
+        (flights, "--exposure --rolling-shutter --vignette --shot-noise --gamma --count --jobs"),
+        (flat, "--object-size --speed --distance --contrast --background"),
+    ):
+        assert set(re.findall(r"^  (--[a-z-]+)", section, re.M)) >= set(flags.split())
+    assert "SCENE\n" not in every.partition("Options:")[2]
 
 
 def test_help_has_an_example_that_runs(dlgmd):
@@ -95,6 +148,8 @@ def test_help_has_an_example_that_runs(dlgmd):
         ("looming-cube --frames 0", "Invalid value for '--frames': 0 is out of range."),
         ("looming-cube --size 63x48", "'--size': 63x48 is odd"),
         ("looming-cube --size 64", "'64' is not WIDTHxHEIGHT"),
+        ("looming-cube --gamma 2", "--gamma: looming-cube has no such option. It takes --size"),
+        ("looming-cube --jobs 2", "--jobs shares out the flights of --count."),
         ("looming-cube --fps fast", "'fast' is not a valid float"),
         ("looming-ball --speed nan", "'--speed': nan is out of range"),
     ],

@@ -29,11 +29,13 @@ def render_fleet(fleet: "Fleet", *, jobs: int | None, overwrite: bool) -> None:
     OutputExistsError
         If something stands in the way and may not be replaced.
     """
+    from dlgmd_cli.results.files import prove_writable
     from dlgmd_cli.stimuli.many import Standing
 
     with Interrupts() as interrupts:
         standing = Standing.of(fleet)
         standing.check(overwrite=overwrite)
+        prove_writable(fleet.folder)
         if standing.labels:
             say(f"{len(standing.labels)} of {fleet.count} flights were there already.")
         failures: dict[int, DlgmdError] = {}
@@ -76,7 +78,8 @@ def _render(
         for n_done, (number, error) in enumerate(done, start=fleet.count - len(missing) + 1):
             if error is not None:
                 failures[number] = error
-                say(str(error))
+                name = fleet.name_of(number)
+                say(str(error) if name in error.what else f"{name}: {error}")
             on_flight(n_done)
 
 

@@ -54,6 +54,16 @@ def refuse_foreign(
         )
 
 
+def prove_writable(folder: Path, *, option: str = "--out") -> None:
+    """Make a folder if need be, and raise OutputError if nothing can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with Workshop(folder):
+            pass
+    except OSError as error:
+        raise _unwritable(folder, error, option) from None
+
+
 @contextmanager
 def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
     """Stand-ins to write instead of `paths`; renamed to them together at the end, or removed.
@@ -87,9 +97,13 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
                 else:
                     stand_in.replace(path)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            str(paths[0]),
-            f"it cannot be written ({reason})",
-            f"Choose another {option}, or make room there.",
-        ) from None
+        raise _unwritable(paths[0], error, option) from None
+
+
+def _unwritable(path: Path, error: OSError, option: str) -> OutputError:
+    reason = error.strerror or str(error)
+    return OutputError(
+        str(path),
+        f"it cannot be written ({reason})",
+        f"Choose another {option}, or make room there.",
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.results.files import appearing
+from dlgmd_cli.results.files import appearing, refuse_existing
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import read_document
 from dlgmd_cli.stimuli.encode import clip_paths, identity, refuse_standing, write_clip
@@ -129,8 +129,7 @@ class Standing:
                     "Add --overwrite to replace such flights, or choose another --out.",
                 )
             refuse_standing(paths, self.fleet.form, overwrite=overwrite)
-        if not overwrite:
-            _check_labels(self.fleet)
+        _check_labels(self.fleet, overwrite=overwrite)
 
     def write_labels(self, *, overwrite: bool) -> None:
         """Write the labels of all that is there.
@@ -142,8 +141,7 @@ class Standing:
         OutputError
             If it cannot be written.
         """
-        if not overwrite:
-            _check_labels(self.fleet)
+        _check_labels(self.fleet, overwrite=overwrite)
         labels = [self.labels[number] for number in sorted(self.labels)]
         with appearing(self.fleet.labels_path) as (path,):
             write_labels(path, labels)
@@ -204,10 +202,11 @@ def _differing(fleet: Fleet, number: int, facts: dict[str, Any]) -> list[str]:
     ]
 
 
-def _check_labels(fleet: Fleet) -> None:
+def _check_labels(fleet: Fleet, *, overwrite: bool) -> None:
     """Raise OutputExistsError if labels of other videos stand where the fleet's are to be."""
     path = fleet.labels_path
-    if not path.exists():
+    refuse_existing(path, overwrite=True)
+    if overwrite or not path.exists():
         return
     mend = "Add --overwrite to replace it, or choose another --out."
     try:
