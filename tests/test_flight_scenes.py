@@ -4,6 +4,7 @@ import csv
 import os
 import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import read_video
-from flightscenes import DURATION_S, SHAPE, Quick
+from flightscenes import DURATION_S, SHAPE, Quick, stage_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
@@ -20,6 +21,7 @@ from dlgmd_cli.results.video import best_codec, encode
 from dlgmd_cli.sources.open import open_source
 from dlgmd_cli.stimuli.encode import write_clip, write_truth
 from dlgmd_cli.stimuli.flights.options import FlightOptions
+from dlgmd_cli.stimuli.flights.scene import FlightScene
 from dlgmd_cli.stimuli.form import Form, n_digits
 from dlgmd_cli.stimuli.scenes import SCENES
 
@@ -30,6 +32,14 @@ needs_pyav = pytest.mark.skipif(best_codec() != "h264", reason="H.264 needs PyAV
 @pytest.fixture
 def scene():
     return Quick()
+
+
+@pytest.fixture
+def threads():
+    """Sets the number of OpenCV's threads, and puts it back."""
+    before = cv2.getNumThreads()
+    yield cv2.setNumThreads
+    cv2.setNumThreads(before)
 
 
 def record_of(path):
@@ -313,6 +323,24 @@ def test_names_have_digits_enough():
     assert [n_digits(count) for count in (1, 10_000, 10_001, 1_000_000)] == [4, 4, 5, 6]
 
 
+# Filmed for good
+
+
+def test_a_flight_is_filmed_the_same_every_time(tmp_path, threads):
+    options = FlightOptions(shape=(24, 32), n_frames=4, exposure_ms=20.0, rolling_shutter_ms=10.0)
+    filmed = FlightScene("filmed", "a wall that comes closer", options, stage_of)
+    made = []
+    for n_threads in (1, 4):
+        threads(n_threads)
+        folder = tmp_path / str(n_threads)
+        write_clip(filmed, options, folder)
+        write_clip(filmed, options, folder, PNG, name="exact")
+        made.append({path.name: path.read_bytes() for path in folder.rglob("*.*")})
+    assert made[0] == made[1] and len(made[0]) == 3 + 2 + 4
+    other = list(filmed.frames(replace(options, seed=1)))
+    assert all(np.any(a != b) for a, b in zip(filmed.frames(options), other, strict=True))
+
+
 # Videos
 
 
@@ -350,14 +378,6 @@ def test_h264_keeps_times(tmp_path, fps):
         time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         assert time_s == pytest.approx(index / fps, abs=1e-6)
     assert not capture.grab()
-
-
-@pytest.fixture
-def threads():
-    """Sets the number of OpenCV's threads, and puts it back."""
-    before = cv2.getNumThreads()
-    yield cv2.setNumThreads
-    cv2.setNumThreads(before)
 
 
 @pytest.mark.parametrize("codec", ["mpeg4", "ffv1", pytest.param("h264", marks=needs_pyav)])

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
 from dlgmd_cli.render.camera import Camera
 from dlgmd_cli.stimuli.base import MAX_FRAMES, GreyImage, Scene, invalid
+from dlgmd_cli.stimuli.flights.film import film
 from dlgmd_cli.stimuli.flights.options import FlightOptions
 from dlgmd_cli.stimuli.flights.stage import Stage
 from dlgmd_cli.stimuli.flights.truth import FlightTruth, truth_rows
@@ -72,9 +72,7 @@ class FlightScene(Scene[FlightOptions]):
 
     def frames(self, options: FlightOptions) -> Iterator[GreyImage]:
         """The frames in order, (H, W) uint8."""
-        from dlgmd_cli.render.sensor import film
-
-        return film(self.stage(options), replace(options, n_frames=self.n_frames(options)))
+        return film(self.stage(options), options, self.n_frames(options))
 
     def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
         """What is so at each frame, from the geometry alone."""
