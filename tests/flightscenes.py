@@ -15,10 +15,10 @@ from dlgmd_cli.stimuli.flights.scene import FlightScene
 from dlgmd_cli.stimuli.flights.stage import Stage
 
 SHAPE = (16, 32)
-DURATION_S = 0.6
-SHORT = 8  # a seed whose flight ends halfway
+DURATION_S, SHORT_S = 0.6, 0.29
+SHORT = 8  # the seed of the short flight
 # Seeds with a collision, and when it comes.
-CONTACTS_S = {1: 0.4, 3: 0.41, 5: 0.6, 7: 0.601}
+CONTACTS_S = {1: 0.4, 3: 0.41, 5: 0.6, 7: 0.601, 11: 0.28}
 WALL = Solid("wall", [quad((5, 2, 4), (0, -4, 0), (0, 0, -4), Texture([[0.5]]))])
 
 built = Counter()
@@ -32,7 +32,7 @@ def stage_of(seed):
     phases = (("hover", 0.0, 0.2), ("cruise", 0.2, 0.3), ("hover", 0.3, DURATION_S))
     path = Path([Stretch(0.0, DURATION_S, np.array([start, end]))], phases)
     room = Solid("room", WALL.faces)
-    duration_s = DURATION_S / 2 if seed == SHORT else DURATION_S
+    duration_s = SHORT_S if seed == SHORT else DURATION_S
     return Stage(World(room, [WALL]), path, "wall", CONTACTS_S.get(seed), duration_s)
 
 

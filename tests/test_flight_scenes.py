@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import read_video
-from flightscenes import DURATION_S, SHAPE, Quick, stage_of
+from flightscenes import DURATION_S, SHAPE, SHORT, Quick, stage_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
@@ -108,6 +108,11 @@ def test_a_clip_is_as_long_as_the_flight(scene, fps, n_frames):
     assert len(list(scene.truth(options))) == scene.record(options)["frames"] == n_frames
 
 
+def test_a_flight_that_ends_on_a_frame_has_it(scene):
+    assert 0.29 * 100.0 < 29.0  # in floating point
+    assert scene.n_frames(scene.configure({"--seed": SHORT, "--fps": 100.0})) == 30
+
+
 def test_a_clip_can_be_cut_but_not_drawn_out(scene):
     assert scene.n_frames(scene.configure({"--frames": 19})) == 19
     with pytest.raises(ParameterError, match=r"'--frames': the flight ends after 19 frames\. Choo"):
@@ -127,7 +132,8 @@ def test_more_frames_than_any_clip_has(scene, monkeypatch):
     ("seed", "fps", "frame", "time_s"),
     [
         (0, 30.0, None, None),
-        (1, 30.0, 12, 0.4),  # 0.4 * 30 is a little more than 12 in floating point, or less
+        (1, 30.0, 12, 0.4),
+        (11, 25.0, 7, 0.28),  # 0.28 * 25 > 7 in floating point
         (3, 30.0, 13, 0.41),
         (3, 100.0, 41, 0.41),
         (5, 30.0, 18, 0.6),

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -167,6 +168,15 @@ def test_a_record_that_says_nothing_is_no_flight(synth, text):
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
 
 
+@pytest.mark.parametrize("suffix", ["mp4", "csv"])
+def test_a_flight_that_lost_a_file_is_none(synth, suffix):
+    synth()
+    (OUT / f"quick-0001.{suffix}").unlink()
+    result = synth()
+    assert result.exit_code == 2 and "another flight stands here (damaged)" in result.stderr
+    assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
+
+
 @pytest.mark.parametrize("frame", ["x", "1.5", "-3", "true", "[1]"])
 def test_a_record_with_an_odd_collision_is_no_flight(synth, frame):
     synth()
@@ -218,6 +228,19 @@ def test_a_folder_that_cannot_be_made_is_one_line(synth):
     result = synth()
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"Error: {OUT}: it cannot be written (")
+
+
+def test_a_bar_counts_all_flights(synth, monkeypatch):
+    seen = []
+
+    @contextmanager
+    def progress(name, total, unit):
+        yield lambda done: seen.append((name, total, unit, done))
+
+    synth(count=2)
+    monkeypatch.setattr("dlgmd_cli.commands._flights.progress", progress)
+    synth()
+    assert seen == [("quick", 4, "flight", n_done) for n_done in (2, 3, 4)]
 
 
 # Ending before the end
