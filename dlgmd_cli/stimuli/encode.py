@@ -82,7 +82,8 @@ def write_clip(
             check_arrived(paths[0], count_frames(frames), n_frames)
         write_truth(truth, scene.truth_type, scene.truth(options))
         for record in records:
-            facts = {**identity(scene, options, form), **scene.record(options)}
+            facts = {"scene": scene.name, "seed": options.seed, **scene.record(options)}
+            facts.update(identity(scene, options, form))
             record.write_text("# Written by dlgmd.\n" + yaml_text(facts), encoding="utf-8")
     return paths
 
