@@ -23,8 +23,9 @@ MAX_TICKS_PER_S = 65_535
 PLAYABLE_FPS = (1.0, 240.0)
 
 _X264_COLOUR = {"preset": "veryfast", "crf": "20"}
-# What it makes of a frame depends on the number of threads.
-_X264_GREY = {"preset": "faster", "crf": "18", "threads": "1"}
+# What x264 makes of a frame depends on the number of threads; and with its macroblock tree, the
+# same small frames come out otherwise once in some hundred times.
+_X264_GREY = {"preset": "faster", "crf": "18", "threads": "1", "x264-params": "mbtree=0"}
 # Grey levels as players expect them: black at 16, white at 235.
 _LIMITED: Image = np.rint(16.0 + np.arange(256) * (219.0 / 255.0)).astype(np.uint8)
 
