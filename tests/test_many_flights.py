@@ -1,6 +1,7 @@
 """`dlgmd synth SCENE --count`: many flights, their labels, and what an early end leaves of them."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -84,6 +85,11 @@ def test_folders_of_pictures(synth):
     assert synth("--png", "--frames", 2, count=2).exit_code == 0
     assert labels() == HEADER + "quick-0000,\nquick-0001,\n"
     assert sorted(path.name for path in (OUT / "quick-0001").iterdir()) == ["0000.png", "0001.png"]
+
+
+def test_every_flight_goes_to_other_processes():
+    for scene in SCENES.values():
+        assert pickle.loads(pickle.dumps(scene)).name == scene.name
 
 
 # Going on
