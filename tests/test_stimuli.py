@@ -228,7 +228,7 @@ def test_scene_refuses_what_it_cannot_be(
 def test_unknown_scene_is_met_with_the_nearest_name() -> None:
     with pytest.raises(ParameterError, match="Did you mean 'looming-ball'"):
         find_scene("loming-ball")
-    with pytest.raises(ParameterError, match="Choose from .*looming-cube, receding-cube"):
+    with pytest.raises(ParameterError, match=r"Choose from .*looming-cube, receding-cube"):
         find_scene("")
 
 
