@@ -14,7 +14,7 @@ from queue import SimpleQueue
 
 import pytest
 from faulty import prepare as faulty_prepare
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dlgmd_cli.batch.attend import Attendant
@@ -177,6 +177,7 @@ _PATHS = st.lists(
 
 
 @given(_PATHS)
+@example(["A/A", "a/A"])
 def test_results_are_apart_and_within_the_tree(paths):
     folders = {path[: path.rindex("/")] for path in paths if "/" in path}
     videos = [

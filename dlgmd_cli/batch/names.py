@@ -27,18 +27,20 @@ def result_names(videos: Iterable[str]) -> dict[str, str]:
         For every path that of its result, with slashes; none is within another, or leads out of
         the tree.
     """
+    above = {video: tuple(_safe(part) for part in video.split("/")[:-1]) for video in videos}
     by_folder: dict[tuple[str, ...], list[str]] = defaultdict(list)
     folders: dict[tuple[str, ...], set[str]] = defaultdict(set)
-    for video in videos:
-        above = tuple(_safe(part) for part in video.split("/")[:-1])
-        by_folder[above].append(video)
-        for depth, below in enumerate(above):
-            folders[above[:depth]].add(_key(below))
+    for video, parts in above.items():
+        # Folders whose names differ in capitals only may be one where the results go.
+        keys = tuple(map(_key, parts))
+        by_folder[keys].append(video)
+        for depth, below in enumerate(keys):
+            folders[keys[:depth]].add(below)
     results = {}
-    for above, kin in by_folder.items():
-        taken = folders[above] | (frozenset() if above else RESERVED)
+    for keys, kin in by_folder.items():
+        taken = folders[keys] | (frozenset() if keys else RESERVED)
         for video, called in _called(sorted(kin), taken).items():
-            results[video] = "/".join([*above, called])
+            results[video] = "/".join([*above[video], called])
     return results
 
 
