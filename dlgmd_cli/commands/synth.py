@@ -13,9 +13,11 @@ from dlgmd_cli.commands._clip_options import (
     jobs_option,
 )
 from dlgmd_cli.commands._console import print_path, print_table, progress, say, settings
+from dlgmd_cli.commands._sheets import draw_sheet
 
 if TYPE_CHECKING:
     from dlgmd_cli.stimuli.base import Scene
+    from dlgmd_cli.stimuli.encode import DrawSheet
     from dlgmd_cli.stimuli.form import Form
 
 
@@ -35,6 +37,11 @@ if TYPE_CHECKING:
 )
 @click.option("--lossless", is_flag=True, help="Write FFV1 in .avi, which keeps every grey level.")
 @click.option("--png", is_flag=True, help="Write a folder of PNG, which keeps every grey level.")
+@click.option(
+    "--sheet",
+    is_flag=True,
+    help="Draw a contact sheet, too, of up to 12 frames, the collision's among them.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
 @clip_options
 @count_option
@@ -45,6 +52,7 @@ def synth(
     out: Path,
     lossless: bool,
     png: bool,
+    sheet: bool,
     overwrite: bool,
     given: dict[str, Any],
     count: int | None,
@@ -55,6 +63,9 @@ def synth(
     Makes DIR/SCENE.mp4 and DIR/SCENE.csv, whose rows say what is true of each frame; of a flight
     also DIR/SCENE.yaml with its phases and the frame of the collision. 'dlgmd synth --list' has the
     scenes: flights in rendered rooms, and flat ones, plain objects on a plain background.
+
+    --sheet makes DIR/SCENE-sheet.png beside them, which shows at a glance what was rendered: frames
+    from the first to the last, with what is true of each. With --count, every flight has its own.
 
     --count makes DIR/SCENE-0000.mp4 and so on, the first with --seed, each other with the next
     seed, and DIR/labels.csv. Flights that are there already are kept: after an interrupt, the same
@@ -73,8 +84,9 @@ def synth(
     scene = find_scene(scene_name)
     options = scene.configure(by_flag(given))
     form = Form.choose(lossless=lossless, png=png, playable=scene.is_playable)
+    draw = draw_sheet if sheet else None
     if count is None:
-        _render_one(scene, options, form, out, overwrite)
+        _render_one(scene, options, form, out, overwrite, draw)
         return
     from dlgmd_cli.commands._flights import render_fleet
     from dlgmd_cli.stimuli.flights.scene import FlightScene
@@ -82,7 +94,7 @@ def synth(
 
     if not isinstance(scene, FlightScene):
         raise click.UsageError(f"--count is for flights, and {scene.name} is none.")
-    fleet = Fleet(scene, options, count, out, form)
+    fleet = Fleet(scene, options, count, out, form, draw)
     render_fleet(fleet, jobs=jobs, overwrite=overwrite)
 
 
@@ -101,7 +113,12 @@ def _list() -> None:
 
 
 def _render_one(
-    scene: "Scene[Any]", options: Any, form: "Form", out: Path, overwrite: bool
+    scene: "Scene[Any]",
+    options: Any,
+    form: "Form",
+    out: Path,
+    overwrite: bool,
+    draw: "DrawSheet | None",
 ) -> None:
     """Render a clip and print the paths of its files."""
     from dlgmd_cli.stimuli.encode import write_clip
@@ -111,6 +128,8 @@ def _render_one(
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
     with progress(scene.name, scene.n_frames(options)) as on_frame:
-        paths = write_clip(scene, options, out, form, overwrite=overwrite, on_frame=on_frame)
+        paths = write_clip(
+            scene, options, out, form, overwrite=overwrite, on_frame=on_frame, draw_sheet=draw
+        )
     for path in paths:
         print_path(path)

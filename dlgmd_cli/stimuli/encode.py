@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.results.cells import cell, text_cell
+from dlgmd_cli.results.clip_sheet import ClipSheet
 from dlgmd_cli.results.files import appearing, refuse_existing, refuse_foreign
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.video import check_arrived
 from dlgmd_cli.sources.count import count_frames
 from dlgmd_cli.stimuli.base import GreyImage, OptionsT, Scene
 from dlgmd_cli.stimuli.form import Form
+from dlgmd_cli.stimuli.stills import Stills
+
+# Writes a contact sheet to a file whose name ends in .png.
+DrawSheet = Callable[[ClipSheet, Path], None]
 
 _PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
 
@@ -25,6 +30,11 @@ def clip_paths(scene: Scene[Any], form: Form, folder: Path, name: str) -> tuple[
     return (frames, truth, record) if scene.has_record else (frames, truth)
 
 
+def sheet_path(folder: Path, name: str) -> Path:
+    """Where the contact sheet of a clip of this name is."""
+    return folder / f"{name}-sheet.png"
+
+
 def write_clip(
     scene: Scene[OptionsT],
     options: OptionsT,
@@ -34,6 +44,7 @@ def write_clip(
     name: str | None = None,
     overwrite: bool = False,
     on_frame: Callable[[int], None] = lambda n_rendered: None,
+    draw_sheet: DrawSheet | None = None,
 ) -> tuple[Path, ...]:
     """Render a scene to ``folder/NAME.mp4``, its ground truth to ``folder/NAME.csv``.
 
@@ -56,11 +67,13 @@ def write_clip(
         Replace earlier files. A folder that holds more than numbered pictures never is.
     on_frame : callable, optional
         Called after each frame with the number of frames that are rendered.
+    draw_sheet : callable, optional
+        Draws ``NAME-sheet.png``, a contact sheet, which otherwise there is none of.
 
     Returns
     -------
     tuple of Path
-        The video or folder, the truth, and the record if there is one.
+        The video or folder, the truth, the record if there is one, and the sheet if asked for.
 
     Raises
     ------
@@ -74,17 +87,27 @@ def write_clip(
     form = form or Form.choose(playable=scene.is_playable)
     n_frames = scene.n_frames(options)
     form.check(options)
-    paths = clip_paths(scene, form, folder, name or scene.name)
+    name = name or scene.name
+    paths = clip_paths(scene, form, folder, name)
+    images, rows = scene.frames(options), scene.truth(options)
+    stills = None
+    if draw_sheet is not None:
+        paths = (*paths, sheet_path(folder, name))
+        stills = Stills(scene, options, name)
+        images, rows = stills.seen(images), stills.known(rows)
     refuse_standing(paths, form, overwrite=overwrite)
-    with appearing(*paths) as (frames, truth, *records):
-        form.write(frames, _counted(scene.frames(options), on_frame), n_frames, options)
+    with appearing(*paths) as (frames, truth, *others):
+        form.write(frames, _counted(images, on_frame), n_frames, options)
         if form.is_video:
             check_arrived(paths[0], count_frames(frames), n_frames)
-        write_truth(truth, scene.truth_type, scene.truth(options))
-        for record in records:
-            facts = {"scene": scene.name, "seed": options.seed, **scene.record(options)}
-            facts.update(identity(scene, options, form))
-            record.write_text("# Written by dlgmd.\n" + yaml_text(facts), encoding="utf-8")
+        write_truth(truth, scene.truth_type, rows)
+        if scene.has_record:
+            facts = scene.record(options)
+            if draw_sheet is not None:
+                facts["sheet"] = paths[-1].name
+            _write_record(others[0], {**facts, **identity(scene, options, form)})
+        if draw_sheet is not None and stills is not None:
+            draw_sheet(stills.sheet(), others[-1])
     return paths
 
 
@@ -127,6 +150,12 @@ def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         writer.writerows([_cell(getattr(row, name)) for name in names] for row in rows)
+
+
+def _write_record(path: Path, facts: dict[str, Any]) -> None:
+    """Write what is so of a clip as a whole, beginning with what it is."""
+    ordered = {"scene": facts["scene"], "seed": facts["seed"], **facts}
+    path.write_text("# Written by dlgmd.\n" + yaml_text(ordered), encoding="utf-8")
 
 
 def _cell(value: Any) -> str:

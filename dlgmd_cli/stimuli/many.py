@@ -11,7 +11,14 @@ from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
 from dlgmd_cli.results.files import appearing, refuse_existing
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import read_document
-from dlgmd_cli.stimuli.encode import clip_paths, identity, refuse_standing, write_clip
+from dlgmd_cli.stimuli.encode import (
+    DrawSheet,
+    clip_paths,
+    identity,
+    refuse_standing,
+    sheet_path,
+    write_clip,
+)
 from dlgmd_cli.stimuli.flights.options import FlightOptions
 from dlgmd_cli.stimuli.flights.scene import FlightScene
 from dlgmd_cli.stimuli.form import Form, n_digits
@@ -41,6 +48,8 @@ class Fleet:
         Where they are to be.
     form : Form
         What their frames are kept in.
+    draw_sheet : callable or None
+        Draws a contact sheet of each; can be pickled.
     """
 
     scene: FlightScene
@@ -48,6 +57,7 @@ class Fleet:
     count: int
     folder: Path
     form: Form
+    draw_sheet: DrawSheet | None = None
 
     def __post_init__(self) -> None:
         self.form.check(self.options)
@@ -70,6 +80,10 @@ class Fleet:
         """A flight's files: frames, truth, record."""
         return clip_paths(self.scene, self.form, self.folder, self.name_of(number))
 
+    def sheet_of(self, number: int) -> Path | None:
+        """A flight's contact sheet, None if there is to be none."""
+        return self.draw_sheet and sheet_path(self.folder, self.name_of(number))
+
     def render(self, number: int, *, overwrite: bool) -> DlgmdError | None:
         """Render a flight; what keeps its files from being made is returned, not raised."""
         try:
@@ -80,6 +94,7 @@ class Fleet:
                 self.form,
                 name=self.name_of(number),
                 overwrite=overwrite,
+                draw_sheet=self.draw_sheet,
             )
         except DlgmdError as error:
             return error
@@ -119,16 +134,18 @@ class Standing:
     def check(self, *, overwrite: bool) -> None:
         """Raise OutputExistsError if what is no flight of these may not be replaced."""
         for number in self.missing:
-            paths = self.fleet.paths_of(number)
+            paths, sheet = self.fleet.paths_of(number), self.fleet.sheet_of(number)
             facts = read_document(paths[-1]) if not overwrite else {}
             if facts.keys() & {"scene", "seed"}:
                 differing = ", ".join(_differing(self.fleet, number, facts)[:5])
+                lacking = "without a sheet" if _lacks_sheet(sheet, facts) else "damaged"
                 raise OutputExistsError(
                     str(paths[-1]),
-                    f"another flight stands here ({differing or 'damaged'})",
+                    f"another flight stands here ({differing or lacking})",
                     "Add --overwrite to replace such flights, or choose another --out.",
                 )
-            refuse_standing(paths, self.fleet.form, overwrite=overwrite)
+            every = paths if sheet is None else (*paths, sheet)
+            refuse_standing(every, self.fleet.form, overwrite=overwrite)
         _check_labels(self.fleet, overwrite=overwrite)
 
     def write_labels(self, *, overwrite: bool) -> None:
@@ -154,6 +171,8 @@ class Standing:
         facts = read_document(record)
         frame = facts.get("collision_frame", "unsaid")
         is_said = frame is None or (type(frame) is int and frame >= 0)
+        if _lacks_sheet(self.fleet.sheet_of(number), facts):
+            return
         if is_said and not _differing(self.fleet, number, facts):
             self.labels[number] = Label(frames.name, frame)
 
@@ -186,6 +205,11 @@ def render_flights(
 def _renderer(fleet: Fleet, overwrite: bool) -> Render:
     """What renders flights, by their numbers, in one process."""
     return partial(fleet.render, overwrite=overwrite)
+
+
+def _lacks_sheet(sheet: Path | None, facts: dict[str, Any]) -> bool:
+    """Whether a sheet is asked for, and none was drawn together with the flight of a record."""
+    return sheet is not None and not (facts.get("sheet") == sheet.name and sheet.is_file())
 
 
 def _differing(fleet: Fleet, number: int, facts: dict[str, Any]) -> list[str]:
