@@ -56,6 +56,7 @@ def test_help_and_usage_errors_import_nothing_heavy():
         ["layers", "x", "--video", "x.avi"],
         ["synth", "--help"],
         ["synth"],
+        ["synth", "--sheet"],
         ["synth", "x", "--jobs", "2"],
         ["synth", "x", "--size", "y"],
         ["nonsense"],

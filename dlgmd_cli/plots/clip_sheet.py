@@ -104,7 +104,9 @@ class _Page:
         height, width = tile.shape
         left, bottom = x / DPI, (self._height - y - height) / DPI
         axes = add_axes(self._figure, (left, bottom, width / DPI, height / DPI))
-        axes.imshow(tile, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="nearest")
+        # In colours, which are drawn as they are: a colour map would round grey levels.
+        coloured = np.repeat(tile[:, :, None], 3, axis=2)
+        axes.imshow(coloured, aspect="auto", interpolation="nearest")
         axes.set_xticks([])
         axes.set_yticks([])
         for spine in axes.spines.values():

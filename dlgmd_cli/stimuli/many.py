@@ -82,7 +82,9 @@ class Fleet:
 
     def sheet_of(self, number: int) -> Path | None:
         """A flight's contact sheet, None if there is to be none."""
-        return self.draw_sheet and sheet_path(self.folder, self.name_of(number))
+        if self.draw_sheet is None:
+            return None
+        return sheet_path(self.folder, self.name_of(number))
 
     def render(self, number: int, *, overwrite: bool) -> DlgmdError | None:
         """Render a flight; what keeps its files from being made is returned, not raised."""
