@@ -186,11 +186,11 @@ def test_title_and_outcome():
     sheet = make_sheet(4, collision=2)
     assert words(plot_clip_sheet(sheet))[:2] == [
         title,
-        "target: wall · collision at frame 20, 0.667 s",
+        "target: wall · collision at 0.667 s, frame 20",
     ]
     late = replace(sheet, collision_frame=None)
     assert words(plot_clip_sheet(late))[1] == (
-        "target: wall · collision only after the clip, at 0.667 s"
+        "target: wall · collision at 0.667 s, after the last frame"
     )
     assert words(plot_clip_sheet(make_sheet(4)))[1] == "target: wall · no collision"
     assert words(plot_clip_sheet(make_sheet(4, phase="")))[:2] == [title, "frame 0 · 0.000 s"]

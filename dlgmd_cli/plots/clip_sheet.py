@@ -142,10 +142,10 @@ def _headings(sheet: ClipSheet) -> list[tuple[str, float]]:
         return [title]
     if sheet.collision_time_s is None:
         outcome = "no collision"
-    elif sheet.collision_frame is None:
-        outcome = f"collision only after the clip, at {sheet.collision_time_s:.3f} s"
     else:
-        outcome = f"collision at frame {sheet.collision_frame}, {sheet.collision_time_s:.3f} s"
+        frame = sheet.collision_frame
+        where = "after the last frame" if frame is None else f"frame {frame}"
+        outcome = f"collision at {sheet.collision_time_s:.3f} s, {where}"
     return [title, (f"target: {sheet.target} · {outcome}", _CAPTION_PT)]
 
 
