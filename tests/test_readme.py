@@ -79,8 +79,10 @@ def test_python_runs_as_written(dlgmd, tmp_path, capsys):
         script.write_text(code, encoding="utf-8")
         runpy.run_path(str(script))
     printed = capsys.readouterr().out.splitlines()
-    assert len(printed) == 75
-    potential = [float(line.split()[1]) for line in printed]
+    flight, ball = printed[:45], printed[45:]
+    assert flight[0].split()[0] == "hover" and flight[-1].split()[0] == "pitch"
+    assert len(ball) == 75
+    potential = [float(line.split()[1]) for line in ball]
     assert math.isnan(potential[2]) and max(potential[3:30]) < 1.0 < max(potential[60:])
     assert Path("attenuation.pdf").read_bytes().startswith(b"%PDF")
 
