@@ -1,5 +1,6 @@
 """The renderer: points are found where geometry says, and nothing shows through what hides it."""
 
+import itertools
 import math
 
 import cv2
@@ -361,24 +362,47 @@ def test_a_ball_is_a_disc_of_the_right_size(distance):
         assert picture[200, 200] == 1.0
 
 
-def test_a_ball_off_the_axis_covers_its_rays():
-    center, radius = np.array([2.0, 0.9, -0.5]), 0.5
-    capsule = np.array([center, [2.4, 0.6, 0.1]])
+BALL = [[2.0, 0.9, -0.5]] * 2
+CAPSULES = {
+    "aside": [[2.0, 0.9, -0.5], [2.4, 0.6, 0.1]],
+    "reaching behind the camera": [[2.0, 0.3, -0.7], [-1.5, 0.9, 0.2]],
+    "on its tip": [[0.7, 0.2, 0.1], [3.0, 0.25, 0.0]],
+    "along the axis": [[0.8, 0.0, 0.0], [3.0, 0.0, 0.0]],
+}
+
+
+@pytest.mark.parametrize("ends", [BALL, *CAPSULES.values()], ids=["ball", *CAPSULES])
+def test_a_round_body_covers_its_rays(ends):
+    ends, radius = np.array(ends), 0.5
     camera = Camera((150, 200), 80.0)
     columns, rows = np.meshgrid(np.arange(200) + 0.5, np.arange(150) + 0.5)
     pose = look(roll=20, pitch=5, yaw=-10)
     rays = camera.rays(np.stack([columns, rows], -1), pose)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    for ends in (np.array([center, center]), capsule):
-        # Distance of a ray from the segment, least over points along the segment.
-        gaps = [
-            np.linalg.norm(np.cross(rays, point), axis=-1)
-            for point in np.linspace(ends[0], ends[1], 200)
-        ]
-        hit = np.min(gaps, axis=0) < radius
-        body = Round("body", ends, radius, PLAIN[1.0])
-        picture = Renderer(World(room(), [body]), camera).render(pose)
-        assert np.abs((picture > 0.5).astype(int) - hit).sum() < 0.004 * hit.sum() + 4
+    # Distance of a ray from the segment, least over points along the segment.
+    gaps = []
+    for point in np.linspace(ends[0], ends[1], 400):
+        ahead = np.maximum(rays @ point, 0.0)
+        gaps.append(np.linalg.norm(point - ahead[..., None] * rays, axis=-1))
+    hit = np.min(gaps, axis=0) < radius
+    body = Round("body", ends, radius, PLAIN[1.0])
+    picture = Renderer(World(room(), [body]), camera).render(pose)
+    assert 0.05 < hit.mean() < 0.95
+    assert np.abs((picture > 0.5).astype(int) - hit).sum() < 0.004 * hit.sum() + 4
+
+
+def test_a_round_body_is_textured_from_wherever_it_is_seen():
+    """Also on its tip, where no plane along it could be."""
+    squares = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((16, 16)))
+    body = Round("body", np.array([[0, 0, -0.6], [0, 0, 0.6]]), 0.3, Texture(squares))
+    renderer = Renderer(World(room(0.5, (-3, -3, -3), (3, 3, 3)), [body]), CAMERA)
+    for x, z in ((-1.5, 0), (-0.8, 1.5), (-0.29, 1.5), (0.0, 1.5), (-0.1, 0.95), (0.0, -2.0)):
+        pitch = math.degrees(math.atan2(-z, -x))
+        picture = renderer.render(look(x, 0, z, pitch=pitch))
+        assert picture.min() < 0.01 and picture.max() > 0.99, (x, z)
+        # Whichever way the camera looks.
+        for away in (0, 90, 180, 270):
+            assert np.isfinite(renderer.render(look(x, 0, z, pitch=pitch + away))).all()
 
 
 def test_from_inside_a_ball_there_is_none():
@@ -386,6 +410,20 @@ def test_from_inside_a_ball_there_is_none():
     assert Renderer(World(room(0.25), [ball]), CAMERA).render(look()).max() == 0.25
     behind = Round("ball", np.array([[-2, 0, 0]] * 2), 0.4, PLAIN[1.0])
     assert Renderer(World(room(0.25), [behind]), CAMERA).render(look()).max() == 0.25
+    capsule = Round("capsule", np.array([[0, -2, 0], [0, 2, 0]]), 0.4, PLAIN[1.0])
+    assert Renderer(World(room(0.25), [capsule]), CAMERA).render(look()).max() == 0.25
+
+
+def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
+    """Also where the horizon of a wall goes exactly through the middles of pixels."""
+    rng = np.random.default_rng(2)
+    textures = [Texture(rng.random(size)) for size in ((1, 900), (700, 1), (40, 50)) * 2]
+    textured = Solid("room", box_faces((-3, -3, -3), (3, 3, 3), textures, inside=True))
+    renderer = Renderer(World(textured), Camera((36, 64), 170.0))
+    turns = (-90, 0, 45, 90)
+    for angles in itertools.product(turns, turns, turns):
+        picture = renderer.render(look(0.3, -0.4, 0.2, *angles))
+        assert picture.min() > -1e-6 and picture.max() < 1.0 + 1e-6, angles
 
 
 def test_the_top_of_a_capsule_has_the_top_of_its_texture():

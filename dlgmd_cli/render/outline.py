@@ -62,10 +62,11 @@ def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
     Its texture stands upright along it, and faces the camera.
     """
     ends = camera.view(body.ends_m, pose)
+    along = ends[1] - ends[0]
+    if _is_inside(ends[0], along, body.radius_m):
+        return None
     circles = [_touching_circle(end, body.radius_m, camera) for end in ends]
-    if any(circle is None for circle in circles):
-        return None  # the camera is inside
-    clipped = np.concatenate([clip_near(circle) for circle in circles if circle is not None])
+    clipped = _before_near(np.concatenate(circles))
     if len(clipped) < 3:
         return None
     points = to_picture(clipped, camera)
@@ -73,25 +74,14 @@ def outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
     hull = cv2.convexHull(points.astype(np.float32), clockwise=False)
     if hull is None or len(hull) < 3:
         return None  # too far to be more than a point
-    up = ends[1] - ends[0]
-    length = math.sqrt(up @ up)
     middle = ends.mean(axis=0)
-    if length == 0.0:
-        up = pose.camera_from_world @ np.array([0.0, 0.0, 1.0])
-    right = np.cross(middle, up)
-    facing = right @ right > 1e-12 * (up @ up) * (middle @ middle)
-    if not facing:  # seen along its axis
-        right = np.cross(middle, np.array([0.0, -1.0, 0.0]))
-    right /= math.sqrt(right @ right)
-    if length == 0.0 or not facing:
-        up = np.cross(right, middle)
-    up /= math.sqrt(up @ up)
+    right, up = _upright(middle, along, body.radius_m, pose)
     # Of a ball near the camera, less than the half is seen: the picture fills what is seen.
     distance = math.sqrt(middle @ middle)
-    share = math.sqrt(max(1.0 - (body.radius_m / distance) ** 2, 1e-6)) if distance else 1.0
+    share = math.sqrt(max(1.0 - (body.radius_m / distance) ** 2, 1e-6))
     radius = body.radius_m * share
     toward = middle / distance * (body.radius_m**2 / distance)
-    half_height = up * (length / 2.0 + radius)
+    half_height = up * (abs(along @ up) / 2.0 + radius)
     origin = middle - toward - right * radius + half_height
     normal = np.cross(right, up)
     distance = float(normal @ origin)
@@ -136,11 +126,43 @@ def to_picture(seen: FloatArray, camera: Camera) -> FloatArray:
     return flat
 
 
-def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> FloatArray | None:
-    """Where sight touches a ball: a circle, as a polygon around it; None from inside the ball."""
+def _is_inside(end: FloatArray, along: FloatArray, radius: float) -> bool:
+    """Whether the camera is in a capsule that begins at a point and reaches along a vector."""
+    square = float(along @ along)
+    share = min(max(-float(end @ along) / square, 0.0), 1.0) if square else 0.0
+    nearest = end + share * along
+    return float(nearest @ nearest) <= radius * radius
+
+
+def _upright(
+    middle: FloatArray, along: FloatArray, radius: float, pose: Pose
+) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors to the right and up, as somebody has them who looks at a round body."""
+    right, up = np.cross(middle, along), along
+    if right @ right <= radius**2 * (along @ along):
+        # A ball, or a capsule of which only one tip is seen: what looks up there is up.
+        axes = pose.camera_from_world
+        for upwards in (axes[:, 2], axes[:, 0]):
+            right = np.cross(middle, upwards)
+            if right @ right > 1e-12 * (middle @ middle):
+                break
+        up = np.cross(right, middle)
+    return right / math.sqrt(right @ right), up / math.sqrt(up @ up)
+
+
+def _before_near(points: FloatArray) -> FloatArray:
+    """Points, (n, 3), whose hull is the part of that of others that `clip_near` would keep."""
+    is_near = points[:, 2] < NEAR_M
+    if not is_near.any():
+        return points
+    far, near = points[~is_near, None], points[is_near]
+    share = (NEAR_M - far[..., 2:]) / (near[:, 2:] - far[..., 2:])
+    return np.concatenate([far[:, 0], (far + share * (near - far)).reshape(-1, 3)])
+
+
+def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> FloatArray:
+    """Where sight touches a ball from outside: a circle, as a polygon around it."""
     square = float(center @ center)
-    if square <= radius * radius:
-        return None
     distance = math.sqrt(square)
     toward = center / distance
     across = np.cross(toward, np.array([0.0, 1.0, 0.0] if abs(toward[1]) < 0.9 else [1.0, 0.0, 0]))

@@ -16,6 +16,8 @@ _BAND_PX, _MIN_ROWS = 65_536, 32
 # How far foreshortening counts when the size of the texture is chosen: 0 would sample it too
 # coarsely in one direction, 1 blurs it in the other.
 _FORESHORTENING = 0.75
+# 1 / depth, in 1/m, of what is as good as nowhere.
+_VANISHING = 1e-9
 
 
 def bands(outline: Outline, shape: tuple[int, int], rows: tuple[int, int]) -> Iterator[Window]:
@@ -99,6 +101,8 @@ def sample(outline: Outline, window: Window, focal_px: float) -> FloatImage:
         warped *= _share_of_finer(outline, window, index, focal_px)
         picture += warped
     assert picture is not None
+    # Nothing is seen where the plane has its horizon, but that times nothing would still be NaN.
+    cv2.patchNaNs(picture, outline.texture.mean)
     return picture
 
 
@@ -106,7 +110,7 @@ def _levels(outline: Outline, window: Window, focal_px: float) -> tuple[int, int
     """The finest and the coarsest size of the texture that a window needs."""
     left, top, right, bottom = window
     a, b, c = outline.plane
-    least, most = outline.inverse_depths
+    least, most = np.maximum(outline.inverse_depths, _VANISHING).tolist()
     farthest = max(least, c + min(a * left, a * right) + min(b * top, b * bottom))
     nearest = max(least, min(most, c + max(a * left, a * right) + max(b * top, b * bottom)))
     last = len(outline.texture.levels) - 1
