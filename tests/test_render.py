@@ -275,6 +275,26 @@ def test_textures_change_their_size_without_a_step():
     assert np.abs(np.subtract(spread[0], spread[2])).max() < 0.02
 
 
+def test_textures_are_neither_blurred_nor_jagged():
+    """Against the mean over sixteen finer pixels."""
+    rng = np.random.default_rng(4)
+    noise = cv2.GaussianBlur(rng.random((800, 1200)), (0, 0), 2)
+    noise = np.clip(0.5 + (noise - 0.5) * 3.0, 0.0, 1.0)
+    textured = Solid("room", box_faces((-3, -2, 0), (6, 2, 3), [Texture(noise)] * 6, inside=True))
+    shape = (90, 120)
+    renderers = [Renderer(World(textured), Camera([k * s for s in shape], 80.0)) for k in (1, 4)]
+    contrasts, errors = [], []
+    for pose in poses(8, (-2.5, -1, 0.5), (2, 1, 2.5)):
+        seen, fine = (each.render(pose) for each in renderers)
+        mean = cv2.resize(fine, shape[::-1], interpolation=cv2.INTER_AREA)
+        contrasts.append([np.abs(np.diff(each)).mean() for each in (seen, mean)])
+        errors.append(np.abs(seen - mean).mean())
+    contrast, wanted = np.mean(contrasts, axis=0)
+    # Of noise as fine as the pixels a little less is shown, so that it does not shimmer.
+    assert 0.68 < contrast / wanted < 0.8
+    assert np.mean(errors) < 0.32 * wanted
+
+
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_what_is_behind_is_hidden(seed):

@@ -16,6 +16,9 @@ _BAND_PX, _MIN_ROWS = 65_536, 32
 # How far foreshortening counts when the size of the texture is chosen: 0 would sample it too
 # coarsely in one direction, 1 blurs it in the other.
 _FORESHORTENING = 0.75
+# A texture is sampled this much finer, in steps of twice the size, than it has pixels to fill: that
+# makes up for what sampling between texels blurs, and shows what the mean over each pixel would.
+_SHARPENING = 0.5
 # 1 / depth, in 1/m, of what is as good as nowhere.
 _VANISHING = 1e-9
 
@@ -76,34 +79,75 @@ def sample(outline: Outline, window: Window, focal_px: float) -> FloatImage:
     if len(levels) == 1:
         return np.full(size_wh[::-1], outline.texture.mean, np.float32)
     finest, coarsest = _levels(outline, window, focal_px)
-    to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
-    texture_from_pixel = outline.texture_from_xy @ to_window
-    picture: FloatImage | None = None
+    picture: FloatImage = np.zeros(size_wh[::-1], np.float32)
     for index in range(coarsest, finest - 1, -1):
-        height, width = (side - 2 * MARGIN for side in levels[index].shape)
-        shift = MARGIN - 0.5
-        texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
-        warped: FloatImage = np.asarray(
-            cv2.warpPerspective(
-                levels[index],
-                texel @ texture_from_pixel,
-                size_wh,
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=outline.texture.mean,
-            ),
-            np.float32,
-        )
-        if picture is None:
-            picture = warped
+        # Farther away, the next coarser size is all there is; nearer, the next finer one.
+        farthest = -math.inf if index == coarsest else _inverse_depth(outline, index + 1, focal_px)
+        nearest = math.inf if index == finest else _inverse_depth(outline, index - 1, focal_px)
+        part = _between(outline.plane, window, farthest, nearest)
+        if part is None:
             continue
-        warped -= picture
-        warped *= _share_of_finer(outline, window, index, focal_px)
-        picture += warped
-    assert picture is not None
+        warped = _warped(outline, part, index)
+        x, y, x_end, y_end = part
+        target = picture[y - top : y_end - top, x - left : x_end - left]
+        if index == coarsest:
+            target[...] = warped
+            continue
+        warped -= target
+        warped *= _share_of_finer(outline, part, index, focal_px)
+        target += warped
     # Nothing is seen where the plane has its horizon, but that times nothing would still be NaN.
     cv2.patchNaNs(picture, outline.texture.mean)
     return picture
+
+
+def _warped(outline: Outline, window: Window, index: int) -> FloatImage:
+    """One size of the texture as it is seen through a window."""
+    left, top, right, bottom = window
+    level = outline.texture.levels[index]
+    height, width = (side - 2 * MARGIN for side in level.shape)
+    shift = MARGIN - 0.5
+    texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
+    to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
+    warped: FloatImage = np.asarray(
+        cv2.warpPerspective(
+            level,
+            texel @ outline.texture_from_xy @ to_window,
+            (right - left, bottom - top),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=outline.texture.mean,
+        ),
+        np.float32,
+    )
+    return warped
+
+
+def _between(plane: FloatArray, window: Window, low: float, high: float) -> Window | None:
+    """What holds all of a window where a plane is between two values; None if it is nowhere."""
+    left, top, right, bottom = window
+    a, b, c = plane.tolist()
+    columns = _passed(a, low - c, high - c, (b * top, b * bottom), (left, right))
+    rows = _passed(b, low - c, high - c, (a * left, a * right), (top, bottom))
+    if columns[0] >= columns[1] or rows[0] >= rows[1]:
+        return None
+    return columns[0], rows[0], columns[1], rows[1]
+
+
+def _passed(
+    slope: float, low: float, high: float, others: tuple[float, float], limits: tuple[int, int]
+) -> tuple[int, int]:
+    """From and before which pixel ``slope * x``, with one of the others, is between two values."""
+    first, last = low - max(others), high - min(others)
+    if slope < 0.0:
+        first, last = last, first
+    if slope == 0.0:
+        return limits if first < 0.0 < last else (0, 0)
+    least, most = limits
+    return (
+        math.floor(min(max(first / slope, least), most)),
+        math.ceil(min(max(last / slope, least), most)),
+    )
 
 
 def _levels(outline: Outline, window: Window, focal_px: float) -> tuple[int, int]:
@@ -137,15 +181,15 @@ def _ramp(a: float, b: float, c: float, x: FloatArray, y: FloatArray) -> FloatIm
 
 
 def _level(outline: Outline, inverse_depth: float, focal_px: float) -> float:
-    """Which size of the texture has as many texels as the picture has pixels there: log2."""
+    """Which size of the texture is wanted at a depth: log2 of how much smaller it is."""
     per_pixel = outline.texels_per_m / (focal_px * inverse_depth)
     slant = max(1.0, 1.0 / (inverse_depth * outline.distance_m))
-    return math.log2(per_pixel) + _FORESHORTENING * math.log2(slant)
+    return math.log2(per_pixel) + _FORESHORTENING * math.log2(slant) - _SHARPENING
 
 
 def _inverse_depth(outline: Outline, level: float, focal_px: float) -> float:
     """Where `_level` is `level`: the inverse function."""
-    facing = outline.texels_per_m / (focal_px * 2.0**level)
+    facing = outline.texels_per_m / (focal_px * 2.0 ** (level + _SHARPENING))
     if facing * outline.distance_m >= 1.0:
         return facing
     slanted = facing * outline.distance_m**-_FORESHORTENING
