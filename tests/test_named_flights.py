@@ -1,6 +1,7 @@
 """The named flights: what is hit and when, what is missed and by how much."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -245,7 +246,7 @@ def test_hover_jitter_makes_small_differences_only(scene_of):
         {"--size": (180, 320), "--noise": 0.0, "--shot-noise": 0.0, "--frames": 6}
     )
     frames = np.array(list(scene.frames(options)), float)
-    assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.0
+    assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.5
 
 
 # What the shutter does
@@ -288,6 +289,20 @@ def test_an_exposure_is_the_mean_of_what_passes_in_it():
     assert np.abs(sharp - expected).max() > 0.1
 
 
+def test_a_lamp_that_goes_on_while_the_shutter_is_open_counts_from_then_on():
+    still = striped_stage([hover(1.0)])
+    for lit_s, share in ((0.51, 0.25), (0.495, 0.625), (0.525, 0.0)):
+        world = replace(still.world, light=lambda t, lit_s=lit_s: 1.0 if t >= lit_s else 0.0)
+        stage = replace(still, world=world)
+        exposed = filmed(stage, 11, fps=20.0, exposure_ms=40.0)[10]
+        expected = filmed(still, 1)[0] * share
+        assert exposed == pytest.approx(expected, abs=4.0)
+        # Rows that are taken later than that are lit.
+        rolled = filmed(stage, 11, fps=20.0, rolling_shutter_ms=40.0)[10]
+        first_lit = round(60 * (1.0 - share))
+        assert (rolled[:first_lit] == 0).all() and (rolled[first_lit:] > 0).all()
+
+
 def test_a_rolling_shutter_shears_upright_edges():
     """By the rows' share of the readout, the camera has turned on."""
     stage = striped_stage([yaw(4.0, 40.0)])
@@ -297,6 +312,6 @@ def test_a_rolling_shutter_shears_upright_edges():
         time = 3.0 + ((row + 0.5) / 60 - 0.5) * 0.03
         expected = renderer.render(stage.path.pose(time), time)[row]
         # Rows are taken in strips, half a pixel apart.
-        assert np.abs(frame[row] / 255.0 - expected).max() < 0.25
+        assert np.abs(frame[row] / 255.0 - expected).max() < 0.35
     whole = filmed(stage, 91)[90]
-    assert np.abs(frame - whole)[29:31].max() < 60 < 120 < np.abs(frame - whole)[0].max()
+    assert np.abs(frame - whole)[29:31].max() < 90 < 120 < np.abs(frame - whole)[0].max()

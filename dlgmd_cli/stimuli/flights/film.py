@@ -16,9 +16,11 @@ from dlgmd_cli.stimuli.flights.options import FlightOptions
 from dlgmd_cli.stimuli.flights.stage import Stage
 
 # How far the fastest point may move between two pictures that are blurred into one, and from one
-# strip of rows that are taken at the same time to the next; and how many there are at most.
+# strip of rows that are taken at the same time to the next; and how many there are at most, which
+# is how many there are while the light changes.
 _BLUR_STEP_PX, _MAX_PICTURES = 1.0, 64
 _STRIP_STEP_PX, _MAX_STRIPS = 0.5, 128
+_TOO_FAST_PX_S = 1e12
 
 
 def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
@@ -61,12 +63,16 @@ class _Shutter:
         self._exposure_s = options.exposure_ms / 1000.0
         self._readout_s = options.rolling_shutter_ms / 1000.0
         self._speed = ImageSpeed(stage.world, camera, stage.target)
+        self._light = stage.world.light
 
     def light(self, time_s: float) -> FloatImage:
         """The frame at a time, (H, W), linear."""
         if not (self._exposure_s or self._readout_s):
             return self._renderer.render(self._path.pose(time_s), time_s)
         speed = self._speed.fastest(self._path.state(time_s), time_s)
+        half_s = (self._exposure_s + self._readout_s) / 2.0
+        if self._light(time_s - half_s) != self._light(time_s + half_s):
+            speed = _TOO_FAST_PX_S
         n_pictures = _steps(speed * self._exposure_s / _BLUR_STEP_PX, _MAX_PICTURES)
         n_strips = _steps(speed * self._readout_s / _STRIP_STEP_PX, min(_MAX_STRIPS, self._n_rows))
         borders = np.linspace(0, self._n_rows, n_strips + 1).round().astype(int).tolist()
