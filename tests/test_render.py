@@ -76,6 +76,9 @@ def test_body_axes():
     assert rotation(0, 0, 90) @ X == pytest.approx(Y)  # to the left
     assert rotation(0, 90, 0) @ X == pytest.approx(Z)  # nose up
     assert rotation(90, 0, 0) @ Y == pytest.approx(Z)  # right side down: the left one is up
+    # First the yaw, then the pitch about what is left then, then the roll about the nose.
+    assert rotation(0, 30, 90) @ X == pytest.approx(rotation(0, 0, 90) @ rotation(0, 30, 0) @ X)
+    assert rotation(20, 30, 90) @ Y == pytest.approx(rotation(0, 30, 90) @ rotation(20, 0, 0) @ Y)
     turned = rotation(10, -20, 130)
     assert turned @ turned.T == pytest.approx(np.eye(3))
     assert np.linalg.det(turned) == pytest.approx(1.0)
@@ -484,6 +487,16 @@ def test_noise_has_the_variance_that_was_asked_for():
         frame = exposed(level, gamma=1.0, shot_noise=0.05, read_noise=0.02) / 255.0
         assert frame.mean() == pytest.approx(level, abs=1e-3)
         assert frame.var() == pytest.approx(0.05**2 * level + 0.02**2, rel=0.05)
+
+
+def test_noise_is_normal_and_new_in_every_pixel():
+    noise = exposed(0.5, (301, 203), gamma=1.0, read_noise=0.1) / 127.5 - 1.0
+    noise /= 0.2
+    assert (np.abs(noise) < 1.0).mean() == pytest.approx(0.683, abs=0.02)
+    assert (np.abs(noise) < 2.0).mean() == pytest.approx(0.954, abs=0.01)
+    assert 3.5 < np.abs(noise).max() < 4.4 and abs((noise**3).mean()) < 0.05
+    for other in (np.roll(noise, shift, (0, 1)) for shift in ((0, 1), (1, 0), (0, 4), (3, 2))):
+        assert abs((noise * other).mean()) < 0.015
 
 
 def test_noise_is_the_same_again_and_new_in_every_frame():

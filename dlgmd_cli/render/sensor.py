@@ -1,6 +1,9 @@
 """From the light in each pixel to grey levels: vignette, noise, gamma."""
 
 import math
+from collections.abc import Sequence
+from functools import cache
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +13,7 @@ from dlgmd_cli.render.texture import FloatImage
 
 GreyImage = npt.NDArray[np.uint8]
 
-# Steps of light that the converter tells apart.
+# Steps of light that the converter tells apart, and of noise: 16 bits.
 _N_STEPS = 65_536
 
 
@@ -58,17 +61,33 @@ class Sensor:
         if self._transmission is not None:
             light *= self._transmission
         if self._shot or self._read:
-            rng = np.random.Generator(np.random.SFC64([self._seed, index]))
             # Rounding may have left a little less than no light.
             deviation = np.maximum(light, 0.0) * np.float32(self._shot**2)
             deviation += np.float32(self._read**2)
             np.sqrt(deviation, out=deviation)
-            deviation *= rng.standard_normal(light.shape, np.float32)
+            deviation *= _normal(light.shape, [self._seed, index])
             light += deviation
         np.clip(light, 0.0, 1.0, out=light)
         light *= _N_STEPS - 1
         light += np.float32(0.5)
-        return self._levels[light.astype(np.uint16)]
+        return self._levels.take(light.astype(np.uint16))
+
+
+def _normal(shape: tuple[int, ...], seed: Sequence[int]) -> FloatImage:
+    """Normal noise of standard deviation 1: each of `_N_STEPS` equally likely values at random.
+
+    That takes a third of the time of numpy's, and reaches to 4.3.
+    """
+    count = math.prod(shape)
+    drawn = np.random.SFC64(seed).random_raw(-(-count // 4)).view(np.uint16)[:count]
+    return _quantiles().take(drawn).reshape(shape)
+
+
+@cache
+def _quantiles() -> FloatImage:
+    """Values that divide the normal distribution into `_N_STEPS` equal parts: their middles."""
+    quantile = NormalDist().inv_cdf
+    return np.array([quantile((i + 0.5) / _N_STEPS) for i in range(_N_STEPS)], np.float32)
 
 
 def _transmission(camera: Camera, vignette: float) -> FloatImage:
