@@ -317,6 +317,12 @@ def test_a_person_is_one_thing_that_moves():
     assert high[2] == pytest.approx(1.75, abs=0.03) and low[2] == pytest.approx(0, abs=0.03)
 
 
+def test_clothes_reflect_no_more_than_cloth():
+    for seed in range(8):
+        for body in solids(obstacles.person(seeded(seed), (0, 0))):
+            assert all(face.texture.image.max() <= 0.95 for face in body.faces)
+
+
 def test_a_partition_leaves_its_doorway_open():
     left, right, lintel = building.partition(
         seeded(), 4.0, (5.0, 2.8), opening_m=(1.2, 2.1), at_y_m=0.4

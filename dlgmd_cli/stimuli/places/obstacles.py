@@ -21,7 +21,7 @@ from dlgmd_cli.stimuli.places.blocks import (
 from dlgmd_cli.stimuli.places.materials import cloth, leaves, plain
 from dlgmd_cli.stimuli.places.prints import carton_side, gridded, keyboard, notebook_screen
 from dlgmd_cli.stimuli.places.seats import stool, table
-from dlgmd_cli.stimuli.places.sheet import Rng, Size
+from dlgmd_cli.stimuli.places.sheet import Rng, Size, limited
 
 
 def gridded_board(
@@ -183,8 +183,8 @@ def _shirt(rng: Rng) -> np.ndarray:
     image = cloth(rng, size, 300.0, tone)
     if rng.uniform() < 0.5:
         rows = np.arange(image.shape[0]) / image.shape[0]
-        return (image * (1.0 + 0.35 * np.sin(2 * np.pi * 9 * rows))[:, None]).astype(np.float32)
-    return (0.6 * image + 0.6 * leaves(rng, size, 300.0, tone)).astype(np.float32)
+        return limited(image * (1.0 + 0.35 * np.sin(2 * np.pi * 9 * rows))[:, None])
+    return limited(0.6 * image + 0.6 * leaves(rng, size, 300.0, tone))
 
 
 def _head(bare: float) -> np.ndarray:
