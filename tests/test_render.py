@@ -349,6 +349,33 @@ def test_order_is_exact_for_upright_bodies():
     assert sorted(Order(cut).back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]
 
 
+@pytest.mark.parametrize("turned", [0.0, 40.0])
+def test_what_is_nearer_hides_also_where_its_middle_is_farther(turned):
+    axes = rotation(0, 0, turned)
+
+    def turned_box(low, high, level):
+        faces = box_faces(low, high, [PLAIN[level]] * 6)
+        quads = [
+            quad(axes @ f.origin_m, axes @ f.right_m, axes @ f.down_m, f.texture) for f in faces
+        ]
+        return Solid("box", quads)
+
+    screen = turned_box((1.5, -0.5, -1), (1.6, 8, 1), 1.0)
+    hidden = turned_box((1.8, -0.2, -0.5), (2.2, 0.6, 0.5), 0.5)
+    for bodies in ([screen, hidden], [hidden, screen]):
+        assert Order(bodies).is_exact
+        picture = Renderer(World(room(), bodies), CAMERA).render(look(yaw=turned))
+        assert not (np.abs(picture - 0.5) < 0.01).any() and picture[60, 80] == 1.0
+
+
+def test_of_bodies_that_cut_the_nearer_one_is_seen():
+    first, second = box((2, -1, -1), (3, 1, 1), 1.0), box((2.5, -1, -1), (4, 1, 1), 0.5)
+    for bodies in ([first, second], [second, first]):
+        renderer = Renderer(World(room(), bodies), CAMERA)
+        assert renderer.render(look())[60, 80] == 1.0
+        assert renderer.render(look(x=6.0, yaw=180.0))[60, 80] == 0.5
+
+
 def test_a_moving_body_is_where_it_moves_to():
     mover = Solid("mover", box((2, -0.2, -0.2), (2.4, 0.2, 0.2)).faces, motion=lambda t: [0, t, 0])
     wall = box((3, -4, -4), (3.2, 4, 4), 0.25)
