@@ -407,9 +407,22 @@ def test_a_ball_is_a_disc_of_the_right_size(distance):
     picture = Renderer(World(room(), [ball]), camera).render(look())
     radius = camera.focal_px * 0.4 / math.sqrt(distance**2 - 0.4**2)
     if radius < 199:
-        assert picture.sum() == pytest.approx(math.pi * radius**2, rel=2e-3)
+        assert picture.sum() == pytest.approx(math.pi * radius**2, rel=6e-4)
     else:
         assert picture[200, 200] == 1.0
+
+
+@pytest.mark.parametrize("distance", [0.5, 0.7, 3.0])
+def test_the_texture_of_a_ball_fills_what_is_seen_of_it(distance):
+    y, x = (np.mgrid[:256, :256] + 0.5) / 128.0 - 1.0
+    rings = Texture(np.minimum(np.hypot(x, y), 1.0))
+    ball = Round("ball", np.array([[distance, 0, 0]] * 2), 0.4, rings)
+    camera = Camera((400, 400), 120.0)
+    row = Renderer(World(room(), [ball]), camera).render(look())[200]
+    radius = camera.focal_px * 0.4 / math.sqrt(distance**2 - 0.4**2)
+    for share in (0.25, 0.5, 0.9):
+        there = np.interp(199.5 + share * radius, np.arange(400), row)
+        assert there == pytest.approx(share, abs=0.03)
 
 
 BALL = [[2.0, 0.9, -0.5]] * 2

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dlgmd_cli.render.camera import Camera, Pose
+from dlgmd_cli.render.camera import Camera, FloatArray, Pose
 from dlgmd_cli.render.order import Order
 from dlgmd_cli.render.outline import Outline, outline_round
 from dlgmd_cli.render.paint import paint
 from dlgmd_cli.render.sight import Sight
-from dlgmd_cli.render.solids import Body, Round, Solid, World
+from dlgmd_cli.render.solids import Body, Face, Round, Solid, World
 from dlgmd_cli.render.texture import FloatImage
 
 
@@ -30,13 +30,12 @@ class Renderer:
         self._room = Sight([world.room.faces])
         self._bodies = placed(world, 0.0)
         self._order = Order(self._bodies)
-        self._moving = [i for i, body in enumerate(world.bodies) if body.motion is not None]
-        self._sight = Sight(
-            [
-                body.faces if isinstance(body, Solid) and body.motion is None else ()
-                for body in world.bodies
-            ]
-        )
+        self._sight = Sight([_faces(body) if body.motion is None else () for body in world.bodies])
+        self._moving = {
+            index: Sight([_faces(body)])
+            for index, body in enumerate(world.bodies)
+            if body.motion is not None
+        }
 
     def render(
         self, pose: Pose, time_s: float = 0.0, rows: tuple[int, int] | None = None
@@ -68,18 +67,20 @@ class Renderer:
     def _outlines(self, pose: Pose, time_s: float) -> dict[int, list[Outline]]:
         """What is in sight, by the index of the body."""
         found = self._sight.outlines(self.camera, pose)
-        for index in self._moving:
-            self._bodies[index] = _at(self.world.bodies[index], time_s)
+        for index, sight in self._moving.items():
+            body = self.world.bodies[index]
+            by_m = _moved_by(body, time_s)
+            self._bodies[index] = body.moved(by_m)
             self._order.move(index, self._bodies[index])
+            # What has moved looks as it did at rest from where the camera would be then.
+            seen = sight.outlines(self.camera, Pose(pose.position_m - by_m, pose.rotation))
+            if seen:
+                found[index] = seen[0]
         for index, body in enumerate(self._bodies):
             if isinstance(body, Round):
                 outline = outline_round(body, self.camera, pose)
                 if outline is not None:
                     found[index] = [outline]
-            elif isinstance(body, Solid) and index in self._moving:
-                outlines = Sight([body.faces]).outlines(self.camera, pose)
-                if outlines:
-                    found[index] = outlines[0]
         return found
 
 
@@ -97,6 +98,14 @@ def placed(world: World, time_s: float) -> list[Body]:
 
 def _at(body: Body, time_s: float) -> Body:
     """A body where it is at a time."""
-    if body.motion is None:
-        return body
-    return body.moved(np.asarray(body.motion(time_s), float))
+    return body if body.motion is None else body.moved(_moved_by(body, time_s))
+
+
+def _moved_by(body: Body, time_s: float) -> FloatArray:
+    """How far a body has moved at a time, (3,) in m."""
+    return np.zeros(3) if body.motion is None else np.asarray(body.motion(time_s), float)
+
+
+def _faces(body: Body) -> Sequence[Face]:
+    """The planar faces of a body."""
+    return body.faces if isinstance(body, Solid) else ()
