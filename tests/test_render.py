@@ -298,6 +298,14 @@ def test_textures_are_neither_blurred_nor_jagged():
     assert np.mean(errors) < 0.32 * wanted
 
 
+def test_the_rim_of_a_texture_reaches_to_the_edge_of_its_face():
+    board = Solid("board", [quad([1, 1, 1], -2 * Y, -2 * Z, Texture([[0.2, 0.8]]))])
+    row = Renderer(World(room(), [board]), Camera((120, 160), 90.0)).render(look())[60]
+    assert row[:38] == pytest.approx(np.full(38, 0.2), abs=1e-6)
+    assert row[-38:] == pytest.approx(np.full(38, 0.8), abs=1e-6)
+    assert row[80 - 20 : 80 + 20].mean() == pytest.approx(0.5, abs=1e-3)
+
+
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_what_is_behind_is_hidden(seed):
@@ -374,6 +382,26 @@ def test_of_bodies_that_cut_the_nearer_one_is_seen():
         renderer = Renderer(World(room(), bodies), CAMERA)
         assert renderer.render(look())[60, 80] == 1.0
         assert renderer.render(look(x=6.0, yaw=180.0))[60, 80] == 0.5
+
+
+def test_of_bodies_that_hide_each_other_in_a_ring_the_farthest_is_painted_first():
+    """Three bars along the axes, each before the next one as seen from afar along (1, 1, 1)."""
+    eye, everywhere = np.full(3, 10.0), dict.fromkeys(range(3), (0.0, 0.0, 9.0, 9.0))
+    for farthest in range(3):
+        bars = []
+        for axis in range(3):
+            middle = np.roll([0.0, 1.0, -1.0], axis) - 2.0 * (axis == farthest) * np.eye(3)[axis]
+            half = np.where(np.arange(3) == axis, 4.0, 0.2)
+            bars.append(box(middle - half, middle + half))
+        expected = [(farthest + step) % 3 for step in range(3)]
+        assert Order(bars).back_to_front(eye, everywhere) == expected
+
+
+def test_a_face_gets_its_share_of_the_light():
+    board = Solid("board", [quad([2, 5, 5], -10 * Y, -10 * Z, PLAIN[0.5], 0.4)])
+    ball = Round("ball", np.array([[1, 0, 0]] * 2), 0.3, PLAIN[1.0], 0.3)
+    picture = Renderer(World(room(1.0), [board, ball]), CAMERA).render(look())
+    assert picture[5, 5] == pytest.approx(0.2) and picture[60, 80] == pytest.approx(0.3)
 
 
 def test_a_moving_body_is_where_it_moves_to():
