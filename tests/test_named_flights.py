@@ -18,7 +18,9 @@ from dlgmd_cli.stimuli.flights.quadrotor import fly
 from dlgmd_cli.stimuli.flights.scene import FlightScene
 from dlgmd_cli.stimuli.flights.script import cruise, hover, yaw
 from dlgmd_cli.stimuli.flights.stage import REACH_M, Stage
+from dlgmd_cli.stimuli.places.seats import chair
 from dlgmd_cli.stimuli.scenes import SCENES
+from dlgmd_cli.stimuli.stages.placing import singled_out
 from dlgmd_cli.stimuli.stages.random_flight import random_flight
 
 SMALL = {"--size": (36, 64)}
@@ -218,6 +220,14 @@ def test_random_flights_come_out_in_every_way():
         assert Order(stage.world.bodies).is_exact
 
 
+def test_only_the_piece_that_is_met_keeps_its_name():
+    near, far = (chair((x, 0.0), 30.0) for x in (2.0, 4.0))
+    walls = Solid("room", [quad([9, 5, 5], [0, -9, 0], [0, 0, -9], Texture(0.5))])
+    world = singled_out(World(walls, [*near, *far]), len(near) + 2)
+    names = [body.name for body in world.bodies]
+    assert names == ["other chair"] * len(near) + ["chair"] * len(far)
+
+
 def test_a_seed_is_a_flight():
     scene = SCENES["random"]
     again = FlightScene("random", "", scene.defaults, random_flight)
@@ -266,6 +276,19 @@ def filmed(stage, n_frames, **how):
     how = {"noise": 0.0, "shot_noise": 0.0, "vignette": 0.0, "gamma": 1.0, **how}
     options = FlightOptions(shape=(60, 80), **how)
     return np.array(list(film(stage, options, n_frames)), float)
+
+
+def test_a_film_is_what_its_camera_makes_of_the_light():
+    still = striped_stage([hover(1.0)])
+    plain = filmed(still, 1)[0]
+    dark = filmed(still, 1, vignette=0.8)[0]
+    assert dark[0, 0] < 0.3 * plain[0, 0] and abs(dark[30, 40] - plain[30, 40]) < 2
+    for noise in ("noise", "shot_noise"):
+        one, same, other = (filmed(still, 2, **{noise: 0.1}, seed=seed) for seed in (1, 1, 2))
+        assert 8 < (one[0] - plain).std() < 30
+        assert (one == same).all() and (one[0] != other[0]).mean() > 0.5 < (one[0] != one[1]).mean()
+    bright = filmed(still, 1, gamma=2.2)[0]
+    assert bright == pytest.approx(255 * (plain / 255) ** (1 / 2.2), abs=4)
 
 
 def test_an_open_shutter_blurs_what_moves_and_nothing_else():
