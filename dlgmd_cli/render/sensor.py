@@ -76,7 +76,7 @@ class Sensor:
 def _normal(shape: tuple[int, ...], seed: Sequence[int]) -> FloatImage:
     """Normal noise of standard deviation 1: each of `_N_STEPS` equally likely values at random.
 
-    That takes a third of the time of numpy's, and reaches to 4.3.
+    It takes a third of the time of numpy's, and reaches to 4.3 deviations.
     """
     count = math.prod(shape)
     drawn = np.random.SFC64(seed).random_raw(-(-count // 4)).view(np.uint16)[:count]
