@@ -14,7 +14,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.render.camera import Camera
 from dlgmd_cli.render.solids import Face, Round, Solid, World, quad
 from dlgmd_cli.render.texture import Texture
-from dlgmd_cli.stimuli.flights.contact import clearance, first_contact
+from dlgmd_cli.stimuli.flights.contact import Surroundings, first_contact
 from dlgmd_cli.stimuli.flights.image_speed import max_image_speed
 from dlgmd_cli.stimuli.flights.nearest import Nearest
 from dlgmd_cli.stimuli.flights.path import State
@@ -570,6 +570,11 @@ def test_the_floor_it_stands_on_is_no_contact_and_a_ceiling_is():
     assert path.state(found).position_m[2] == pytest.approx(1.5 - REACH_M, abs=1e-6)
     away = path.moved([0, 0, 0.2])
     assert first_contact(away, World(ROOM)) is None
+
+
+def clearance(path, world, time_s):
+    position = path.state(time_s).position_m
+    return Surroundings(world).distances(position, time_s).min()
 
 
 def test_clearance_is_from_the_nearest_surface():

@@ -1,4 +1,4 @@
-"""When a flight first touches something, and how much room it has."""
+"""When a flight first touches something."""
 
 import math
 from collections.abc import Callable, Collection
@@ -54,12 +54,6 @@ class Surroundings:
         """Of the bodies, in m/s."""
         velocities = self._surfaces.velocities(time_s)
         return float(np.sqrt((velocities**2).sum(axis=-1)).max(initial=0.0))
-
-
-def clearance(path: Path, world: World, time_s: float) -> float:
-    """From the camera to the nearest body or plane of the room, in m; see `Surroundings`."""
-    position = path.state(time_s).position_m
-    return float(Surroundings(world).distances(position, time_s).min(initial=math.inf))
 
 
 def first_contact(

@@ -18,8 +18,8 @@ from dlgmd_cli.stimuli.flights.stage import REACH_M, Stage
 from dlgmd_cli.stimuli.places.materials import plain
 from dlgmd_cli.stimuli.places.rooms import Hall
 from dlgmd_cli.stimuli.places.sheet import Rng, clouds, limited
+from dlgmd_cli.stimuli.stages.placing import FRAME_S
 
-FRAME_S = 1.0 / 30.0
 CONTACT_FRAME = 61
 _BALL_M, _BALL_PX = 0.5, 25.0
 _CAPSULES_AT_M = 4.0

@@ -25,9 +25,8 @@ from dlgmd_cli.stimuli.places.indoor import cluttered_room, simple_room
 from dlgmd_cli.stimuli.places.obstacles import carton_on_stool, gridded_board, notebook_on_table
 from dlgmd_cli.stimuli.places.rooms import Place
 from dlgmd_cli.stimuli.places.seats import chair
-from dlgmd_cli.stimuli.stages.placing import Build, in_the_way, world_of
+from dlgmd_cli.stimuli.stages.placing import FRAME_S, Build, in_the_way, world_of
 
-FRAME_S = 1.0 / 30.0
 # What is filmed after the collision.
 AFTER_S = 15 * FRAME_S
 

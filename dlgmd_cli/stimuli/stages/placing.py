@@ -23,6 +23,9 @@ _FARTHEST_M, _STEP_M = 3.0, 0.02
 _N_HALVINGS = 50
 _STANDS_M_S, _TOUCHING_M = 0.1, 0.01
 
+# Frames of the paper's videos are this far apart.
+FRAME_S = 1.0 / 30.0
+
 # How bright a room is: a white surface that faces the lamps is as bright as a camera can see.
 DAYLIGHT = 1.35
 
