@@ -15,6 +15,8 @@ from dlgmd_cli.results.tables import Result
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 
