@@ -18,6 +18,13 @@ if hasattr(signal, "SIGHUP"):
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+
+def pytest_configure(config):
+    """Let processes take files in their order, and not those with few but long tests at last."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 
 
