@@ -20,7 +20,7 @@ from dlgmd_cli.stimuli.flights.script import cruise, hover, yaw
 from dlgmd_cli.stimuli.flights.stage import REACH_M, Stage
 from dlgmd_cli.stimuli.places.seats import chair
 from dlgmd_cli.stimuli.scenes import SCENES
-from dlgmd_cli.stimuli.stages.placing import singled_out
+from dlgmd_cli.stimuli.stages.placing import PassedError, in_the_way, singled_out
 from dlgmd_cli.stimuli.stages.random_flight import random_flight
 
 SMALL = {"--size": (36, 64)}
@@ -226,6 +226,15 @@ def test_only_the_piece_that_is_met_keeps_its_name():
     world = singled_out(World(walls, [*near, *far]), len(near) + 2)
     names = [body.name for body in world.bodies]
     assert names == ["other chair"] * len(near) + ["chair"] * len(far)
+
+
+def test_an_obstacle_can_only_be_in_the_way_at_its_height():
+    path = fly([cruise(2.0)], position_m=(0, 0, 0.8), speed_m_s=1.0, jitter=0.0)
+    bodies = in_the_way(path, 1.5, chair, "chair")
+    assert first_contact(path, World(Solid("room", []), bodies), ["chair"]) == pytest.approx(1.5)
+    high = fly([cruise(2.0)], position_m=(0, 0, 1.8), speed_m_s=1.0, jitter=0.0)
+    with pytest.raises(PassedError):
+        in_the_way(high, 1.5, chair, "chair")
 
 
 def test_a_seed_is_a_flight():

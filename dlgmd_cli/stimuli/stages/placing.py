@@ -30,6 +30,10 @@ FRAME_S = 1.0 / 30.0
 DAYLIGHT = 1.35
 
 
+class PassedError(Exception):
+    """A flight that goes over or under the obstacle that was to be in its way."""
+
+
 def in_the_way(
     path: Path, contact_s: float, build: Build, target: str, *, turned_deg: float = 0.0
 ) -> list[Body]:
@@ -46,6 +50,11 @@ def in_the_way(
         The name of what is met; other parts of the obstacle must not be met before.
     turned_deg : float
         How far the obstacle's front is turned from where the drone comes from.
+
+    Raises
+    ------
+    PassedError
+        If the camera does not come within reach of it.
     """
     state = path.state(contact_s)
     ahead = heading(state.velocity_m_s)
@@ -63,7 +72,7 @@ def in_the_way(
     while not touches(far - _STEP_M):
         far -= _STEP_M
         if far < -_FARTHEST_M:
-            raise ValueError(f"the flight passes the {target}")
+            raise PassedError(target)
     near = far - _STEP_M
     for _ in range(_N_HALVINGS):
         middle = 0.5 * (near + far)

@@ -32,7 +32,14 @@ from dlgmd_cli.stimuli.places.obstacles import (
 from dlgmd_cli.stimuli.places.rooms import Place
 from dlgmd_cli.stimuli.places.seats import chair
 from dlgmd_cli.stimuli.places.sheet import Rng
-from dlgmd_cli.stimuli.stages.placing import Build, beside, in_the_way, singled_out, world_of
+from dlgmd_cli.stimuli.stages.placing import (
+    Build,
+    PassedError,
+    beside,
+    in_the_way,
+    singled_out,
+    world_of,
+)
 
 _AFTER_S = 0.5
 # With less, there would be no flight to see.
@@ -82,16 +89,9 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
         or np.linalg.norm(met.velocity_m_s[:2]) < _LEAST_M_S
     ):
         return None
-    guests: Sequence[Body] = ()
-    if plan == "hit":
-        guests = in_the_way(
-            free, when, obstacle.build, obstacle.name, turned_deg=rng.uniform(-40.0, 40.0)
-        )
-    elif plan == "pass":
-        aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.75, 1.2)
-        guests = beside(free, when, obstacle.build, aside)
-    elif plan == "stop":
-        guests = beside(free, free.duration_s, obstacle.build, 0.0, ahead_m=rng.uniform(0.9, 1.8))
+    guests = _standing(rng, plan, obstacle, free, when)
+    if guests is None:
+        return None
     place = _place(rng, free, guests, when if plan == "wall" else None)
     world = world_of(place, guests, light=rng.uniform(0.8, 1.8))
     contact_s = first_contact(free, world)
@@ -108,6 +108,25 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     path = fly(script, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
     duration = min(contact_s + _AFTER_S, path.duration_s)
     return Stage(world, path, target, contact_s, duration)
+
+
+def _standing(
+    rng: Rng, plan: str, obstacle: _Obstacle, path: Path, when_s: float
+) -> Sequence[Body] | None:
+    """The obstacle where the plan wants it, or None if the flight would pass over it."""
+    if plan == "hit":
+        turned = rng.uniform(-40.0, 40.0)
+        try:
+            return in_the_way(path, when_s, obstacle.build, obstacle.name, turned_deg=turned)
+        except PassedError:
+            return None
+    if plan == "pass":
+        aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.75, 1.2)
+        return beside(path, when_s, obstacle.build, aside)
+    if plan == "stop":
+        ahead = rng.uniform(0.9, 1.8)
+        return beside(path, path.duration_s, obstacle.build, 0.0, ahead_m=ahead)
+    return ()
 
 
 def _obstacle(rng: Rng) -> _Obstacle:
