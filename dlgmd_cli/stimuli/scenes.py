@@ -33,6 +33,7 @@ _SMALL = FlightOptions(shape=(360, 640))
 
 
 def _flat_scenes() -> Iterator[Scene[Any]]:
+    """Plain objects on a plain background."""
     yield Approach("looming-cube", "a cube that comes straight at the camera", Cube(), _LOOMING)
     yield Approach(
         "receding-cube",
@@ -50,6 +51,7 @@ def _flat_scenes() -> Iterator[Scene[Any]]:
 
 
 def _flights() -> Iterator[FlightScene]:
+    """First-person video of places."""
     for name, shows, stage in (
         ("group1", "cluttered room; pitches, hits a chair at frame 120", group1),
         ("group2", "the same; brakes, hits a gridded pattern at 140", group2),

@@ -64,6 +64,7 @@ def _capsule(rng: Rng, down_px: float, px_per_frame: float) -> Body:
 
 
 def _sideways(speed_m_s: float) -> Motion:
+    """To the right, as the camera sees it."""
     return lambda time_s: (0.0, -speed_m_s * time_s, 0.0)
 
 

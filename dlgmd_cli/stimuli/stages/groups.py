@@ -78,33 +78,29 @@ def group3(seed: int) -> Stage:
 
 def group4(seed: int) -> Stage:
     """Simple indoor; it takes off and pitches, into a gridded pattern; frame 210."""
-    return _collision(
-        seed,
-        _TAKE_OFF,
-        start_m=(1.0, 0.0, 0.12),
-        frame=210,
-        target="gridded pattern",
-        build=gridded_board,
-        is_simple=True,
-    )
+    return _take_off_and_pitch(seed, 210, "gridded pattern", gridded_board)
 
 
 def group5(seed: int) -> Stage:
     """Simple indoor; it takes off and pitches, into a carton; frame 196."""
+
+    def build(at_m: tuple[float, float], yaw_deg: float) -> Sequence[Body]:
+        return carton_on_stool(np.random.default_rng([seed, 2]), at_m, yaw_deg, height_m=0.75)
+
+    return _take_off_and_pitch(seed, 196, "carton", build)
+
+
+def _take_off_and_pitch(seed: int, frame: int, target: str, build: Build) -> Stage:
+    """What groups 4 and 5 have in common."""
     return _collision(
         seed,
-        _TAKE_OFF,
+        [stand(0.8), take_off(2.4, 0.95), pitch(0.5, -9.0), accelerate(9.0, -9.0)],
         start_m=(1.0, 0.0, 0.12),
-        frame=196,
-        target="carton",
-        build=lambda at, yaw_deg: carton_on_stool(
-            np.random.default_rng([seed, 2]), at, yaw_deg, height_m=0.75
-        ),
+        frame=frame,
+        target=target,
+        build=build,
         is_simple=True,
     )
-
-
-_TAKE_OFF = [stand(0.8), take_off(2.4, 0.95), pitch(0.5, -9.0), accelerate(9.0, -9.0)]
 
 
 def _collision(

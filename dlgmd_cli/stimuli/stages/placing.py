@@ -96,9 +96,8 @@ def beside(
         points, if it does not.
     """
     state = path.state(time_s)
-    ahead = heading(state.velocity_m_s)
-    if np.linalg.norm(state.velocity_m_s) < _STANDS_M_S:
-        ahead = heading(state.pose.rotation[:, 0])
+    stands = np.linalg.norm(state.velocity_m_s) < _STANDS_M_S
+    ahead = heading(state.pose.rotation[:, 0] if stands else state.velocity_m_s)
     left = np.array([-ahead[1], ahead[0], 0.0])
     x, y, _ = (state.position_m + ahead_m * ahead + aside_m * left).tolist()
     return list(build((x, y), math.degrees(math.atan2(ahead[1], ahead[0])) + 180.0))
@@ -160,6 +159,7 @@ def heading(velocity_m_s: FloatArray) -> FloatArray:
 
 
 def _placed(body: Body, by_m: FloatArray) -> Body:
+    """A body at rest elsewhere."""
     if body.motion is not None:
         raise ValueError("what moves cannot be put in the way")
     return body.moved(by_m)
