@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.dlgmd import DLGMD
     from dlgmd_cli.params import DlgmdParameters
     from dlgmd_cli.presets import load_set
-    from dlgmd_cli.sources.open import open_source
+    from dlgmd_cli.video.open import open_source
 
 _HOMES = {
     "DLGMD": "dlgmd_cli.models.dlgmd",
     "DlgmdError": "dlgmd_cli.errors",
     "DlgmdParameters": "dlgmd_cli.params",
     "load_set": "dlgmd_cli.presets",
-    "open_source": "dlgmd_cli.sources.open",
+    "open_source": "dlgmd_cli.video.open",
 }
 
 

@@ -15,8 +15,8 @@ from dlgmd_cli.runs import single
 from dlgmd_cli.runs.compare import Entry, compare
 from dlgmd_cli.runs.findings import Asked, Findings, conclude, write_findings
 from dlgmd_cli.runs.serve import note
-from dlgmd_cli.sources.prepare import Source
 from dlgmd_cli.threads import limit_threads
+from dlgmd_cli.video.prepare import Source
 
 # How often it tells how far it is.
 _NOTE_EVERY_S = 0.25

@@ -17,7 +17,7 @@ from dlgmd_cli.commands._model import (
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import PARAMETERS
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 
 @dataclass(frozen=True)

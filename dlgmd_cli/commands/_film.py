@@ -14,8 +14,8 @@ from dlgmd_cli.errors import SourceError
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model, Response
     from dlgmd_cli.plots.film import FilmFacts
-    from dlgmd_cli.sources.base import Frame
-    from dlgmd_cli.sources.prepare import Source
+    from dlgmd_cli.video.frames import Frame
+    from dlgmd_cli.video.prepare import Source
 
 
 @contextmanager
@@ -51,9 +51,9 @@ def render_film(
     An interrupt ends it after a whole frame, with the frames before it in a whole file.
     """
     from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
-    from dlgmd_cli.results.video import best_codec, check_arrived, open_video, playable_fps
     from dlgmd_cli.runs.single import watch
-    from dlgmd_cli.sources.count import count_frames
+    from dlgmd_cli.video.count import count_frames
+    from dlgmd_cli.video.writer import best_codec, check_arrived, open_video, playable_fps
 
     film, numbers = Film(facts), facts.result.frame
     fps = playable_fps(nominal_fps)

@@ -18,7 +18,7 @@ from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
-    from dlgmd_cli.stimuli.many import Fleet, Pool, Standing
+    from dlgmd_cli.flights.dataset import Fleet, Pool, Standing
 
 
 def render_fleet(fleet: "Fleet", *, jobs: int | None, overwrite: bool) -> None:
@@ -29,8 +29,8 @@ def render_fleet(fleet: "Fleet", *, jobs: int | None, overwrite: bool) -> None:
     OutputExistsError
         If something stands in the way and may not be replaced.
     """
+    from dlgmd_cli.flights.dataset import Standing
     from dlgmd_cli.results.files import prove_writable
-    from dlgmd_cli.stimuli.many import Standing
 
     with Interrupts() as interrupts:
         standing = Standing.of(fleet)
@@ -64,8 +64,8 @@ def _render(
     standing: "Standing", jobs: int | None, failures: dict[int, DlgmdError], overwrite: bool
 ) -> None:
     """Render what is missing; `failures` is filled with what could not be made."""
+    from dlgmd_cli.flights.dataset import render_flights
     from dlgmd_cli.runs.workers import Workers, here
-    from dlgmd_cli.stimuli.many import render_flights
 
     fleet, missing = standing.fleet, standing.missing
     n_workers = min(jobs or n_processors(), len(missing))

@@ -7,7 +7,7 @@ import click
 from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params.base import shown
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 NORMALISATIONS = ("absolute", "sequence")
 DECODERS = ("opencv", "pyav")

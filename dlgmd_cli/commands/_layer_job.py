@@ -7,7 +7,7 @@ from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.layers import LayerSheet
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.layers import LayerRecording
-    from dlgmd_cli.sources.prepare import Source
+    from dlgmd_cli.video.prepare import Source
 
 
 class LayerJob:

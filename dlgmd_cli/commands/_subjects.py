@@ -12,12 +12,12 @@ from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import DlgmdError, ParameterError
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.spool import Spool, Tape
     from dlgmd_cli.runs.sweep import Attenuation, ResponseMeasures
-    from dlgmd_cli.sources.prepare import Source
+    from dlgmd_cli.video.prepare import Source
 
 SCENE = "translating-cubes"
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
@@ -102,7 +102,7 @@ class Cubes:
     decoder: tuple[str, ...] = ()
 
     def __init__(self, given: dict[str, Any], size: tuple[int, int] | None) -> None:
-        from dlgmd_cli.stimuli.scenes import SCENES
+        from dlgmd_cli.flights.scenes import SCENES
 
         self.size_wh = size or DEFAULT_SIZE
         self.speeds_px = tuple(dict.fromkeys(given["speed"])) or DEFAULT_SPEEDS_PX
@@ -149,7 +149,7 @@ class Cubes:
 
     def spool(self, spool: "Spool") -> dict[str, Any]:
         """Render every clip."""
-        from dlgmd_cli.sources.base import Frame
+        from dlgmd_cli.video.frames import Frame
 
         for options in self._clips:
             pictures = enumerate(self._scene.frames(options))
@@ -182,7 +182,7 @@ class Video:
 
     def settings(self) -> dict[str, Any]:
         """Which input, and what is read of it."""
-        from dlgmd_cli.sources.fingerprint import fingerprint
+        from dlgmd_cli.video.fingerprint import fingerprint
 
         return {
             "input": {"path": self._source.info.path, **fingerprint(self._path)},
@@ -199,8 +199,8 @@ class Video:
 
     def spool(self, spool: "Spool") -> dict[str, Any]:
         """Decode the input once."""
-        from dlgmd_cli.runs.ahead import opencv_threads
         from dlgmd_cli.runs.single import frames_ahead
+        from dlgmd_cli.video.prefetch import opencv_threads
 
         source = self._source
         n_expected = self._options.n_expected(source.info)

@@ -10,7 +10,7 @@ from dlgmd_cli.commands._subjects import Subject
 from dlgmd_cli.commands._types import Output
 from dlgmd_cli.params import Parameters
 from dlgmd_cli.params.axis import Axis, Grid
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Width

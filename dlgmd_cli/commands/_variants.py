@@ -12,7 +12,7 @@ from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
 from dlgmd_cli.results.cells import text_cell
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def bench(
                 "bench", repeats * len(chosen_radii) * len(chosen_scales), unit="step"
             ) as on_step,
         ):
-            from dlgmd_cli.sources.open import open_source
+            from dlgmd_cli.video.open import open_source
 
             measured = measure(
                 lambda scale: open_source(
@@ -155,9 +155,9 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
         yield given
         return
     from dlgmd_cli.paper.speed import PAPER_SIZE_WH
-    from dlgmd_cli.results.video import encode
-    from dlgmd_cli.sources.count import count_frames
     from dlgmd_cli.stimuli.pan import pan_frames
+    from dlgmd_cli.video.count import count_frames
+    from dlgmd_cli.video.writer import encode
 
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"

@@ -78,8 +78,8 @@ def synth(
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' has them.")
+    from dlgmd_cli.flights.scenes import find_scene
     from dlgmd_cli.stimuli.form import Form
-    from dlgmd_cli.stimuli.scenes import find_scene
 
     scene = find_scene(scene_name)
     options = scene.configure(by_flag(given))
@@ -89,8 +89,8 @@ def synth(
         _render_one(scene, options, form, out, overwrite, draw)
         return
     from dlgmd_cli.commands._flights import render_fleet
-    from dlgmd_cli.stimuli.flights.scene import FlightScene
-    from dlgmd_cli.stimuli.many import Fleet
+    from dlgmd_cli.flights.dataset import Fleet
+    from dlgmd_cli.flights.scene import FlightScene
 
     if not isinstance(scene, FlightScene):
         raise click.UsageError(f"--count is for flights, and {scene.name} is none.")
@@ -100,8 +100,8 @@ def synth(
 
 def _list() -> None:
     """The scenes by kind, on stdout."""
-    from dlgmd_cli.stimuli.flights.scene import FlightScene
-    from dlgmd_cli.stimuli.scenes import SCENES
+    from dlgmd_cli.flights.scene import FlightScene
+    from dlgmd_cli.flights.scenes import SCENES
 
     flights = [scene for scene in SCENES.values() if isinstance(scene, FlightScene)]
     flat = [scene for scene in SCENES.values() if not isinstance(scene, FlightScene)]

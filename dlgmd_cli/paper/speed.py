@@ -11,10 +11,10 @@ from statistics import median
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.base import Grey, Model, create_model
 from dlgmd_cli.params import DlgmdParameters
-from dlgmd_cli.runs.ahead import opencv_threads
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import run
-from dlgmd_cli.sources.prepare import Source
+from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.prepare import Source
 
 RADII = (6, 4, 3, 2)
 SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)

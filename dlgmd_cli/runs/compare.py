@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.models.ensemble import Ensemble
-from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.sources.base import Frame
-from dlgmd_cli.sources.prepare import Source
+from dlgmd_cli.video.frames import Frame
+from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+from dlgmd_cli.video.prepare import Source
 
 
 @dataclass

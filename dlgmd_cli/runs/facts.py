@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
-    from dlgmd_cli.sources.base import Frame
-    from dlgmd_cli.sources.prepare import Source
+    from dlgmd_cli.video.frames import Frame
+    from dlgmd_cli.video.prepare import Source
 
 
 def too_short(

@@ -12,11 +12,11 @@ from dlgmd_cli.results.tables import Result, write_tables
 from dlgmd_cli.runs.compare import Entry
 from dlgmd_cli.runs.facts import facts, too_short
 from dlgmd_cli.runs.reading import Reading
-from dlgmd_cli.sources.choice import InputChoice
+from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import SourceError
-    from dlgmd_cli.sources.prepare import Source
+    from dlgmd_cli.video.prepare import Source
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import Shot
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import watch
-from dlgmd_cli.sources.base import Frame
-from dlgmd_cli.sources.prepare import Source
+from dlgmd_cli.video.frames import Frame
+from dlgmd_cli.video.prepare import Source
 
 LAYERS = ("p", "s", "g")
 

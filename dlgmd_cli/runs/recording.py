@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import Response
-from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.video.frames import Frame
 
 Columns = npt.NDArray[np.float64]
 

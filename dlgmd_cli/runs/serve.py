@@ -10,7 +10,7 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import IO, Any
 
-from dlgmd_cli.runs.ahead import opencv_threads
+from dlgmd_cli.video.prefetch import opencv_threads
 
 # How long a task may take to clean up after itself once nobody waits for it.
 PATIENCE_S = 3.0

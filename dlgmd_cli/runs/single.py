@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from dlgmd_cli.models.base import Model, Response
-from dlgmd_cli.runs.ahead import ReadAhead, opencv_threads
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.sources.base import KEPT_PICTURES, Frame
-from dlgmd_cli.sources.prepare import Source
+from dlgmd_cli.video.frames import KEPT_PICTURES, Frame
+from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+from dlgmd_cli.video.prepare import Source
 
 
 def run(

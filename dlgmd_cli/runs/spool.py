@@ -16,7 +16,7 @@ from dlgmd_cli.models.photoreceptors import Photoreceptors
 from dlgmd_cli.models.replay import Replay
 from dlgmd_cli.results.workshop import Workshop
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.video.frames import Frame
 
 _FRAMES, _CHANGES = "frames", "changes"
 # What a frame of a tape has in place of its picture.

@@ -6,8 +6,8 @@ from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
 from dlgmd_cli.errors import WorkerError
-from dlgmd_cli.runs.ahead import opencv_threads
 from dlgmd_cli.runs.worker import Message, Worker
+from dlgmd_cli.video.prefetch import opencv_threads
 
 TaskT = TypeVar("TaskT")
 AnswerT = TypeVar("AnswerT")

@@ -11,11 +11,11 @@ from dlgmd_cli.results.cells import cell, text_cell
 from dlgmd_cli.results.clip_sheet import ClipSheet
 from dlgmd_cli.results.files import appearing, refuse_existing, refuse_foreign
 from dlgmd_cli.results.record import versions, yaml_text
-from dlgmd_cli.results.video import check_arrived
-from dlgmd_cli.sources.count import count_frames
 from dlgmd_cli.stimuli.base import GreyImage, OptionsT, Scene
 from dlgmd_cli.stimuli.form import Form
 from dlgmd_cli.stimuli.stills import Stills
+from dlgmd_cli.video.count import count_frames
+from dlgmd_cli.video.writer import check_arrived
 
 # Writes a contact sheet to a file whose name ends in .png.
 DrawSheet = Callable[[ClipSheet, Path], None]

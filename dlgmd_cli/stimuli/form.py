@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 
-from dlgmd_cli.results.video import MAX_TICKS_PER_S, best_codec, encode
 from dlgmd_cli.stimuli.base import ClipOptions, GreyImage, invalid
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encode
 
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
 # The least number of digits in a name that counts.

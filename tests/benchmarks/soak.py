@@ -23,10 +23,10 @@ import numpy as np
 from dlgmd_cli import DLGMD, load_set
 from dlgmd_cli.results.measures import Summary
 from dlgmd_cli.results.tables import write_tables
-from dlgmd_cli.runs.ahead import opencv_threads
 from dlgmd_cli.runs.reading import Reading
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.sources.base import Frame
+from dlgmd_cli.video.frames import Frame
+from dlgmd_cli.video.prefetch import opencv_threads
 
 WIDTH, HEIGHT = 38, 22
 N_WARM, SLICE, N_PARTS = 4_000, 200, 10

@@ -1,0 +1,151 @@
+"""Where a drone was and how it moved at any time of its flight."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dlgmd_cli.flights.renderer.camera import FloatArray, Pose, rotation
+
+# Frames' times and the sums of phases' lengths may differ in the last digits.
+_SAME_S = 1e-9
+
+
+@dataclass(frozen=True)
+class State:
+    """The drone at an instant.
+
+    Attributes
+    ----------
+    position_m, velocity_m_s : ndarray, shape (3,)
+        In the world.
+    roll_deg, pitch_deg, yaw_deg : float
+        See `dlgmd_cli.flights.renderer.camera.rotation`. Yaw goes on beyond 360.
+    angular_velocity_rad_s : ndarray, shape (3,)
+        About the world's axes.
+    """
+
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    angular_velocity_rad_s: FloatArray
+
+    @cached_property
+    def pose(self) -> Pose:
+        """Where the camera is and where it looks."""
+        return Pose(self.position_m, rotation(self.roll_deg, self.pitch_deg, self.yaw_deg))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A smooth part of a flight.
+
+    Attributes
+    ----------
+    start_s : float
+    step_s : float
+        From one sample to the next.
+    samples : ndarray, shape (n, 12), n >= 2
+        Position, velocity, roll, pitch and yaw, and their rates, in m, rad and s.
+    """
+
+    start_s: float
+    step_s: float
+    samples: FloatArray
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Position, velocity, attitude and its rates: cubic Hermite between the samples.
+
+        The velocity and the rates are the derivatives of the other two, exactly.
+        """
+        steps = (time_s - self.start_s) / self.step_s
+        index = min(max(math.floor(steps), 0), len(self.samples) - 2)
+        s, h = steps - index, self.step_s
+        before, after = self.samples[index : index + 2].reshape(2, 2, 2, 3)
+        (value0, slope0), (value1, slope1) = before.swapaxes(0, 1), after.swapaxes(0, 1)
+        rise = value1 - value0
+        value = (
+            value0
+            + s * s * (3.0 - 2.0 * s) * rise
+            + h * s * (1.0 - s) * ((1.0 - s) * slope0 - s * slope1)
+        )
+        slope = (
+            6.0 * s * (1.0 - s) / h * rise
+            + (1.0 - s) * (1.0 - 3.0 * s) * slope0
+            + s * (3.0 * s - 2.0) * slope1
+        )
+        return value[0], slope[0], value[1], slope[1]
+
+
+@dataclass(frozen=True)
+class Path:
+    """A flight that was flown.
+
+    Attributes
+    ----------
+    stretches : sequence of Stretch
+        Each is valid until the next one starts, that time included.
+    phases : tuple of (str, float, float)
+        Name, start and end, in s, without gaps.
+    offset_m : tuple of float
+        Added to all positions.
+    """
+
+    stretches: Sequence[Stretch]
+    phases: tuple[tuple[str, float, float], ...]
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def duration_s(self) -> float:
+        """How long the flight takes."""
+        return self.phases[-1][2]
+
+    def phase(self, time_s: float) -> str:
+        """The name of the phase at a time; where one ends, it is the next."""
+        begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
+        return begun[-1] if begun else self.phases[0][0]
+
+    def state(self, time_s: float) -> State:
+        """Where the drone is and how it moves.
+
+        Parameters
+        ----------
+        time_s : float
+            Before the start and after the end it is what it is there, so that an exposure may
+            reach a little beyond the flight.
+
+        Returns
+        -------
+        State
+            At the time of contact, what it is just before.
+        """
+        time = min(max(time_s, 0.0), self.duration_s)
+        begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
+        position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
+        roll, pitch, yaw = (math.degrees(angle) for angle in angles)
+        spin = _angular_velocity(angles, rates)
+        return State(position + self.offset_m, velocity, roll, pitch, yaw, spin)
+
+    def pose(self, time_s: float) -> Pose:
+        """Where the camera is and where it looks; see `state`."""
+        return self.state(time_s).pose
+
+    def moved(self, by_m: FloatArray) -> "Path":
+        """The same flight elsewhere, (3,) in m away."""
+        x, y, z = (float(a + b) for a, b in zip(self.offset_m, by_m, strict=True))
+        return replace(self, offset_m=(x, y, z))
+
+
+def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """About the world's axes, from roll, pitch and yaw, in rad, and their rates."""
+    _, pitch, yaw = angles
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])
+    about_right = np.array([sin, -cos, 0.0])
+    spin: FloatArray = about_nose * rates[0] + about_right * rates[1]
+    spin[2] += rates[2]
+    return spin

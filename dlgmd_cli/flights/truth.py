@@ -1,0 +1,144 @@
+"""What is so at each frame of a flight, from its geometry alone."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.flights.extent import Extent
+from dlgmd_cli.flights.image_speed import ImageSpeed
+from dlgmd_cli.flights.nearest import Nearest
+from dlgmd_cli.flights.path import State
+from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.stage import Stage
+from dlgmd_cli.flights.surfaces import Surfaces
+
+# A frame's time and that of contact may differ in the last digits.
+_SAME_S = 1e-9
+
+
+@dataclass(frozen=True)
+class FlightTruth:
+    """What is so at one frame.
+
+    Attributes
+    ----------
+    frame : int
+    time_s : float
+    x_m, y_m, z_m : float
+        Where the camera is.
+    roll_deg, pitch_deg, yaw_deg : float
+        See `dlgmd_cli.flights.renderer.camera.rotation`.
+    distance_m : float
+        From the camera to the nearest point of the target; 0 inside.
+    time_to_contact_s : float
+        What is left until contact in this flight; NaN without or after one.
+    angular_size_deg : float
+        The greatest angle between two directions from the camera to points of the target, whether
+        they are in the picture or not; 180 at most.
+    angular_velocity_deg_s : float
+        How fast that changes; the camera's rotation does not matter to it.
+    max_image_speed_px : float
+        How far the fastest point in the picture would move until the next frame, in px.
+    phase : str
+        What the drone is doing.
+    """
+
+    frame: int
+    time_s: float
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    distance_m: float
+    time_to_contact_s: float
+    angular_size_deg: float
+    angular_velocity_deg_s: float
+    max_image_speed_px: float
+    phase: str
+
+
+def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Iterator[FlightTruth]:
+    """The truth of frames 0, 1, … at their times.
+
+    Parameters
+    ----------
+    stage : Stage
+        The motions of its bodies must be known a little before and after any frame.
+    camera : Camera
+    fps : float
+    n_frames : int
+
+    Yields
+    ------
+    FlightTruth
+
+    Raises
+    ------
+    ParameterError
+        If nothing in the world has the target's name.
+    """
+    target = Target(stage)
+    speeds = ImageSpeed(stage.world, camera, stage.target)
+    for index in range(n_frames):
+        time = index / fps
+        state = stage.path.state(time)
+        distance, angle, rate = target.seen_from(state, time)
+        x, y, z = state.position_m.tolist()
+        yield FlightTruth(
+            index,
+            time,
+            *(x, y, z),
+            *(state.roll_deg, state.pitch_deg, state.yaw_deg),
+            distance,
+            _time_left(stage, time),
+            angle,
+            rate,
+            speeds.fastest(state, time) / fps,
+            stage.path.phase(time),
+        )
+
+
+class Target:
+    """The bodies of a stage that distances and angles are about.
+
+    Parameters
+    ----------
+    stage : Stage
+
+    Raises
+    ------
+    ParameterError
+        If nothing in the world has the target's name.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        world, name = stage.world, stage.target
+        bodies = [body for body in world.bodies if body.name == name]
+        self._surrounds = not bodies and world.room.name == name
+        if not bodies and not self._surrounds:
+            raise ParameterError("the flight's target", f"nothing is named '{name}'")
+        self._surfaces = Surfaces(bodies or [world.room])
+        self._nearest, self._extent = Nearest(self._surfaces), Extent(self._surfaces)
+
+    def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
+        """Distance in m, angular size in degrees, and its rate in degrees/s; see `FlightTruth`."""
+        distance = float(self._nearest.distances(state.position_m, time_s).min())
+        if self._surrounds or distance == 0.0:
+            return distance, 180.0, 0.0
+        angle, rate = self._extent.angle(
+            state.position_m,
+            state.velocity_m_s,
+            self._surfaces.offsets(time_s),
+            self._surfaces.velocities(time_s),
+        )
+        return distance, angle, rate
+
+
+def _time_left(stage: Stage, time_s: float) -> float:
+    """From a time to contact, in s."""
+    if stage.contact_s is None or time_s > stage.contact_s + _SAME_S:
+        return math.nan
+    return max(stage.contact_s - time_s, 0.0)

@@ -1,0 +1,241 @@
+"""Video files decoded by PyAV, which hands out the luma plane as it is."""
+
+import itertools
+import math
+import re
+from collections.abc import Generator, Iterator
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.threads import thread_limit
+from dlgmd_cli.video.ffmpeg import OPTIONS
+from dlgmd_cli.video.frames import Decoded, Grab, Image, VideoFacts, plausible_fps
+from dlgmd_cli.video.luma import levels_of, luma_of
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.frame import VideoFrame
+    from av.video.stream import VideoStream
+
+# As many as OpenCV puts up with. Streams cut out of others begin with many that make no picture.
+_MAX_BAD_PACKETS = 4096
+_COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
+_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+
+
+class PyAVDecoder:
+    """The frames of a file as luma planes, as BGR pictures where they have none.
+
+    Parameters
+    ----------
+    name : str
+        The file; no pattern.
+
+    Notes
+    -----
+    Messages of FFmpeg are dropped by PyAV before they reach Python, unless the host program asked
+    for them. That is left as it is: a callback into Python from FFmpeg's threads can deadlock.
+
+    In damaged H.264, FFmpeg's threads race for the frames that they call corrupt: reading it again
+    may end some frames earlier or later.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.is_damaged = False
+        self._name = name
+        self._container: InputContainer | None = None
+        self._frames: Generator[VideoFrame, None, None] | None = None
+        self._frame: VideoFrame | None = None
+        self._size: tuple[int, int] | None = None
+        self._start = 0
+
+    def open(self) -> VideoFacts | None:
+        """Open the file and decode its first frame; None if there is none.
+
+        Raises
+        ------
+        MissingExtraError
+            If PyAV is not installed.
+        """
+        av = _import_av()
+        self.is_damaged = False
+        try:
+            # With "file:" the name is nothing but a name.
+            self._container = container = av.open(
+                f"file:{self._name}",
+                metadata_errors="replace",
+                container_options=dict(OPTIONS),
+            )
+        except (av.FFmpegError, ValueError):
+            return None
+        stream = _pictures_of(container)
+        if stream is None:
+            return None
+        # By frames where the codec allows it, else by slices, in one thread more than there are
+        # cores. PyAV alone would go by slices, which most videos do not have.
+        stream.thread_type = "AUTO"
+        stream.codec_context.thread_count = thread_limit() or 0
+        self._start = stream.start_time or 0
+        self._frames = self._decoded(av, container, stream)
+        self._frame = next(self._frames, None)
+        if self._frame is None:
+            return None
+        self.is_damaged = False  # what comes before the first frame is no damage
+        self._size = _shown_size(self._frame)
+        return _facts(container, stream, self._size)
+
+    def _decoded(
+        self, av: Any, container: "InputContainer", stream: "VideoStream"
+    ) -> Generator["VideoFrame", None, None]:
+        """Every frame that is whole."""
+        n_bad = 0
+        packets = container.demux(stream)
+        while n_bad < _MAX_BAD_PACKETS:
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+                frames = stream.decode(packet)
+            except EOFError:  # an error came while the last frames were fetched
+                return
+            except IndexError:  # PyAV no longer finds the stream among those of the container
+                self.is_damaged = True
+                return
+            except av.FFmpegError:
+                self.is_damaged = True
+                n_bad += 1
+                packets = container.demux(stream)  # an error in the container ended the other
+                continue
+            for frame in frames:
+                if frame.is_corrupt:
+                    self.is_damaged = True
+                else:
+                    n_bad = 0
+                    yield frame
+
+    def grabs(self) -> Iterator[Grab]:
+        """Every frame from the first on; once after each `open`."""
+        assert self._frame is not None and self._frames is not None
+        for frame in itertools.chain([self._frame], self._frames):
+            self._frame = frame
+            size = _shown_size(frame)
+            yield Grab(self._stamp(frame), size if size != self._size else None)
+
+    def _stamp(self, frame: "VideoFrame") -> float:
+        """The frame's timestamp in seconds from the start of the stream, NaN for none."""
+        if frame.pts is None or frame.time_base is None:
+            return math.nan
+        return float((frame.pts - self._start) * frame.time_base)
+
+    def keep(self, n_pictures: int) -> None:
+        """Nothing to do: an image stays for as long as it is held."""
+
+    def picture(self) -> Decoded | None:
+        """The frame grabbed last, valid for as long as it is held; None if it is damaged."""
+        assert self._frame is not None
+        return picture_of(self._frame)
+
+    def close(self) -> None:
+        """Free the file, so that it can be opened again; may be called twice."""
+        # First what still reads from the container: closed under its feet, it would crash.
+        if self._frames is not None:
+            self._frames.close()
+        self._frames = self._frame = None
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+
+
+def picture_of(frame: "VideoFrame") -> Decoded | None:
+    """What a decoded frame shows.
+
+    Parameters
+    ----------
+    frame : av.VideoFrame
+        Its memory is used as it is where it has a luma plane.
+
+    Returns
+    -------
+    Decoded or None
+        Its luma plane, or BGR if it has none; None where it cannot be converted.
+    """
+    pixel_format, plane = frame.format.name, frame.planes[0]
+    luma = luma_of(pixel_format)
+    if luma is None or plane.line_size <= 0:
+        try:
+            return Decoded(_turned(frame, frame.to_ndarray(format="bgr24")))
+        except (ValueError, OSError):  # no conversion from this format
+            return None
+    # A view: it keeps the frame alive, and the frame its memory.
+    image: Image = np.ndarray(
+        (frame.height, frame.width),
+        np.uint8 if luma.n_bytes == 1 else np.uint16,
+        buffer=memoryview(plane),
+        strides=(plane.line_size, luma.n_bytes),
+    )
+    levels = levels_of(pixel_format, luma, int(frame.color_range))
+    return Decoded(_turned(frame, image), levels)
+
+
+def _import_av() -> Any:
+    """PyAV, or an error that says how to get it."""
+    try:
+        import av
+    except ModuleNotFoundError:
+        why = "the package 'av' is not installed"
+    except Exception as error:  # whatever a broken installation raises
+        why = f"the package 'av' cannot be loaded ({str(error) or type(error).__name__})"
+    else:
+        return av
+    raise MissingExtraError(
+        "--decoder pyav", why, "Install it with: pip install 'dlgmd[fast]'"
+    ) from None
+
+
+def _pictures_of(container: "InputContainer") -> "VideoStream | None":
+    """The first stream of moving pictures that can be decoded."""
+    for stream in container.streams.video:
+        if not stream.disposition.value & _COVER and stream.codec_context is not None:
+            return stream
+    return None
+
+
+def _facts(container: "InputContainer", stream: "VideoStream", size: tuple[int, int]) -> VideoFacts:
+    """What the container states."""
+    rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
+    fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
+    length_s = _length_s(container, stream)
+    n_frames = stream.frames or round(length_s * (fps or 0.0))
+    has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
+    return VideoFacts(*size, fps, n_frames or None, length_s if has_edits else math.inf)
+
+
+def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
+    """How long the stream is said to be shown, in seconds; 0 for nothing said."""
+    if stream.duration and stream.time_base:
+        return float(stream.duration * stream.time_base)
+    tag = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", stream.metadata.get("DURATION", ""))
+    if tag:  # of Matroska; other streams may be longer
+        return float(tag[1]) * 3600.0 + float(tag[2]) * 60.0 + float(tag[3])
+    return (container.duration or 0) / 1e6
+
+
+def _turn(frame: "VideoFrame") -> int | None:
+    """How to turn the frame for showing it, as OpenCV has it; None for not at all."""
+    # Rounded, because PyAV cuts off what comes after the point; other angles are not honoured.
+    return _TURNS.get(round(frame.rotation, -1) % 360)
+
+
+def _turned(frame: "VideoFrame", image: Image) -> Image:
+    """The frame's image as it is to be shown."""
+    turn = _turn(frame)
+    return image if turn is None else cv2.rotate(image, turn)
+
+
+def _shown_size(frame: "VideoFrame") -> tuple[int, int]:
+    """Width and height of a frame as it is shown."""
+    is_upright = _turn(frame) in (None, cv2.ROTATE_180)
+    return (frame.width, frame.height) if is_upright else (frame.height, frame.width)

@@ -1,0 +1,532 @@
+"""Names and files from strangers: they are shown and refused, and do nothing else."""
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import xml.dom.minidom
+from pathlib import Path
+
+import cv2
+import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from dlgmd_cli.errors import SourceError, printable
+from dlgmd_cli.presets import MAX_CONFIG_BYTES
+from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
+from dlgmd_cli.results.comparison import write_comparison
+from dlgmd_cli.results.files import fitting
+from dlgmd_cli.results.read import read_comparison
+from dlgmd_cli.results.record import yaml_text
+from dlgmd_cli.video.ffmpeg import OPTIONS, guarded
+from dlgmd_cli.video.open import open_source
+from tests.conftest import result_of_level
+
+# A title for the window, a C1 control, text that runs backwards, two ends of a line, no UTF-8.
+HOSTILE = "a\x1b]0;x\x07\x9b2J\u202eb\n\r" + os.fsdecode(b"\xff")
+SHOWN = r"a\x1b]0;x\x07\x9b2J\u202eb\n\r\udcff"
+POSIX = pytest.mark.skipif(os.name == "nt", reason="no such names there")
+
+texts = st.text(
+    st.one_of(
+        st.sampled_from([*STARTS_FORMULA, *";,\t\r\n\"' ./\\a0", "\x1b", "\u202e", "\x9b"]),
+        st.characters(),
+    ),
+    max_size=12,
+)
+
+
+def is_clean(text):
+    """Whether a terminal acts on nothing but the ends of lines."""
+    return text.replace("\n", "").isprintable()
+
+
+def written(*cells):
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerow(cells)
+    return file.getvalue()
+
+
+@given(texts)
+@example("a;=cmd|' /C calc'!A0")
+@example('x;"=1"')
+@example(" =1")
+@example("\t=1")
+@example("＝1")
+def test_text_starts_no_formula_however_a_line_is_split(text):
+    guarded_text = text_cell(text)
+    line = written("ok", guarded_text, cell(-12.3), guarded_text)
+    assert next(csv.reader([line])) == ["ok", guarded_text, "-12.3", guarded_text]
+    assert guarded_text.isprintable() and guarded_text[:1] not in [*STARTS_FORMULA, "\t", "\r"]
+    for piece in re.split("[;\t]", written(guarded_text, "1", guarded_text)):
+        assert not re.match(rf"[\s\"']*[{re.escape(STARTS_FORMULA)}]", piece)
+
+
+@given(texts)
+def test_guarding_twice_changes_nothing(text):
+    assert text_cell(text_cell(text)) == text_cell(text)
+
+
+@given(st.text(st.characters(exclude_characters="/\0;", exclude_categories=["C", "Z"]), min_size=1))
+@example("=cmd.mp4")
+@example("-rf.mp4")
+def test_a_guarded_path_leads_to_the_same_file(name):
+    assert text_cell(name) in (name, f"./{name}")
+    assert Path(text_cell(name)) == Path(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("=cmd.mp4", "./=cmd.mp4"),
+        ("+1", "./+1"),
+        ("-x", "./-x"),
+        ("@SUM(A1)", "./@SUM(A1)"),
+        ("−1", "./−1"),
+        (" =1", "./ =1"),
+        ("\t=1", r"\t=1"),
+        ("a;=b", r"a;\x3db"),
+        ("a; ＠b", r"a; \uff20b"),
+        ("a;b=c", "a;b=c"),
+        ("a,=b", "a,=b"),
+        ("a-b/c@d=e", "a-b/c@d=e"),
+        ("", ""),
+    ],
+)
+def test_what_is_put_in_front(text, expected):
+    assert text_cell(text) == expected
+
+
+def test_numbers_stay_plain():
+    assert [cell(value) for value in (-12.3, 0, float("-inf"), float("nan"))] == [
+        *("-12.3", "0", "-inf", "")
+    ]
+
+
+def test_the_writer_of_comparisons_guards_labels(tmp_path):
+    import numpy as np
+
+    result = result_of_level(np.zeros(2), time_s=np.arange(2.0))
+    write_comparison(tmp_path / "compare.csv", {"=cmd": result, "set9": result})
+    assert list(read_comparison(tmp_path / "compare.csv")) == ["./=cmd", "set9"]
+
+
+@POSIX
+def test_a_label_is_the_same_everywhere(dlgmd, tmp_path, clips):
+    for number, stem in enumerate(("=cmd|' C'!A0", "a;=b,c$", f"-{HOSTILE}")):
+        (tmp_path / f"{stem}.yaml").write_text(f"r: {number + 2}\n")
+    files = [f"--config={stem}.yaml" for stem in ("=cmd|' C'!A0", "a;=b,c$", f"-{HOSTILE}")]
+    labels = ["./=cmd|' C'!A0", r"a;\x3db,c$", f"./-{SHOWN}"]
+    options = ("--format", "svg", "--format", "pdf", "--overwrite")
+    folder = tmp_path / "dlgmd-out/loom"
+    result = dlgmd("compare", clips / "loom.avi", *files, *options, "--json")
+    assert result.exit_code == 0 and list(json.loads(result.stdout)["models"]) == labels
+    assert list(read_comparison(folder / "compare.csv")) == labels
+    record = yaml.safe_load((folder / "compare.yaml").read_text(encoding="utf-8"))
+    assert [one["label"] for one in record["models"]] == labels
+    drawing = (folder / "compare-mp.svg").read_text(encoding="utf-8")
+    xml.dom.minidom.parseString(drawing)
+    assert is_clean(drawing)
+    table = dlgmd("compare", clips / "loom.avi", *files, *options)
+    assert table.exit_code == 0 and is_clean(table.output)
+    assert all(label in table.stdout for label in labels)
+
+
+@pytest.mark.parametrize(
+    "letter", [*map(chr, [*range(32), *range(127, 160)]), *"\u2028\u2029\u200e\u200f\u061c\ufeff"]
+)
+def test_controls_are_escaped(letter):
+    assert is_clean(printable(letter)) and printable(letter).isascii()
+
+
+@pytest.mark.parametrize("code", [*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0xDCFF])
+def test_letters_that_turn_the_line_round_are_escaped(code):
+    assert printable(f"a{chr(code)}b") == f"a\\u{code:04x}b"
+
+
+@POSIX
+def test_every_path_on_stdout_is_escaped(dlgmd, tmp_path, clips):
+    video = shutil.copy(clips / "loom.avi", tmp_path / f"{HOSTILE}.avi")
+    out = os.path.join(HOSTILE, HOSTILE)
+    sweep = ("--x", "r=1,2", "--y", "a=1,2", "--jobs", "1")
+    for arguments, path in (
+        (["run", video, "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["plot", "mp", out, "--out", HOSTILE], f"{SHOWN}/mp-{SHOWN}.png"),
+        (["compare", video, "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["layers", video, "--frames", "3", "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["layers", video, "--video", f"{HOSTILE}.mp4"], f"{SHOWN}.mp4"),
+        (["sweep", video, *sweep, "--no-plots", "--out", HOSTILE], f"{SHOWN}/sweep-{SHOWN}"),
+        (["kernels", "--no-plots", "--out", HOSTILE], f"{SHOWN}/kernels-set9.csv"),
+        (["synth", "looming-cube", "--frames", "2", "--out", HOSTILE], f"{SHOWN}/looming-cube.csv"),
+        (
+            ["bench", video, "--radius", "2", "--scale", "1", "--csv", f"{HOSTILE}.csv"],
+            f"{SHOWN}.csv",
+        ),
+    ):
+        result = dlgmd(*arguments)
+        assert result.exit_code == 0, (arguments, result.output)
+        assert is_clean(result.output), arguments
+        assert result.stdout.splitlines()[-1] == path
+
+
+@POSIX
+def test_json_keeps_a_name_and_holds_no_control(dlgmd, tmp_path, clips):
+    name = f"{HOSTILE}\x7f\u2028"
+    shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
+    result = dlgmd("run", f"{name}.avi", "--no-plots", "--json")
+    assert result.exit_code == 0 and result.stdout.isascii() and is_clean(result.stdout)
+    assert json.loads(result.stdout)["result"] == os.path.join("dlgmd-out", name)
+    record = (tmp_path / "dlgmd-out" / name / "run.yaml").read_text(encoding="utf-8")
+    assert is_clean(record)
+    assert yaml.safe_load(record)["input"]["path"] == str(tmp_path / f"{name}.avi")
+
+
+def test_a_record_stays_readable_where_nothing_is_hostile():
+    assert yaml_text({"path": "Überflug.mp4"}) == "path: Überflug.mp4\n"
+    assert yaml_text({"path": "\u202eÜ"}) == 'path: "\\u202E\\xDC"\n'
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["{}"],
+        ["--{}"],
+        ["run", "x", "--{}"],
+        ["run", "x", "{}"],
+        ["run", "{}"],
+        ["run", "x", "--set", "{}"],
+        ["run", "x", "--config", "{}"],
+        ["run", "x", "--model", "{}"],
+        ["run", "x", "--scale", "{}"],
+        ["run", "x", "--size", "{}"],
+        ["run", "x", "--start", "{}"],
+        ["run", "x", "--param", "{}=1"],
+        ["plot", "{}", "x"],
+        ["plot", "mp", "{}"],
+        ["layers", "x", "--frames", "{}"],
+        ["layers", "x", "--video", "{}"],
+        ["sweep", "--x", "{}", "--y", "r=1,2"],
+        ["sets", "show", "{}"],
+        ["synth", "{}"],
+        ["bench", "--csv", "here{}"],
+        ["kernels", "--out", "file{}/x"],
+    ],
+)
+@POSIX
+def test_what_was_typed_is_not_echoed_raw(dlgmd, tmp_path, arguments):
+    (tmp_path / f"here{HOSTILE}").mkdir()
+    (tmp_path / f"file{HOSTILE}").touch()
+    result = dlgmd(*[one.format(HOSTILE) for one in arguments])
+    assert result.exit_code in (1, 2) and result.stdout == ""
+    assert is_clean(result.stderr) and r"a\x1b]0;x" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("Error: ")
+
+
+@POSIX
+def test_a_traceback_is_escaped(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "dlgmd_cli", "--debug", "run", HOSTILE],
+        capture_output=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    text = done.stderr.decode()
+    assert done.returncode == 1 and "Traceback" in text and "SourceError" in text
+    assert is_clean(text) and r"a\x1b]0;x\x07\x9b2J\u202eb" in text
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["run", "x", "--config", "a\0b"], ["run", "a\0b"], ["plot", "mp", "x", "--out", "a\0b"]],
+)
+def test_nul_is_wrong_usage(dlgmd, arguments):
+    result = dlgmd(*arguments)
+    assert result.exit_code == 2
+    assert "Error: an argument holds a NUL, which no name does.\n" in result.stderr
+
+
+def test_a_name_that_looks_like_an_option(dlgmd, tmp_path, clips):
+    shutil.copy(clips / "loom.avi", tmp_path / "-rf.avi")
+    hint = "A file's name that begins like this needs ./ in front."
+    assert hint in dlgmd("run", "-rf.avi").stderr
+    assert hint not in dlgmd("run", "-zf.avi").stderr
+    for arguments in (["./-rf.avi", "--out", "1"], ["--out", "2", "--", "-rf.avi"]):
+        assert dlgmd("run", "--no-plots", *arguments).exit_code == 0
+
+
+NAMES = (
+    *("..avi", "...avi", ".avi", "....avi", " .avi", "x . .avi", "CON.avi", "~user.avi", "-rf.avi"),
+    *("$(touch pwned).avi", "`touch pwned`.avi", ";touch pwned;.avi", "|touch pwned.avi"),
+    *("%s%n.avi", "frame%04d.avi", "*.avi", "[a].avi", r"C:\x.avi", "concat:a|b.avi", "pipe:0"),
+    *("file:x.avi", "data:,x", "http:x.avi", "a" * 251 + ".avi", "é" * 125 + ".avi"),
+)
+
+
+@POSIX
+def test_results_of_any_name_stay_in_their_folder(dlgmd, tmp_path, clips):
+    (tmp_path / "in").mkdir()
+    for name in NAMES:
+        shutil.copy(clips / "loom.avi", tmp_path / "in" / name)
+    for number, name in enumerate(NAMES):
+        out = tmp_path / "out" / str(number)
+        result = dlgmd("run", os.path.join("in", name), "--no-plots", "--out", out)
+        assert result.exit_code == 0, (name, result.output)
+        (folder,) = out.iterdir()
+        assert (folder / "run.yaml").is_file()
+    assert sorted(os.listdir("in")) == sorted(NAMES)
+    assert sorted(os.listdir(".")) == ["in", "out"]
+
+
+@pytest.mark.parametrize("command", ["sweep", "kernels", "plot"])
+def test_names_too_long_for_a_prefix_are_cut(dlgmd, tmp_path, clips, command):
+    name = "é" * 123 + "aaaa"
+    (tmp_path / f"{name}.yaml").write_text("r: 2\n")
+    video = shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
+    assert dlgmd("run", video, "--no-plots").exit_code == 0
+    arguments = {
+        "sweep": [video, "--x", "r=1,2", "--y", "a=1,2", "--jobs", "1", "--no-plots"],
+        "kernels": ["--config", f"{name}.yaml", "--formulation", "released", "--no-plots"],
+        "plot": ["mp", os.path.join("dlgmd-out", name)],
+    }[command]
+    result = dlgmd(command, *arguments)
+    assert result.exit_code == 0, result.output
+    assert os.path.exists(result.stdout.splitlines()[-1])
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=300), st.integers(0, 255))
+def test_a_fitting_name_is_a_beginning_and_short(name, n_bytes):
+    short = fitting(name, n_bytes)
+    assert name.startswith(short) and len(os.fsencode(short)) <= n_bytes
+    assert short == name or len(os.fsencode(name[: len(short) + 1])) > n_bytes
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("http://127.0.0.1:9/x.mp4", "rtsp://127.0.0.1:9/x", "tcp://127.0.0.1:9", "pipe:0"),
+        *("file:{}", "concat:{}|{}", "subfile,,start,0,end,0,,:{}", "crypto:{}", "async:{}"),
+        *("data:video/mp4;base64,AAAA", "cache:{}", "lavfi:testsrc", "0"),
+    ],
+)
+def test_an_address_is_no_file(clips, decoder, name):
+    with pytest.raises(SourceError, match="there is no such file"):
+        open_source(name.format(*[clips / "loom.avi"] * 2), decoder=decoder)
+
+
+def with_reference(movie: bytes, name: str) -> bytes:
+    """An MP4 without its pictures, which says that they are in the file `name`."""
+    path = name.encode()
+    alias = bytes(10) + bytes([1]) + b"d".ljust(27, b"\0") + bytes(12)
+    alias += bytes([len(path)]) + path.ljust(63, b"\0") + bytes(16) + struct.pack(">hh", 1, 1)
+    alias += bytes(16)
+    for kind, where in ((2, path), (18, b"/" + path)):
+        alias += struct.pack(">hH", kind, len(where)) + where + bytes(len(where) % 2)
+    alias += struct.pack(">hH", -1, 0)
+    entry = struct.pack(">I4sI", 12 + len(alias), b"alis", 0) + alias
+    at = movie.index(b"mdat")
+    (size,) = struct.unpack_from(">I", movie, at - 4)
+    movie = movie[: at + 4] + bytes(size - 8) + movie[at - 4 + size :]
+    at = movie.index(b"url \0\0\0\x01") - 4
+    changed = bytearray(movie[:at] + entry + movie[at + 12 :])
+    for box in (b"moov", b"trak", b"mdia", b"minf", b"dinf", b"dref"):
+        place = changed.rindex(box) - 4
+        (size,) = struct.unpack_from(">I", changed, place)
+        struct.pack_into(">I", changed, place, size + len(entry) - 12)
+    return bytes(changed)
+
+
+def hls(address):
+    return f"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\n{address}\n#EXT-X-ENDLIST\n"
+
+
+LISTS = {
+    "concat.mp4": "ffconcat version 1.0\nfile victim.avi\n",
+    "concat.txt": "ffconcat version 1.0\nfile deep/victim.avi\n",
+    "concat-http.mp4": "ffconcat version 1.0\nfile {http}\n",
+    "hls.m3u8": hls("victim.ts"),
+    "hls.mp4": hls("victim.ts"),
+    "hls-http.m3u8": hls("{http}"),
+    "hls-key.m3u8": hls("victim.ts").replace("#EXTINF", '#EXT-X-KEY:METHOD=AES-128,URI="{http}"'),
+    "dash.mpd": '<?xml version="1.0"?><MPD><Period><AdaptationSet><Representation id="1">'
+    "<BaseURL>{http}</BaseURL></Representation></AdaptationSet></Period></MPD>",
+    "x.sdp": "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\n"
+    "m=video {port} RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+    "x.asx": "[Reference]\nRef1={http}\n",
+    "x.ram": "rtsp://127.0.0.1:{port}/x\n",
+}
+
+
+@pytest.fixture
+def listener():
+    """A server that must not be called."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        yield server
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+@pytest.mark.parametrize("name", LISTS)
+def test_what_a_file_names_is_not_opened(tmp_path, clips, decoder, listener, name):
+    (tmp_path / "deep").mkdir()
+    for victim in ("victim.avi", "deep/victim.avi", "victim.ts"):
+        shutil.copy(clips / "loom.avi", tmp_path / victim)
+    port = listener.getsockname()[1]
+    text = LISTS[name].format(http=f"http://127.0.0.1:{port}/x.ts", port=port)
+    # Behind an empty line it is no list that this program knows: FFmpeg has to be kept from it.
+    for start in ("", "\n"):
+        (tmp_path / name).write_text(start + text)
+        with pytest.raises(SourceError):
+            open_source(tmp_path / name, decoder=decoder)
+
+
+def test_a_list_is_called_one(dlgmd, tmp_path):
+    (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.mp4\n")
+    result = dlgmd("run", "x.mp4")
+    why = "it is a list of other files, no video. Give a video that it names."
+    assert result.exit_code == 1 and result.stderr == f"Error: x.mp4: {why}\n"
+
+
+def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
+    monkeypatch.setattr("dlgmd_cli.video.reader._LISTS", ())
+    shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
+    (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
+    unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)
+    assert unguarded.grab()  # else this test proves nothing
+    with pytest.raises(SourceError, match="no frame could be decoded"):
+        open_source(tmp_path / "x.mp4", decoder=decoder)
+
+
+def test_pictures_elsewhere_are_not_fetched(tmp_path, clips, decoder):
+    movie = (clips / "loom.mp4").read_bytes()
+    (tmp_path / "victim.mp4").write_bytes(movie)
+    (tmp_path / "x.mp4").write_bytes(with_reference(movie, "victim.mp4"))
+    with pytest.raises(SourceError):
+        open_source(tmp_path / "x.mp4", decoder=decoder)
+    if decoder == "pyav":  # as it would be if FFmpeg were let: else this test proves nothing
+        import av
+
+        with av.open(str(tmp_path / "x.mp4"), options={"enable_drefs": "1"}) as container:
+            assert len(list(container.decode(video=0))) == 20
+
+
+@pytest.mark.parametrize("before", [None, "hwaccel;none"])
+def test_the_environment_is_as_it_was(monkeypatch, before):
+    variable = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+    if before is None:
+        monkeypatch.delenv(variable, raising=False)
+    else:
+        monkeypatch.setenv(variable, before)
+    with pytest.raises(KeyError), guarded():
+        options = os.environ[variable].split("|")
+        assert options[-2:] == [f"{key};{value}" for key, value in OPTIONS.items()]
+        assert options[:-2] == ([before] if before else [])
+        raise KeyError
+    assert os.environ.get(variable) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("r: " + "9" * 5000, "it is not valid YAML."),
+        ("r: 0x" + "f" * 5000, "r = a huge number is not a finite number."),
+        ("0x" + "f" * 5000 + ": 1", "it is not valid YAML"),
+        ("? 0x" + "f" * 5000 + "\n: 1", "unknown parameter 'a huge number'."),
+        ("sigma_e: 1e999", "sigma_e = inf is not a finite number."),
+        ('"\\e]0;x\\a\\u202e": 1', r"unknown parameter '\x1b]0;x\x07\u202e'."),
+        ('engine: "\\e[2J\\x9b\\0"', r"there is no engine '\x1b[2J\x9b\x00'."),
+        ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
+        ("options: {fps: 0x" + "f" * 5000 + "}", "fps = a huge number under 'options' is not"),
+        ("options: {? 0x" + "f" * 5000 + " : 1}", "unknown option 'a huge number' under"),
+        ("options: {scale: true}", "scale = True under 'options' is not valid."),
+        ("options: {start: '" + "9" * 400 + "'}", "start = '9999"),
+        ("options: {fps: 1, fps: 2}", "key 'fps' stands twice in line 1."),
+        ("options: {out: /tmp/x}", "unknown option 'out' under 'options'."),
+        ('options: {"\\e[2J": 1}', r"unknown option '\x1b[2J' under 'options'."),
+        ("out: /tmp/x", "unknown parameter 'out'."),
+        ("input_path: /etc/passwd", "unknown parameter 'input_path'."),
+        ("r: 3\n---\nr: 4", "it is not valid YAML in line 2."),
+        ("{[1]: 2}", "found unhashable key in line 1."),
+    ],
+)
+def test_hostile_yaml_is_one_line(dlgmd, tmp_path, clips, text, why):
+    (tmp_path / "x.yaml").write_text(text)
+    for command in ("run", "compare"):
+        result = dlgmd(command, clips / "loom.avi", "--no-plots", "--config", "x.yaml")
+        assert result.exit_code == 2 and is_clean(result.output), result.output
+        line = result.stderr.splitlines()[-1]
+        assert line.startswith("Error: x.yaml: ") and why in line and len(line) < 250
+    assert os.listdir(".") == ["x.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\xef\xbb\xbfr: 2\n", None),
+        (b"r: 2\r\nk: 1\r\n", None),
+        ("r: 2\n".encode("utf-16"), "it is not UTF-8 text."),
+        ("r: 2\n".encode("utf-16-le"), "it is not valid YAML."),
+        (b"r: 2\0", "it is not valid YAML."),
+    ],
+)
+def test_encodings_of_yaml(dlgmd, tmp_path, data, why):
+    (tmp_path / "x.yaml").write_bytes(data)
+    result = dlgmd("kernels", "--no-plots", "--config", "x.yaml")
+    assert result.exit_code == (2 if why else 0) and (why or "") in result.stderr
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["pipe", "/dev/zero", "link", "folder", "loop"])
+def test_a_config_that_is_no_file_is_not_waited_for(dlgmd, tmp_path, kind):
+    path = Path(kind) if kind.startswith("/") else tmp_path / kind
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind in ("link", "loop"):
+        path.symlink_to("/dev/zero" if kind == "link" else path)
+    result = dlgmd("kernels", "--config", path)
+    assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
+    assert "it is not a file" in result.stderr or kind == "loop"
+
+
+def test_a_file_longer_than_it_says(dlgmd, tmp_path, monkeypatch):
+    (tmp_path / "x.yaml").write_text("#" * (MAX_CONFIG_BYTES + 1))
+    real = Path.stat
+
+    def says_nothing(path, **options):
+        facts = real(path, **options)
+        return os.stat_result((*facts[:6], 0, *facts[7:])) if path.suffix == ".yaml" else facts
+
+    monkeypatch.setattr(Path, "stat", says_nothing)
+    result = dlgmd("kernels", "--config", "x.yaml")
+    assert result.exit_code == 2 and "0.1 MB is too large for a configuration" in result.stderr
+
+
+@POSIX
+def test_paths_in_a_record_are_neither_read_nor_written(dlgmd, tmp_path, clips):
+    os.mkfifo(tmp_path / "pipe")  # whoever opens it waits for ever
+    record = {
+        "input": {"path": str(tmp_path / "pipe"), "width": "../../x"},
+        "processed": {"path": str(tmp_path / "pipe")},
+        "sweep": {"path": "../x"},
+        "versions": {"dlgmd": "\x1b[2J"},
+        "warnings": ["\x1b[2J"],
+        "summary": {"path": "../x"},
+        "r": 2,
+    }
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump(record))
+    result = dlgmd("run", clips / "loom.avi", "--no-plots", "--config", "run.yaml")
+    assert result.exit_code == 0 and is_clean(result.output)
+    made = yaml.safe_load((tmp_path / "dlgmd-out/loom/run.yaml").read_text(encoding="utf-8"))
+    assert made["input"]["path"] == str(clips / "loom.avi") and made["r"] == 2
+    assert "\x1b[2J" not in made["warnings"] and made["versions"]["dlgmd"] != "\x1b[2J"
+    assert sorted(os.listdir(".")) == ["dlgmd-out", "pipe", "run.yaml"]

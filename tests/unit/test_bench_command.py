@@ -1,0 +1,136 @@
+"""`dlgmd bench`: what it measures adds up; how long things take is not tested."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from conftest import N_FRAMES
+
+from dlgmd_cli.paper import speed
+from dlgmd_cli.stimuli.pan import pan_frames
+
+ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
+
+
+def test_every_combination_is_measured(dlgmd, clips):
+    options = ["--radius", 3, "--radius", 2, "--scale", 1, "--scale", 0.5, "--repeat", 2]
+    result = dlgmd("bench", clips / "loom.avi", *options, "--json", "--csv", "b.csv")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["frames"] == N_FRAMES and found["decoding_alone_ms"] > 0.0
+    assert [(row["radius"], row["scale"]) for row in found["rows"]] == [
+        (3, 1.0),
+        (3, 0.5),
+        (2, 1.0),
+        (2, 0.5),
+    ]
+    assert [(row["width"], row["height"]) for row in found["rows"][:2]] == [(32, 24), (16, 12)]
+    for row in found["rows"]:
+        assert row["engine"] == "opencv"
+        assert row["paper_s"] is None and row["ratio"] is None  # not the paper's frames
+        assert min(row["core_ms"], row["decode_ms"], row["whole_ms"]) > 0.0
+        assert row["frames_per_s"] == pytest.approx(1000 / row["whole_ms"])
+        assert row["whole_s"] == pytest.approx(0.120 * row["whole_ms"])
+    with open("b.csv", newline="", encoding="ascii") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4
+    for row, other in zip(rows, found["rows"], strict=True):
+        assert row["engine"] == other["engine"] and row["paper_s"] == row["ratio"] == ""
+        assert float(row["whole_ms"]) == pytest.approx(other["whole_ms"], rel=1e-8)
+
+
+def test_every_column_holds_what_it_says(dlgmd, clips, monkeypatch):
+    def ms_a_frame(source, act):
+        if act.func is speed.run:
+            return 5.0
+        return 3.0 if act.args[0] is source else 2.0
+
+    monkeypatch.setattr(speed, "_core_ms", lambda model, frames: 7.0)
+    monkeypatch.setattr(speed, "_ms_a_frame", ms_a_frame)
+    found = json.loads(dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--json").stdout)
+    (row,) = found["rows"]
+    assert (row["core_ms"], row["whole_ms"], row["decode_ms"]) == (7.0, 5.0, 3.0)
+    assert (row["frames_per_s"], row["whole_s"]) == (200.0, 0.6)
+    assert found["decoding_alone_ms"] == 2.0
+    shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
+    assert "alone takes 2.000 ms a frame (opencv)" in shown and "2.50 at 16x12" in shown
+
+
+def test_own_clip_is_compared_with_the_paper(dlgmd):
+    options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
+    result = dlgmd("bench", *options)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == "Rendering 12 frames of 1920x1080.\n"
+    assert "38x22" in result.stdout and " 0.57 " in result.stdout
+    assert "Decoding 12 frames of 1920x1080 alone takes" in result.stdout
+    found = json.loads(dlgmd("bench", *options, "--json").stdout)["rows"][0]
+    assert found["ratio"] == pytest.approx(0.57 / found["whole_s"])
+
+
+def test_number_of_frames(dlgmd, clips):
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--frames", 15, "--json")
+    assert json.loads(result.stdout)["frames"] == 15
+
+
+def test_engine(dlgmd, clips):
+    pytest.importorskip("numba", reason="the numba engine needs numba")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--engine", "numba", "--json")
+    assert json.loads(result.stdout)["rows"][0]["engine"] == "numba"
+
+
+def test_decoder(dlgmd, clips):
+    pytest.importorskip("av", reason="--decoder pyav needs av")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--decoder", "pyav", "--json")
+    assert json.loads(result.stdout)["decoder"] == "pyav"
+
+
+def test_too_few_frames(dlgmd, clips):
+    result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
+    assert result.exit_code == 1
+    assert "short.avi: 3 frames are too few to time, it takes at least 7." in result.stderr
+
+
+def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, clips, tmp_path):
+    (tmp_path / "file").write_text("")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "file/b.csv")
+    assert result.exit_code == 1 and result.stdout == ""
+    assert "it cannot be written" in result.stderr and "Choose another --csv" in result.stderr
+
+
+def test_a_clip_that_finds_no_room(dlgmd, monkeypatch):
+    monkeypatch.setattr("dlgmd_cli.video.count.count_frames", lambda path: 7)
+    result = dlgmd("bench", *ONE_CELL, "--frames", 12)
+    assert result.exit_code == 1
+    assert "only 7 of the clip's 12 frames arrived on the disk" in result.stderr
+
+
+def test_warnings_about_the_input(dlgmd, clips, tmp_path):
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) * 7 // 10])
+    result = dlgmd("bench", "cut.avi", *ONE_CELL)
+    assert result.exit_code == 0
+    assert result.stderr.count("Warning: cut.avi: ") == 1 and "of about 20 frames" in result.stderr
+
+
+def test_an_earlier_csv_is_kept(dlgmd, clips, tmp_path):
+    (tmp_path / "b.csv").write_text("mine")
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv")
+    assert result.exit_code == 2 and "b.csv: it stands here already" in result.stderr
+    assert (tmp_path / "b.csv").read_text() == "mine"
+    assert dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv", "--overwrite").stdout
+    assert (tmp_path / "b.csv").read_text().startswith("radius,scale,")
+
+
+def test_known_times_of_the_paper_are_in_the_table():
+    assert set(speed.PAPER_S) <= {(r, s) for r in speed.RADII for s in speed.SCALES}
+
+
+def test_pan_moves_and_repeats():
+    frames = list(pan_frames((54, 96), 5))
+    again = list(pan_frames((54, 96), 5))
+    other = next(pan_frames((54, 96), 1, seed=1))
+    assert all(frame.shape == (54, 96) and frame.dtype == np.uint8 for frame in frames)
+    assert all(np.array_equal(a, b) for a, b in zip(frames, again, strict=True))
+    assert np.abs(frames[0].astype(int) - frames[4]).mean() > 5.0
+    assert np.abs(frames[0].astype(int) - other).mean() > 5.0

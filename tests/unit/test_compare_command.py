@@ -1,0 +1,403 @@
+"""`dlgmd compare`: many models on one decode, held against `dlgmd run` of each."""
+
+import csv
+import json
+import math
+import os
+import signal
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import looming_frames, write_video
+
+from dlgmd_cli.commands._variants import _variants
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.photoreceptors import Photoreceptors
+from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.plots import overlays
+from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.runs.compare import Entry, compare
+from dlgmd_cli.video.open import open_source
+from dlgmd_cli.video.opencv import OpenCVDecoder
+
+COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
+PLOTS = ["compare-attenuation.png", "compare-mp.png"]
+
+
+def rows(folder):
+    """compare.csv: label -> its rows, as text."""
+    found = {}
+    with (folder / "compare.csv").open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        assert reader.fieldnames == COLUMNS
+        for row in reader:
+            found.setdefault(row["label"], []).append(row)
+    return found
+
+
+def table(path):
+    with path.open(newline="", encoding="ascii") as file:
+        return list(csv.DictReader(file))
+
+
+def record(folder):
+    return yaml.safe_load((folder / "compare.yaml").read_text(encoding="utf-8"))
+
+
+def labels(sets=(), configs=(), models=(), formulations=(), no_ffi_gd=False):
+    return [one.label for one in _variants(sets, configs, models, formulations, no_ffi_gd)]
+
+
+def test_files_and_summary(dlgmd, clips, tmp_path):
+    result = dlgmd("compare", clips / "loom.avi")
+    assert result.exit_code == 0, result.output
+    folder = tmp_path / "dlgmd-out" / "loom"
+    assert sorted(os.listdir(folder)) == [*PLOTS[:1], PLOTS[1], "compare.csv", "compare.yaml"]
+    assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
+    assert list(rows(folder)) == ["set9", "lgmd", "emd-lgmd"]
+    shown = [line.split() for line in result.stdout.splitlines() if line.strip()]
+    assert [line[0] for line in shown[1:-1] if line[0] in rows(folder)] == list(rows(folder))
+    written = record(folder)
+    assert written["complete"] is True and written["input"]["frames"] == 20
+    for one in written["models"]:
+        potential = [float(row["mp"]) for row in rows(folder)[one["label"]] if row["mp"]]
+        mean = np.mean(potential) / max(potential)
+        assert one["summary"]["sharpness"] == pytest.approx(mean, rel=1e-6)
+        assert "distinguishability" not in one["summary"]
+
+
+@pytest.mark.parametrize("engine", ["opencv", "numba"])
+def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
+    if engine == "numba":
+        pytest.importorskip("numba", reason="the numba engine needs numba")
+    (tmp_path / "my.yaml").write_text("sigma_e: 0.7\nr: 3\n")
+    given = {
+        "set2": ["--set", 2],
+        "set9": ["--set", 9],
+        "my": ["--config", "my.yaml"],
+        "lgmd": ["--model", "lgmd"],
+        "emd-lgmd": ["--model", "emd-lgmd"],
+        "set9/released": ["--set", 9, "--formulation", "released"],
+        "set9/no-ffi-gd": ["--set", 9, "--param", "ffi_gd=false"],
+        "my/released/no-ffi-gd": [
+            *["--config", "my.yaml", "--formulation", "released"],
+            *["--param", "ffi_gd=false"],
+        ],
+    }
+    options = [word for label in list(given)[:5] for word in given[label]]
+    done = dlgmd(
+        *["compare", clips / "loom.avi", *options, "--formulation", "released", "--no-ffi-gd"],
+        *["--no-plots", "--engine", engine, "--normalise", "sequence"],
+    )
+    assert done.exit_code == 0, done.output
+    compared = rows(tmp_path / "dlgmd-out" / "loom")
+    assert set(given) < set(compared) and len(compared) == 3 * 4 + 2
+    summaries = {
+        one["label"]: one["summary"] for one in record(tmp_path / "dlgmd-out/loom")["models"]
+    }
+    for number, (label, alone) in enumerate(given.items()):
+        out = f"alone-{number}"
+        engines = [] if "lgmd" in label else ["--engine", engine]
+        done = dlgmd(
+            *["run", clips / "loom.avi", *alone, *engines, "--no-plots", "--out", out],
+            *["--normalise", "sequence"],
+        )
+        assert done.exit_code == 0, done.output
+        folder = tmp_path / out / "loom"
+        potential, attenuation = table(folder / "mp.csv"), table(folder / "attenuation.csv")
+        for row, mp, db in zip(compared[label], potential, attenuation, strict=True):
+            assert {key: row[key] for key in mp} == mp
+            assert row["attenuation_db"] == db["attenuation_db"]
+        summary = yaml.safe_load((folder / "run.yaml").read_text(encoding="utf-8"))["summary"]
+        assert {key: summaries[label][key] for key in summary} == summary
+
+
+def test_labels(tmp_path):
+    assert labels() == ["set9", "lgmd", "emd-lgmd"]
+    assert labels(sets=("3", "9", "3"), models=("lgmd", "dlgmd")) == ["set3", "set9", "lgmd"]
+    assert labels(formulations=("released", "default")) == ["set9", "set9/released"]
+    assert labels(no_ffi_gd=True) == ["set9", "set9/no-ffi-gd"]
+    assert labels(sets=("1",), formulations=("equations",), no_ffi_gd=True) == [
+        "set1",
+        "set1/equations",
+        "set1/no-ffi-gd",
+        "set1/equations/no-ffi-gd",
+    ]
+    configs = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        configs.append(tmp_path / name / "run.yaml")
+        configs[-1].write_text("formulation: released\nffi_gd: false\n")
+    assert labels(configs=tuple(configs)) == ["a/run", "b/run"]
+    assert labels(configs=(configs[0], configs[0])) == ["run"]
+    # What a file has already is not derived anew.
+    assert labels(configs=(configs[0],), formulations=("released",), no_ffi_gd=True) == ["run"]
+
+
+def test_one_decode_and_one_p(dlgmd, clips, monkeypatch):
+    counts = Counter()
+
+    def counting(kind, name):
+        original = getattr(kind, name)
+
+        def wrapped(*arguments):
+            counts[name] += 1
+            return original(*arguments)
+
+        monkeypatch.setattr(kind, name, wrapped)
+
+    counting(OpenCVDecoder, "picture")
+    counting(Photoreceptors, "take")
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    of_run = counts.copy()
+    assert of_run["take"] == 20
+    counts.clear()
+    result = dlgmd(
+        *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--model", "lgmd"],
+        *["--formulation", "released", "--no-plots"],
+    )
+    assert result.exit_code == 0, result.output
+    assert counts == of_run
+
+
+def test_a_run_s_file_brings_its_size(dlgmd, clips, tmp_path):
+    for name, option in (("half", ["--scale", 0.5]), ("tiny", ["--size", "9x7"])):
+        done = dlgmd("run", clips / "loom.avi", *option, "--out", name, "--no-plots")
+        assert done.exit_code == 0
+    configs = [word for name in ("half", "tiny") for word in ("--config", f"{name}/loom/run.yaml")]
+    done = dlgmd("compare", clips / "loom.avi", "--set", 9, *configs, "--no-plots")
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "dlgmd-out/loom"
+    sizes = {one["label"]: (one["width"], one["height"]) for one in record(folder)["models"]}
+    assert sizes == {"set9": (32, 24), "half/loom/run": (16, 12), "tiny/loom/run": (9, 7)}
+    for label, name in (("half/loom/run", "half"), ("tiny/loom/run", "tiny")):
+        expected = [row["mp"] for row in table(tmp_path / name / "loom" / "mp.csv")]
+        assert [row["mp"] for row in rows(folder)[label]] == expected
+    again = dlgmd(
+        *["compare", clips / "loom.avi", *configs, "--scale", 1, "--no-plots", "--overwrite"]
+    )
+    assert again.exit_code == 0, again.output
+    assert {(one["width"], one["height"]) for one in record(folder)["models"]} == {(32, 24)}
+
+
+def test_distinguishability(dlgmd, clips, tmp_path):
+    result = dlgmd(
+        *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--normalise", "absolute"],
+        *["--false-positive-frame", 5, "--collision-frame", 19, "--mark", "4:pitching"],
+        *["--span", "3-8:accelerating", "--json"],
+    )
+    assert result.exit_code == 0, result.output
+    folder = tmp_path / "dlgmd-out" / "loom"
+    summaries = json.loads(result.stdout)["models"]
+    for label, found in rows(folder).items():
+        potential = {int(row["frame"]): float(row["mp"]) for row in found if row["mp"]}
+        peak = max(potential, key=potential.get)
+        near = [
+            np.mean([mp for frame, mp in potential.items() if abs(frame - middle) <= 5])
+            for middle in (peak, 5)
+        ]
+        expected = near[0] / near[1] if near[1] else math.inf
+        shown = summaries[label]["distinguishability"]
+        assert (math.inf if shown == "inf" else shown) == pytest.approx(expected, rel=1e-6)
+
+
+def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
+    still = [np.full((24, 32), 200, np.uint8)] * 12
+    write_video(tmp_path / "late.avi", still + looming_frames()[10:])
+    common = ["compare", "late.avi", "--set", 9, "--false-positive-frame", 5, "--no-plots"]
+    result = dlgmd(*common)
+    assert result.exit_code == 0, result.output
+    assert "inf: no membrane potential within 5 frames of the false positive" in result.stdout
+    as_json = dlgmd(*common, "--json", "--overwrite")
+    assert json.loads(as_json.stdout)["models"]["set9"]["distinguishability"] == "inf"
+    assert (
+        record(tmp_path / "dlgmd-out/late")["models"][0]["summary"]["distinguishability"]
+        == math.inf
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "column"),
+    [
+        ([], "mp_seq"),
+        (["--normalise", "sequence"], "mp_seq"),
+        (["--normalise", "absolute"], "mp_abs"),
+    ],
+)
+def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
+    shown = []
+    original = overlays.overlay_mp
+
+    def overlay_mp(results, annotations, **options):
+        shown.append((list(results), annotations, options))
+        return original(results, annotations, **options)
+
+    monkeypatch.setattr(overlays, "overlay_mp", overlay_mp)
+    marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
+    models = ["--set", 1, "--model", "lgmd", "--width", "two"]
+    result = dlgmd("compare", clips / "loom.avi", *models, *marks, *options)
+    assert result.exit_code == 0, result.output
+    ((labels_shown, annotations, others),) = shown
+    assert labels_shown == ["set1", "lgmd"] and others == {"column": column, "width": "two"}
+    assert annotations == Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
+
+
+def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
+    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--collision-frame", 500)
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.stderr.splitlines() if line.startswith("Warning")]
+    assert "500" in line and "0 to 19" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--set", 12], "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
+        (["--model", "lgdm"], "Invalid value for '--model': 'lgdm' is not one of"),
+        (["--config", "none.yaml"], "none.yaml: there is no such file"),
+        (["--model", "lgmd", "--no-ffi-gd"], "are of the D-LGMD, and none is compared. Add --set."),
+        (["--scale", 0.5, "--size", "9x9"], "--scale and --size exclude each other"),
+        (["--mark", "pitching"], "Invalid value for '--mark'"),
+    ],
+)
+def test_usage_errors(dlgmd, clips, tmp_path, options, message):
+    result = dlgmd("compare", clips / "loom.avi", *options)
+    assert result.exit_code == 2 and message in result.stderr
+    assert not (tmp_path / "dlgmd-out").exists()
+
+
+def test_too_short(dlgmd, clips, tmp_path):
+    write_video(tmp_path / "two.avi", looming_frames(2))
+    result = dlgmd("compare", "two.avi", "--set", 9, "--model", "lgmd")
+    assert result.exit_code == 1
+    assert "two.avi: 2 frames, but lgmd needs at least 3" in result.stderr
+    assert not (tmp_path / "dlgmd-out").exists()
+    # What one model can answer is kept, though the other cannot.
+    done = dlgmd("compare", clips / "short.avi", "--set", 9, "--set", 1, "--no-plots")
+    assert done.exit_code == 0, done.output
+    found = rows(tmp_path / "dlgmd-out" / "short")
+    assert [row["mp"] for row in found["set9"]] == ["", "", ""]
+    assert found["set1"][2]["mp"] != ""
+
+
+def test_shares_the_folder_of_run(dlgmd, clips, tmp_path):
+    folder = tmp_path / "dlgmd-out" / "loom"
+    for arguments in (["run"], ["compare", "--set", 9], ["run", "--overwrite"]):
+        command, *options = arguments
+        assert dlgmd(command, clips / "loom.avi", "--no-plots", *options).exit_code == 0
+    assert {"run.yaml", "mp.csv", "compare.csv", "compare.yaml"} < set(os.listdir(folder))
+    refused = dlgmd("compare", clips / "loom.avi", "--set", 1)
+    assert refused.exit_code == 2 and "a result stands here already" in refused.stderr
+    assert list(rows(folder)) == ["set9"]
+    done = dlgmd("compare", clips / "loom.avi", "--set", 1, "--overwrite", "--no-plots")
+    assert done.exit_code == 0 and list(rows(folder)) == ["set1"]
+
+
+def test_ctrl_c_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch):
+    original = Photoreceptors.take
+
+    def take(self, luminance):
+        original(self, luminance)
+        if self.frame == 12:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Photoreceptors, "take", take)
+    result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")
+    assert result.exit_code == 130
+    folder = tmp_path / "dlgmd-out" / "loom"
+    assert record(folder)["complete"] is False
+    assert [len(found) for found in rows(folder).values()] == [12, 12]
+    assert "holds the 12 frames before it" in result.stderr
+    assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
+
+
+def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
+    entries = [Entry(create_model(PARAMETERS[name]()), (32, 24)) for name in ("dlgmd", "lgmd")]
+    append = entries[1].recording.append
+
+    def failing(frame, response):
+        if frame.index == 7:
+            raise KeyboardInterrupt
+        append(frame, response)
+
+    entries[1].recording.append = failing
+    with open_source(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
+        compare(source, entries)
+    assert [len(entry.recording) for entry in entries] == [7, 7]
+
+
+def test_a_label_with_odd_letters_stays_one_cell(dlgmd, clips, tmp_path):
+    name = 'a,"b"\n$x^.yaml'
+    (tmp_path / name).write_text("r: 3\n")
+    result = dlgmd("compare", clips / "loom.avi", "--config", name)
+    assert result.exit_code == 0, result.output
+    assert list(rows(tmp_path / "dlgmd-out" / "loom")) == ['a,"b"\\n$x^']
+    assert Path("dlgmd-out/loom/compare-mp.png").stat().st_size > 1000
+
+
+def test_equal_labels_of_different_models_are_numbered(tmp_path):
+    for name, width in (("set3", 0.7), ("set9", 0.9)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
+    configs = tuple(tmp_path / name / "released.yaml" for name in ("set3", "set9"))
+    found = {one.label: one.params for one in _variants(("9",), configs, (), ("released",), False)}
+    assert list(found)[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
+    assert found["set9/released"].sigma_e == 1.5
+    assert found["set9/released (2)"].sigma_e == 0.9
+
+
+def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(dlgmd, clips):
+    done = dlgmd("run", clips / "loom.avi", "--fps", 10, "--scale", 0.5, "--no-plots", "--out", "a")
+    assert done.exit_code == 0
+    result = dlgmd("compare", clips / "loom.avi", "--config", "a/loom/run.yaml", "--no-plots")
+    assert result.exit_code == 0
+    assert "of a/loom/run.yaml the recorded fps is not taken over; give" in result.stderr
+
+
+def test_no_frame_at_all(dlgmd, clips):
+    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--start", 100)
+    assert result.exit_code == 1
+    assert "--start, --end and --fps leave fewer than the 4 frames that set9" in result.stderr
+
+
+def test_a_model_without_an_answer_is_warned_of(dlgmd, clips):
+    result = dlgmd("compare", clips / "short.avi", "--set", 9, "--set", 1, "--no-plots")
+    assert result.exit_code == 0
+    assert "set9 needs at least 4 frames, and gives no answer" in result.stderr
+    assert "set1 needs" not in result.stderr
+
+
+def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
+    write_video(tmp_path / "still.avi", [np.full((24, 32), 200, np.uint8)] * 9)
+    (tmp_path / "low.yaml").write_text("model: lgmd\nt_mp: 0.5\n")
+    result = dlgmd("compare", "still.avi", "--config", "low.yaml", "--no-plots")
+    (row,) = [line.split() for line in result.stdout.splitlines() if line.startswith(" low")]
+    assert row == ["low", "–", "0.080", "s", "frame", "3", "–"]
+
+
+def test_an_engine_that_no_model_has(dlgmd, clips):
+    result = dlgmd("compare", clips / "loom.avi", "--model", "lgmd", "--engine", "opencv")
+    assert result.exit_code == 2
+    assert "--engine is of the D-LGMD, and none is compared. Add --set." in result.stderr
+
+
+@pytest.mark.parametrize("spared", [True, False])
+def test_a_late_ctrl_c_says_what_is_there(dlgmd, clips, tmp_path, monkeypatch, spared):
+    name = "overlay_mp" if spared else "overlay_attenuation"
+    original = getattr(overlays, name)
+
+    def interrupted(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(overlays, name, interrupted)
+    result = dlgmd("compare", clips / "loom.avi", "--set", 1)
+    assert result.exit_code == 130
+    kept = "all frames, but not all plots" if spared else "the whole result"
+    assert f"holds {kept}." in result.stderr
+    folder = tmp_path / "dlgmd-out" / "loom"
+    assert record(folder)["complete"] is True
+    assert (folder / "compare-attenuation.png").exists() is not spared

@@ -1,0 +1,349 @@
+"""The named flights: what is hit and when, what is missed and by how much."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dlgmd_cli.flights.contact import Surroundings, first_contact
+from dlgmd_cli.flights.film import film
+from dlgmd_cli.flights.options import FlightOptions
+from dlgmd_cli.flights.places.seats import chair
+from dlgmd_cli.flights.quadrotor import fly
+from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.order import Order
+from dlgmd_cli.flights.renderer.renderer import Renderer, placed
+from dlgmd_cli.flights.renderer.solids import Solid, World, quad
+from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.flights.script import cruise, hover, yaw
+from dlgmd_cli.flights.stage import REACH_M, Stage
+from dlgmd_cli.flights.stages.placing import PassedError, in_the_way, singled_out
+from dlgmd_cli.flights.stages.random_flight import random_flight
+
+SMALL = {"--size": (36, 64)}
+# The paper's Table III: what is hit, and at which frame.
+GROUPS = {
+    "group1": ("chair", 120),
+    "group2": ("gridded pattern", 140),
+    "group3": ("notebook", 135),
+    "group4": ("gridded pattern", 210),
+    "group5": ("carton", 196),
+}
+# How near each may come to what it is about, in m.
+MISSES = {
+    "past-pillar": (0.4, 0.7),
+    "through-doorway": (0.35, 0.6),
+    "along-corridor": (2.5, 4.0),
+    "turn-at-wall": (1.0, 1.6),
+    "light-on": (4.0, 6.0),
+    "person-crossing": (3.0, 4.5),
+}
+
+
+@pytest.fixture(scope="module")
+def scene_of():
+    """Scenes by name with their options, each built once."""
+    built = {}
+
+    def get(name):
+        if name not in built:
+            scene = SCENES[name]
+            built[name] = scene, scene.configure(SMALL)
+            scene.stage(built[name][1])
+        return built[name]
+
+    return get
+
+
+def phases_of(scene, options):
+    return {each["name"]: each for each in scene.record(options)["phases"]}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_groups_hit_what_the_paper_says_when_it_says(scene_of, name):
+    scene, options = scene_of(name)
+    target, frame = GROUPS[name]
+    record = scene.record(options)
+    assert (record["target"], record["collision_frame"]) == (target, frame)
+    stage = scene.stage(options)
+    parts = [body for body in stage.world.bodies if body.name == target]
+    extent = np.ptp([body.reach(np.eye(3)) for body in parts], axis=0)
+    assert (extent < 1.7).all()  # there is one of them only
+    # What is touched first, of all there is, is the target, and then.
+    assert first_contact(stage.path, stage.world) * 30 == pytest.approx(frame, abs=1e-3)
+    assert first_contact(stage.path, stage.world, [target]) * 30 == pytest.approx(frame, abs=1e-3)
+    rows = list(scene.truth(options))
+    assert len(rows) == scene.n_frames(options) == record["frames"]
+    zero = [row.frame for row in rows if row.time_to_contact_s == 0.0]
+    assert len(zero) <= 1 and all(abs(each - frame) <= 1 for each in zero)
+    left = [row.time_to_contact_s for row in rows]
+    assert left[frame - 1] == pytest.approx(1 / 30) and math.isnan(left[frame + 1])
+    assert rows[frame].distance_m == pytest.approx(REACH_M, abs=1e-6)
+    assert min(row.distance_m for row in rows) > 0.08
+    sizes = [row.angular_size_deg for row in rows[: frame + 1]]
+    assert sizes[0] < 30 and sizes[-1] > max(60, max(sizes) - 3)
+
+
+def test_group2_pitches_from_40_and_brakes_from_125(scene_of):
+    scene, options = scene_of("group2")
+    phases = phases_of(scene, options)
+    assert phases["pitch"]["first_frame"] == 40
+    assert phases["decelerate"]["first_frame"] == 125
+    assert phases["collision"]["first_frame"] == 140
+    rows = list(scene.truth(options))
+    assert all(abs(row.pitch_deg) < 1.5 for row in rows[:40])
+    # The nose goes down first, and speed comes of it.
+    assert rows[60].pitch_deg < -7 and rows[138].pitch_deg > 5
+    speeds = np.diff([row.x_m for row in rows]) * 30
+    assert abs(speeds[30]) < 0.05 < 0.3 < speeds[60] < speeds[90] < speeds[120]
+    assert speeds[138] < speeds[125]
+
+
+def test_group3_yaws_at_ten_degrees_a_second(scene_of):
+    scene, options = scene_of("group3")
+    rows = [row for row in scene.truth(options) if row.phase == "yaw"]
+    rates = np.diff([row.yaw_deg for row in rows])[30:] * 30
+    assert rates.mean() == pytest.approx(10.0, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["group4", "group5"])
+def test_groups_4_and_5_take_off_and_pitch(scene_of, name):
+    scene, options = scene_of(name)
+    rows = list(scene.truth(options))
+    phases = phases_of(scene, options)
+    assert list(phases) == ["stand", "take off", "pitch", "accelerate", "collision"]
+    assert rows[0].z_m == rows[20].z_m < 0.2 < 0.9 < rows[100].z_m
+    assert rows[150].pitch_deg < -7
+
+
+@pytest.mark.parametrize("name", MISSES)
+def test_near_misses_miss(scene_of, name):
+    scene, options = scene_of(name)
+    stage = scene.stage(options)
+    assert stage.contact_s is None and scene.record(options)["collision_frame"] is None
+    assert first_contact(stage.path, stage.world) is None
+    near, far = MISSES[name]
+    rows = list(scene.truth(options))
+    assert near < min(row.distance_m for row in rows) < far
+    assert all(math.isnan(row.time_to_contact_s) for row in rows)
+    world = Surroundings(stage.world)
+    for time in np.arange(0.0, stage.duration_s, 0.1):
+        assert world.distances(stage.path.state(time).position_m, time).min() > 0.3
+
+
+def test_through_the_doorway_means_through(scene_of):
+    scene, options = scene_of("through-doorway")
+    stage = scene.stage(options)
+    parts = [body for body in stage.world.bodies if body.name == "doorway"]
+    begins = min(-body.reach(np.array([[-1.0, 0, 0]]))[0] for body in parts)
+    ends = max(body.reach(np.array([[1.0, 0, 0]]))[0] for body in parts)
+    x = [row.x_m for row in scene.truth(options)]
+    assert x[0] < begins < ends < x[-1]
+
+
+def test_the_light_goes_on_after_two_seconds(scene_of):
+    scene, options = scene_of("light-on")
+    means = np.array([frame.mean() for frame in scene.frames(options)])
+    steps = np.abs(np.diff(means))
+    assert steps.argmax() == 59 and steps[59] > 40
+    assert np.delete(steps, 59).max() < 1.0
+
+
+def test_the_person_crosses_the_picture(scene_of):
+    scene, options = scene_of("person-crossing")
+    stage = scene.stage(options)
+    camera = Camera(options.shape, options.fov_deg)
+    across = []
+    for frame in range(0, scene.n_frames(options), 15):
+        bodies = [body for body in placed(stage.world, frame / 30) if body.name == "person"]
+        middles = [(body.reach(np.eye(3)) - body.reach(-np.eye(3))) / 2 for body in bodies]
+        across.append(camera.project(np.mean(middles, axis=0), stage.path.pose(frame / 30))[0])
+    assert across[0] > 45 and across[-1] < 20 and (np.diff(across) < 0.2).all()
+
+
+@pytest.mark.parametrize("name", [*GROUPS, *MISSES, "ball-and-capsules"])
+def test_bodies_are_apart_and_in_the_room(scene_of, name):
+    scene, options = scene_of(name)
+    stage = scene.stage(options)
+    for time in (0.0, stage.duration_s / 2, stage.duration_s):
+        bodies = placed(stage.world, time)
+        assert Order(bodies).is_exact
+        for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
+            level = wall.normal @ wall.corners_m[0]
+            for body in bodies:
+                assert -body.reach(-wall.normal[None])[0] > level - 1e-6, body.name
+
+
+def test_ball_and_capsules_is_the_scene_of_the_papers_fig_8(scene_of):
+    scene, options = scene_of("ball-and-capsules")
+    stage = scene.stage(options)
+    record = scene.record(options)
+    assert (record["collision_frame"], record["frames"]) == (61, 62)
+    rows = list(scene.truth(options))
+    camera = Camera((600, 800), 80.0)
+    radii = camera.focal_px * np.tan(np.radians([row.angular_size_deg / 2 for row in rows]))
+    # Read off the authors' frames, in px.
+    for frame, radius in ((0, 25), (20, 36), (40, 66)):
+        assert radii[frame] == pytest.approx(radius, rel=0.08)
+    speeds = []
+    for body in stage.world.bodies:
+        if body.name == "capsule":
+            first, later = (
+                body.moved(np.array(body.motion(t))).ends_m.mean(axis=0) for t in (0, 1)
+            )
+            before, after = (camera.project(each, stage.path.pose(0.0)) for each in (first, later))
+            assert after[1] == pytest.approx(before[1])
+            speeds.append((after - before)[0] / 30)
+    assert sorted(speeds) == pytest.approx([1.6, 3.2, 4.8, 6.4], rel=1e-6)
+    assert len({(row.x_m, row.y_m, row.z_m, row.pitch_deg) for row in rows}) == 1
+
+
+def test_random_flights_come_out_in_every_way():
+    stages = [random_flight(seed) for seed in range(8)]
+    hits = [stage for stage in stages if stage.contact_s is not None]
+    assert 2 <= len(hits) <= 6
+    assert len({stage.target for stage in stages}) >= 3
+    assert len({len(stage.world.bodies) for stage in stages}) >= 4
+    for stage in stages:
+        contact = first_contact(stage.path, stage.world)
+        if stage.contact_s is None:
+            assert contact is None
+        else:
+            assert contact == pytest.approx(stage.contact_s, abs=1e-4)
+            position = stage.path.state(contact).position_m
+            nearest = Surroundings(stage.world, [stage.target]).distances(position, contact).min()
+            assert nearest == pytest.approx(REACH_M, abs=1e-4)
+            assert contact < stage.duration_s <= contact + 0.5 + 1e-9
+        assert Order(stage.world.bodies).is_exact
+
+
+def test_only_the_piece_that_is_met_keeps_its_name():
+    near, far = (chair((x, 0.0), 30.0) for x in (2.0, 4.0))
+    walls = Solid("room", [quad([9, 5, 5], [0, -9, 0], [0, 0, -9], Texture(0.5))])
+    world = singled_out(World(walls, [*near, *far]), len(near) + 2)
+    names = [body.name for body in world.bodies]
+    assert names == ["other chair"] * len(near) + ["chair"] * len(far)
+
+
+def test_an_obstacle_can_only_be_in_the_way_at_its_height():
+    path = fly([cruise(2.0)], position_m=(0, 0, 0.8), speed_m_s=1.0, jitter=0.0)
+    bodies = in_the_way(path, 1.5, chair, "chair")
+    assert first_contact(path, World(Solid("room", []), bodies), ["chair"]) == pytest.approx(1.5)
+    high = fly([cruise(2.0)], position_m=(0, 0, 1.8), speed_m_s=1.0, jitter=0.0)
+    with pytest.raises(PassedError):
+        in_the_way(high, 1.5, chair, "chair")
+
+
+def test_a_seed_is_a_flight():
+    scene = SCENES["random"]
+    again = FlightScene("random", "", scene.defaults, random_flight)
+    given = {**SMALL, "--seed": 5, "--frames": 40}
+    one, two = (each.configure(given) for each in (scene, again))
+    assert list(map(str, scene.truth(one))) == list(map(str, again.truth(two)))
+    for a, b in zip(scene.frames(one), again.frames(two), strict=True):
+        assert (a == b).all()
+    other = scene.configure({**given, "--seed": 6})
+    assert next(scene.frames(other)).tolist() != next(again.frames(two)).tolist()
+
+
+def test_a_drone_at_rest_sees_the_same_but_for_noise(scene_of):
+    """Texture does not flicker when nothing moves."""
+    scene, _ = scene_of("group4")
+    calm = scene.configure({**SMALL, "--noise": 0.0, "--shot-noise": 0.0, "--frames": 20})
+    frames = list(scene.frames(calm))
+    assert all((frame == frames[0]).all() for frame in frames)
+    noisy = list(scene.frames(scene.configure({**SMALL, "--frames": 2})))
+    assert (noisy[0] != noisy[1]).any()
+
+
+def test_hover_jitter_makes_small_differences_only(scene_of):
+    scene, _ = scene_of("group1")
+    options = scene.configure(
+        {"--size": (180, 320), "--noise": 0.0, "--shot-noise": 0.0, "--frames": 6}
+    )
+    frames = np.array(list(scene.frames(options)), float)
+    assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.5
+
+
+# What the shutter does
+
+
+def striped_stage(script, **how):
+    """A drone in front of upright stripes on a wide wall."""
+    stripes = np.repeat(np.tile([0.1, 0.9], 100), 16)[None].astype(np.float32)
+    wall = quad([2.0, 30.0, 20.0], [0.0, -60.0, 0.0], [0.0, 0.0, -40.0], Texture(stripes))
+    room = Solid("room", [wall])
+    board = Solid("board", [quad([1.99, 0.1, 9], [0, -0.2, 0], [0, 0, -0.2], Texture(0.5))])
+    path = fly(script, position_m=(0.0, 0.0, 0.0), jitter=0.0, **how)
+    return Stage(World(room, [board]), path, "board", None, path.duration_s)
+
+
+def filmed(stage, n_frames, **how):
+    how = {"noise": 0.0, "shot_noise": 0.0, "vignette": 0.0, "gamma": 1.0, **how}
+    options = FlightOptions(shape=(60, 80), **how)
+    return np.array(list(film(stage, options, n_frames)), float)
+
+
+def test_a_film_is_what_its_camera_makes_of_the_light():
+    still = striped_stage([hover(1.0)])
+    plain = filmed(still, 1)[0]
+    dark = filmed(still, 1, vignette=0.8)[0]
+    assert dark[0, 0] < 0.3 * plain[0, 0] and abs(dark[30, 40] - plain[30, 40]) < 2
+    for noise in ("noise", "shot_noise"):
+        one, same, other = (filmed(still, 2, **{noise: 0.1}, seed=seed) for seed in (1, 1, 2))
+        assert 8 < (one[0] - plain).std() < 30
+        assert (one == same).all() and (one[0] != other[0]).mean() > 0.5 < (one[0] != one[1]).mean()
+    bright = filmed(still, 1, gamma=2.2)[0]
+    assert bright == pytest.approx(255 * (plain / 255) ** (1 / 2.2), abs=4)
+
+
+def test_an_open_shutter_blurs_what_moves_and_nothing_else():
+    still = striped_stage([hover(1.0)])
+    assert (filmed(still, 3) == filmed(still, 3, exposure_ms=20.0)).all()
+    turning = striped_stage([yaw(3.0, 60.0)])
+    sharp, blurred = filmed(turning, 60)[50:], filmed(turning, 60, exposure_ms=30.0)[50:]
+    contrast = [np.abs(np.diff(each[:, 30], axis=1)).mean() for each in (sharp, blurred)]
+    assert contrast[1] < 0.7 * contrast[0]
+    assert blurred.mean() == pytest.approx(sharp.mean(), rel=0.03)
+
+
+def test_an_exposure_is_the_mean_of_what_passes_in_it():
+    stage = striped_stage([cruise(2.0)], speed_m_s=3.0)
+    renderer = Renderer(stage.world, Camera((60, 80), 80.0))
+    times = 0.5 + 0.02 * ((np.arange(200) + 0.5) / 200 - 0.5)
+    expected = np.mean([renderer.render(stage.path.pose(t), t) for t in times], axis=0)
+    frame = filmed(stage, 16, exposure_ms=20.0)[15] / 255.0
+    assert np.abs(frame - expected).max() < 0.06
+    sharp = filmed(stage, 16)[15] / 255.0
+    assert np.abs(sharp - expected).max() > 0.1
+
+
+def test_a_lamp_that_goes_on_while_the_shutter_is_open_counts_from_then_on():
+    still = striped_stage([hover(1.0)])
+    for lit_s, share in ((0.51, 0.25), (0.495, 0.625), (0.525, 0.0)):
+        world = replace(still.world, light=lambda t, lit_s=lit_s: 1.0 if t >= lit_s else 0.0)
+        stage = replace(still, world=world)
+        exposed = filmed(stage, 11, fps=20.0, exposure_ms=40.0)[10]
+        expected = filmed(still, 1)[0] * share
+        assert exposed == pytest.approx(expected, abs=4.0)
+        # Rows that are taken later than that are lit.
+        rolled = filmed(stage, 11, fps=20.0, rolling_shutter_ms=40.0)[10]
+        first_lit = round(60 * (1.0 - share))
+        assert (rolled[:first_lit] == 0).all() and (rolled[first_lit:] > 0).all()
+
+
+def test_a_rolling_shutter_shears_upright_edges():
+    """By the rows' share of the readout, the camera has turned on."""
+    stage = striped_stage([yaw(4.0, 40.0)])
+    frame = filmed(stage, 91, rolling_shutter_ms=30.0)[90]
+    renderer = Renderer(stage.world, Camera((60, 80), 80.0))
+    for row in (0, 29, 30, 59):
+        time = 3.0 + ((row + 0.5) / 60 - 0.5) * 0.03
+        expected = renderer.render(stage.path.pose(time), time)[row]
+        # Rows are taken in strips, half a pixel apart.
+        assert np.abs(frame[row] / 255.0 - expected).max() < 0.35
+    whole = filmed(stage, 91)[90]
+    assert np.abs(frame - whole)[29:31].max() < 90 < 120 < np.abs(frame - whole)[0].max()

@@ -1,0 +1,607 @@
+"""`dlgmd run`: its files, options, errors and exit codes."""
+
+import csv
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import yaml
+from conftest import FPS, N_FRAMES, looming_frames, write_video
+
+from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli.commands import _input
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.plots.traces import PLOTS as PLOTS_BY_NAME
+from dlgmd_cli.results import tables
+from dlgmd_cli.video.reader import DECODERS
+
+FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
+PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
+
+
+def read(path):
+    with open(path, newline="", encoding="ascii") as file:
+        return list(csv.DictReader(file))
+
+
+def number(text):
+    return float(text) if text else np.nan
+
+
+def column(path, name):
+    return np.array([number(row[name]) for row in read(path)])
+
+
+def test_files_and_columns(dlgmd, clips, tmp_path):
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 0, result.output
+    folder = tmp_path / "dlgmd-out" / "loom"
+    assert set(os.listdir(folder)) == FILES | PLOTS
+    assert os.listdir(folder.parent) == ["loom"]
+    assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
+    headers = {
+        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq",
+        "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db",
+        "spikes.csv": "frame,time_s,level,threshold,spike,collision",
+    }
+    for name, header in headers.items():
+        lines = (folder / name).read_text().splitlines()
+        assert lines[0] == header and len(lines) == 1 + N_FRAMES
+        assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(N_FRAMES))
+
+
+def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
+    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots")
+    model = DLGMD(load_set(7))
+    with open_source(clips / "loom.avi") as source:
+        responses = [model.step(frame.grey) for frame in source]
+    folder = tmp_path / "dlgmd-out/loom"
+    for name, attribute, file in [
+        ("mp", "mp", "mp.csv"),
+        ("p_sum", "p_sum", "attenuation.csv"),
+        ("s_sum", "s_sum", "attenuation.csv"),
+        ("attenuation_db", "attenuation_db", "attenuation.csv"),
+    ]:
+        expected = np.array([getattr(r, attribute) for r in responses])
+        assert np.allclose(column(folder / file, name), expected, rtol=1e-8, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "first"),
+    [
+        (["--set", 1], 2),
+        (["--set", 3], 2),
+        (["--set", 4], 3),
+        (["--set", 9], 3),
+        (["--set", 1, "--formulation", "released"], 3),
+        (["--set", 9, "--formulation", "equations"], 3),
+        (["--set", 1, "--formulation", "equations"], 2),
+    ],
+)
+def test_first_valid_row(dlgmd, clips, tmp_path, options, first):
+    assert dlgmd("run", clips / "loom.avi", "--no-plots", *options).exit_code == 0
+    folder = tmp_path / "dlgmd-out/loom"
+    undefined = [True] * first + [False] * (N_FRAMES - first)
+    for file, name in [
+        ("mp.csv", "mp"),
+        ("mp.csv", "mp_abs"),
+        ("mp.csv", "mp_seq"),
+        ("attenuation.csv", "s_sum"),
+        ("spikes.csv", "level"),
+    ]:
+        assert [row[name] == "" for row in read(folder / file)] == undefined
+    spikes = read(folder / "spikes.csv")
+    assert {row["spike"] for row in spikes[:first]} == {"0"}
+    assert all(row["threshold"] == "0.4" for row in spikes)
+
+
+def test_spikes_follow_the_normalisation(dlgmd, clips, tmp_path):
+    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "a")
+    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "s", "--normalise", "sequence")
+    for out, name in (("a", "mp_abs"), ("s", "mp_seq")):
+        level = column(tmp_path / out / "loom/spikes.csv", "level")
+        assert np.array_equal(level, column(tmp_path / out / "loom/mp.csv", name), equal_nan=True)
+        spike = column(tmp_path / out / "loom/spikes.csv", "spike")
+        assert np.array_equal(spike == 1, level >= 0.4)
+    assert np.nanmax(column(tmp_path / "s/loom/mp.csv", "mp_seq")) == 1.0
+
+
+def test_looming_raises_the_alarm_and_receding_does_not(dlgmd, tmp_path):
+    frames = looming_frames(30, 96, 72)
+    write_video(tmp_path / "looms.avi", frames)
+    write_video(tmp_path / "recedes.avi", frames[::-1])
+    peak = {}
+    for name in ("looms", "recedes"):
+        result = dlgmd("run", f"{name}.avi", "--no-plots", "--json", "--set", 7)
+        peak[name] = json.loads(result.stdout)
+    assert peak["looms"]["collisions"] == 1
+    assert peak["looms"]["mp_max_frame"] >= 27
+    assert peak["recedes"]["first_collision_frame"] is None or (
+        peak["recedes"]["first_collision_frame"] < 5
+    )
+
+
+def test_engine(dlgmd, clips):
+    pytest.importorskip("numba", reason="the numba engine needs numba")
+    mp = {}
+    for engine in ("opencv", "numba"):
+        result = dlgmd("run", clips / "loom.avi", "--no-plots", "--out", engine, "--engine", engine)
+        assert result.exit_code == 0, result.output
+        record = f"{engine}/loom/run.yaml"
+        assert yaml.safe_load(open_text(record))["engine"] == engine
+        again = ["--config", record, "--no-plots", "--out", "again", "--overwrite"]
+        assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+        assert open_text("again/loom/run.yaml") == open_text(record)
+        mp[engine] = open_text(f"{engine}/loom/mp.csv")
+        assert open_text("again/loom/mp.csv") == mp[engine]
+    record = ["--config", "numba/loom/run.yaml", "--engine", "opencv"]
+    dlgmd("run", clips / "loom.avi", *record, "--no-plots", "--out", "other")
+    assert open_text("other/loom/mp.csv") == mp["opencv"]
+
+
+def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    result = dlgmd("run", clips / "loom.avi", "--engine", "numba")
+    assert result.exit_code == 1
+    assert result.stderr == (
+        "Error: --engine numba: the package 'numba' is not installed. "
+        "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.\n"
+    )
+    assert not os.path.exists("dlgmd-out")
+
+
+def test_engine_of_a_config_must_be_one(dlgmd, clips, tmp_path):
+    for text, shown in (
+        ("engine: cuda", "there is no engine 'cuda'. Choose from opencv, numba."),
+        ("engine: [numba]", "engine is not a name."),
+    ):
+        (tmp_path / "my.yaml").write_text(text)
+        result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
+        assert result.exit_code == 2 and shown in result.stderr
+
+
+def test_summary_as_json(dlgmd, clips):
+    result = dlgmd("run", clips / "loom.avi", "--json", "--no-plots")
+    summary = json.loads(result.stdout)
+    assert summary["result"] == os.path.join("dlgmd-out", "loom")
+    assert summary["complete"] is True and summary["frames"] == N_FRAMES
+    record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
+    assert record["summary"].items() <= summary.items()
+
+
+def open_text(path):
+    with open(path, encoding="utf-8") as file:
+        return file.read()
+
+
+def test_run_yaml(dlgmd, clips):
+    dlgmd("run", clips / "loom.avi", "--no-plots", "--size", "20x16", "--param", "r=3")
+    record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
+    assert record["input"] == {
+        "path": str(clips / "loom.avi"),
+        "width": 32,
+        "height": 24,
+        "fps": FPS,
+        "frames": N_FRAMES,
+        "duration_s": pytest.approx(N_FRAMES / FPS),
+        "decoder": "opencv",
+        "bytes": (clips / "loom.avi").stat().st_size,
+        "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
+    }
+    assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
+    assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
+    assert record["engine"] == "opencv"
+    assert record.keys() >= load_set(9).to_dict().keys()
+    assert record["complete"] is True
+    assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
+    assert set(record["summary"]) == {
+        "mp_max",
+        "mp_max_frame",
+        "mp_max_time_s",
+        "spikes",
+        "first_spike_time_s",
+        "collisions",
+        "first_collision_frame",
+        "first_collision_time_s",
+        "mean_attenuation_db",
+    }
+
+
+def test_run_yaml_repeats_the_run(dlgmd, clips, tmp_path):
+    options = ["--set", 5, "--param", "sigma_e=0.5", "--formulation", "equations"]
+    options += ["--scale", 0.75, "--fps", 12.5, "--start", "0.1", "--end", "00:00:00.7"]
+    options += ["--normalise", "sequence", "--no-plots"]
+    assert dlgmd("run", clips / "loom.avi", *options, "--out", "one").exit_code == 0
+    again = ["--config", "one/loom/run.yaml", "--no-plots", "--out", "two"]
+    assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+    for name in FILES:
+        assert (tmp_path / "one/loom" / name).read_bytes() == (
+            tmp_path / "two/loom" / name
+        ).read_bytes()
+    rows = read(tmp_path / "one/loom/mp.csv")
+    assert [int(row["frame"]) for row in rows] == list(range(3, 18, 2))
+    # What the command line says goes before what the file recorded.
+    over = ["--size", "16x12", "--out", "three", "--normalise", "absolute"]
+    assert dlgmd("run", clips / "loom.avi", *again, *over).exit_code == 0
+    record = yaml.safe_load(open_text("three/loom/run.yaml"))
+    assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
+
+
+def test_plot_formats(dlgmd, clips, tmp_path):
+    result = dlgmd("run", clips / "loom.avi", "--format", "pdf", "--format", "svg")
+    assert result.exit_code == 0
+    names = {
+        f"{plot}.{kind}" for plot in ("mp", "attenuation", "spikes") for kind in ("pdf", "svg")
+    }
+    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES | names
+    assert (tmp_path / "dlgmd-out/loom/mp.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_folder_of_pictures(dlgmd, pictures, tmp_path):
+    result = dlgmd("run", pictures, "--no-plots")
+    assert result.exit_code == 0
+    assert "Warning: " in result.stderr and "taken as 30 fps" in result.stderr
+    rows = read(tmp_path / "dlgmd-out" / pictures.name / "mp.csv")
+    assert [row["time_s"] for row in rows[:3]] == ["0", "0.0333333333", "0.0666666667"]
+
+
+def test_existing_result(dlgmd, clips):
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    before = os.stat("dlgmd-out/loom/mp.csv")
+    refused = dlgmd("run", clips / "loom.avi", "--no-plots")
+    assert refused.exit_code == 2
+    assert refused.stderr == (
+        f"Error: {os.path.join('dlgmd-out', 'loom')}: a result stands here already. "
+        "Add --overwrite to replace it, or choose another --out.\n"
+    )
+    assert os.stat("dlgmd-out/loom/mp.csv") == before
+    assert dlgmd("run", clips / "loom.avi", "--overwrite").exit_code == 0
+    assert set(os.listdir("dlgmd-out/loom")) == FILES | PLOTS
+
+
+USAGE = [
+    (["--set", 12], "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
+    (["--set", "1", "--config", "x.yaml"], "--set and --config exclude each other"),
+    (["--config", "none.yaml"], "none.yaml: there is no such file"),
+    (["--param", "sigma_e=-1"], "Invalid value for '--param': sigma_e = -1 is not above 0."),
+    (["--param", "sigma_x=1"], "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
+    (["--param", "nonsense"], "'nonsense' is not KEY=VALUE"),
+    (["--model", "lgmx"], "'lgmx' is not"),
+    (["--formulation", "printed"], "'printed' is not one of"),
+    (["--scale", 0], "--scale"),
+    (["--scale", 1.5], "--scale"),
+    (["--scale", "nan"], "--scale"),
+    (["--size", "0x5"], "size 0x5"),
+    (["--size", "wide"], "'wide' is not WIDTHxHEIGHT"),
+    (["--set", "1", "--param", "lam=0.7"], "makes the latency longer than 64 frames"),
+    (["--scale", 0.5, "--size", "4x4"], "--scale and --size exclude each other"),
+    (["--fps", -1], "--fps"),
+    (["--fps", "nan"], "--fps"),
+    (["--start", "soon"], "'soon' is not a time"),
+    (["--start", "1:75"], "is not a time"),
+    (["--start", 2, "--end", 1], "--end 1 is not after --start 2"),
+    (["--normalise", "both"], "--normalise"),
+    (["--decoder", "vlc"], "--decoder"),
+    (["--format", "bmp"], "--format"),
+    (["--colour"], "No such option"),
+]
+
+
+@pytest.mark.parametrize(("options", "why"), USAGE, ids=[" ".join(map(str, u[0])) for u in USAGE])
+def test_wrong_usage_is_exit_2(dlgmd, clips, options, why):
+    result = dlgmd("run", clips / "loom.avi", *options)
+    assert result.exit_code == 2 and result.stdout == ""
+    error = result.stderr.splitlines()[-1]
+    assert error.startswith("Error: ") and why in error
+    assert os.listdir(".") == []
+
+
+def test_usage_names_the_command(dlgmd, clips):
+    result = dlgmd("run", clips / "loom.avi", "--set", 12)
+    assert result.stderr.startswith("Usage: dlgmd run ")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
+        ({"pace": 1}, "unknown option 'pace' under 'options'"),
+        ({"size": "big"}, "size = 'big' under 'options' is not valid"),
+        ({"scale": [1]}, "scale = a list or mapping under 'options' is not valid"),
+        ({"fps": float("nan")}, "fps = nan under 'options' is not valid"),
+    ],
+)
+def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):
+    (tmp_path / "my.yaml").write_text(yaml.safe_dump({"options": options}))
+    result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
+    assert result.exit_code == 2 and why in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("none.mp4", None, "there is no such file or folder"),
+        ("empty.mp4", b"", "the file is empty"),
+        ("text.mp4", b"hello", "no frame could be decoded, damaged file or missing codec"),
+    ],
+)
+def test_bad_input_is_exit_1(dlgmd, tmp_path, name, content, why):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    before = os.listdir(".")
+    result = dlgmd("run", name)
+    assert result.exit_code == 1 and result.stdout == ""
+    assert result.stderr.startswith(f"Error: {name}: {why}")
+    assert result.stderr.count("\n") == 1 and os.listdir(".") == before
+
+
+def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
+    assert dlgmd("run", clips / "loom.mp4", "--decoder", decoder, "--no-plots").exit_code == 0
+    folder = tmp_path / "dlgmd-out/loom"
+    record = yaml.safe_load(open_text(folder / "run.yaml"))
+    assert record["input"]["decoder"] == record["options"]["decoder"] == decoder
+    assert ("av" in record["versions"]) == (decoder == "pyav")
+    again = dlgmd(
+        "run", clips / "loom.mp4", "--config", folder / "run.yaml", "--no-plots", "--out", "again"
+    )
+    assert again.exit_code == 0
+    for name in FILES:
+        assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
+    assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
+    for name in ("loom", pictures.name):
+        record = yaml.safe_load(open_text(tmp_path / "dlgmd-out" / name / "run.yaml"))
+        assert record["input"]["decoder"] == "opencv"
+        assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
+
+
+def test_a_decoder_that_is_not_installed(dlgmd, clips, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    result = dlgmd("run", clips / "loom.mp4", "--decoder", "pyav")
+    assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
+    assert result.stderr == (
+        "Error: --decoder pyav: the package 'av' is not installed. "
+        "Install it with: pip install 'dlgmd[fast]'\n"
+    )
+
+
+def test_an_unknown_decoder(clips):
+    with pytest.raises(ParameterError, match="no decoder 'vlc'"):
+        open_source(clips / "loom.mp4", decoder="vlc")
+    assert _input.DECODERS == DECODERS  # which help cannot import, it would bring in OpenCV
+
+
+def test_too_short(dlgmd, clips):
+    result = dlgmd("run", clips / "short.avi", "--set", 9)
+    assert result.exit_code == 1
+    assert result.stderr == (
+        f"Error: {clips / 'short.avi'}: 3 frames, but set9 needs at least 4. Use a longer clip.\n"
+    )
+    assert os.listdir(".") == []
+    assert dlgmd("run", clips / "short.avi", "--set", 3).exit_code == 0
+
+
+def test_a_span_without_frames(dlgmd, clips):
+    result = dlgmd("run", clips / "loom.avi", "--start", 100)
+    assert result.exit_code == 1
+    assert (
+        "--start, --end and --fps leave fewer than the 4 frames that set9 needs. "
+        "Its last frame read is at 0.760 s." in result.stderr
+    )
+
+
+@pytest.mark.parametrize("options", [["--start", 0.7], ["--end", 0.05], ["--fps", 2]])
+def test_a_span_with_few_frames(dlgmd, clips, options):
+    result = dlgmd("run", clips / "loom.avi", *options)
+    assert result.exit_code == 1
+    assert "leave fewer than the 4 frames" in result.stderr and os.listdir(".") == []
+
+
+def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
+    write_video(tmp_path / "still.avi", looming_frames(1) * 6)
+    result = dlgmd("run", "still.avi", "--normalise", "sequence")
+    assert result.exit_code == 0 and "the membrane potential never changes" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["..avi", "...avi"])
+def test_a_name_of_dots_stays_inside_out(dlgmd, tmp_path, clips, name):
+    (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
+    assert dlgmd("run", name, "--no-plots").exit_code == 0
+    (result,) = os.listdir("dlgmd-out")
+    assert result.startswith("video.") and set(os.listdir(f"dlgmd-out/{result}")) == FILES
+
+
+def test_terminal_controls_in_a_name_are_not_printed(dlgmd, tmp_path, clips):
+    name = "red\x1b[31m\nline.avi"
+    (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
+    result = dlgmd("run", name, "--no-plots")
+    assert result.exit_code == 0 and "\x1b" not in result.output
+    missing = dlgmd("run", "no\x1b[31m.avi")
+    assert "\x1b" not in missing.output and "no\\x1b[31m.avi" in missing.stderr
+
+
+def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    result = dlgmd("run", "cut.avi", "--no-plots")
+    assert result.exit_code == 0
+    assert "Warning: " in result.stderr and f"of about {N_FRAMES} frames" in result.stderr
+    record = yaml.safe_load(open_text("dlgmd-out/cut/run.yaml"))
+    assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
+
+
+def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
+    write_video(tmp_path / "still.avi", looming_frames(1) * 6)
+    result = dlgmd("run", "still.avi", "--no-plots", "--decoder", decoder)
+    assert result.exit_code == 0
+    assert ("read it with --decoder pyav" in result.stderr) == (decoder == "opencv")
+    assert "Warning: still.avi: no picture differs from the one before it" in result.stderr
+    rows = read(tmp_path / "dlgmd-out/still/attenuation.csv")
+    assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes
+    assert {row["s_sum"] for row in rows[3:]} == {"0"}
+
+
+def test_an_interrupt_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path):
+    step = DLGMD.step
+    seen = []
+
+    def interrupted(self, luminance, **options):
+        seen.append(1)
+        if len(seen) == 9:
+            raise KeyboardInterrupt
+        return step(self, luminance, **options)
+
+    monkeypatch.setattr(DLGMD, "step", interrupted)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 130
+    assert "Interrupted; writing what was computed." in result.stderr
+    assert "holds the 8 frames before it." in result.stderr
+    folder = tmp_path / "dlgmd-out/loom"
+    assert set(os.listdir(folder)) == FILES | PLOTS
+    assert yaml.safe_load(open_text(folder / "run.yaml"))["complete"] is False
+    assert len(read(folder / "mp.csv")) == 8
+
+
+def test_an_interrupt_of_the_plots_keeps_everything_else(dlgmd, clips, monkeypatch, tmp_path):
+    draw = PLOTS_BY_NAME["mp"]
+
+    def interrupted(result):
+        signal.raise_signal(signal.SIGINT)
+        return draw(result)
+
+    monkeypatch.setitem(PLOTS_BY_NAME, "mp", interrupted)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 130 and "Traceback" not in result.stderr
+    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES | {"mp.png"}
+    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is True
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_loses_nothing(dlgmd, clips, monkeypatch, tmp_path):
+    step, write = DLGMD.step, tables.write_tables
+    seen = []
+
+    def interrupted(self, luminance, **options):
+        seen.append(1)
+        if len(seen) == 9:
+            signal.raise_signal(signal.SIGINT)
+        return step(self, luminance, **options)
+
+    def interrupted_too(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        write(*arguments)
+
+    monkeypatch.setattr(DLGMD, "step", interrupted)
+    monkeypatch.setattr(tables, "write_tables", interrupted_too)
+    result = dlgmd("run", clips / "loom.avi", "--no-plots")
+    assert result.exit_code == 130
+    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES
+    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is False
+
+
+def test_an_interrupt_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch):
+    def interrupted(self, luminance, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(DLGMD, "step", interrupted)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 130 and os.listdir(".") == []
+
+
+def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
+    def broken(self, luminance, **options):
+        raise IndexError("inner secret")
+
+    monkeypatch.setattr(DLGMD, "step", broken)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 1
+    assert result.stderr == (
+        "Error: internal error (IndexError). Rerun with --debug and report the traceback.\n"
+    )
+    assert os.listdir(".") == []
+    assert isinstance(dlgmd("--debug", "run", clips / "loom.avi").exception, IndexError)
+
+
+def test_a_full_disk_is_one_line(dlgmd, clips, monkeypatch):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dlgmd_cli.runs.findings.write_tables", full)
+    result = dlgmd("run", clips / "loom.avi")
+    assert result.exit_code == 1
+    assert "the result cannot be written (No space left on device)" in result.stderr
+    assert os.listdir(".") == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_real_signal_in_a_real_process(tmp_path, name):
+    frames = looming_frames(20, 320, 240)
+    write_video(tmp_path / "long.avi", frames * 150)
+    command = [sys.executable, "-m", "dlgmd_cli", "run", "long.avi", "--no-plots"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+    )
+    # The folder of results is made just before the first frame.
+    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/.dlgmd-*")):
+        time.sleep(0.01)
+    time.sleep(0.3)
+    process.send_signal(getattr(signal, name))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert b"Traceback" not in errors
+    record = yaml.safe_load(open_text(tmp_path / "dlgmd-out/long/run.yaml"))
+    assert record["complete"] is False
+    assert 0 < record["processed"]["frames"] < 3000
+    assert os.listdir(tmp_path / "dlgmd-out") == ["long"]
+
+
+def test_other_models(dlgmd, clips, tmp_path):
+    for name in ("lgmd", "emd-lgmd"):
+        result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name)
+        assert result.exit_code == 0, result.output
+        folder = tmp_path / name / "loom"
+        record = yaml.safe_load((folder / "run.yaml").read_text(encoding="utf-8"))
+        assert record["model"] == name and record["engine"] == "opencv"
+        with (folder / "mp.csv").open(newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["mp"]]
+        for row in rows:
+            mean = float(row["mp"]) / (32 * 24)
+            if name == "lgmd":
+                expected = 1 / (1 + math.exp(-mean))
+            else:
+                expected = mean / (mean + record["kappa"])
+            assert float(row["mp_abs"]) == pytest.approx(expected, rel=1e-6)
+        assert record["summary"]["mp_max"] > 0.0
+        again = dlgmd(
+            *["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"],
+            *["--overwrite"],
+        )
+        assert again.exit_code == 0, again.output
+        assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--set", 3], "--set is of the D-LGMD, not of --model lgmd."),
+        (["--formulation", "released"], "--formulation is of the D-LGMD, not of lgmd."),
+        (["--param", "r=3"], "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
+        (["--engine", "numba"], "the model lgmd has no engine 'numba'"),
+        (["--param", "p1=0.9", "--param", "p2=0.2"], "makes every change grow for ever"),
+    ],
+)
+def test_options_that_another_model_does_not_have(dlgmd, clips, options, message):
+    result = dlgmd("run", clips / "loom.avi", "--model", "lgmd", *options)
+    assert result.exit_code == 2 and message in result.stderr
