@@ -5,21 +5,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dlgmd_cli.flights.bodies import spot
 from dlgmd_cli.flights.contact import Surroundings, first_contact
+from dlgmd_cli.flights.furniture import furniture
 from dlgmd_cli.flights.path import Path
-from dlgmd_cli.flights.places.building import pillar
-from dlgmd_cli.flights.places.indoor import cluttered_room, corridor, simple_room
-from dlgmd_cli.flights.places.obstacles import (
-    carton_on_stool,
-    gridded_board,
-    notebook_on_table,
-    person,
+from dlgmd_cli.flights.placing import (
+    Build,
+    PassedError,
+    beside,
+    in_the_way,
+    singled_out,
+    world_of,
 )
-from dlgmd_cli.flights.places.rooms import Place
-from dlgmd_cli.flights.places.seats import chair
-from dlgmd_cli.flights.places.sheet import Rng
 from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body, World
+from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.script import (
     Phase,
     accelerate,
@@ -32,14 +32,7 @@ from dlgmd_cli.flights.script import (
     yaw,
 )
 from dlgmd_cli.flights.stage import REACH_M, Stage
-from dlgmd_cli.flights.stages.placing import (
-    Build,
-    PassedError,
-    beside,
-    in_the_way,
-    singled_out,
-    world_of,
-)
+from dlgmd_cli.flights.textures import Rng
 
 _AFTER_S = 0.5
 # With less, there would be no flight to see.
@@ -48,6 +41,18 @@ _MAX_TRIES = 50
 # What is planned, and how often: what comes of it may be different.
 _PLANS = {"hit": 0.45, "wall": 0.1, "pass": 0.25, "stop": 0.2}
 _CORRIDOR_M, _HEIGHT_M = 2.4, 2.8
+
+
+# What may stand in a room: the piece of furniture, which part of it is to be met, how large it may
+# be, and from which height to which it can be hit, at its usual size.
+_OBSTACLES = (
+    ("chair", "chair", (0.9, 1.15), (0.65, 0.78)),
+    ("gridded pattern", "gridded pattern", (0.8, 1.2), (0.8, 1.4)),
+    ("notebook on table", "notebook", (0.95, 1.1), (0.86, 0.93)),
+    ("carton on stool", "carton", (0.85, 1.15), (0.85, 1.1)),
+    ("pillar", "pillar", (1.0, 1.0), (0.6, 1.8)),
+    ("person", "person", (0.9, 1.05), (0.9, 1.4)),
+)
 
 
 @dataclass(frozen=True)
@@ -130,40 +135,15 @@ def _standing(
 
 
 def _obstacle(rng: Rng) -> _Obstacle:
-    """One of six, with looks of its own."""
+    """One of six, with looks and a size of its own."""
     looks = np.random.default_rng(rng.integers(2**32))
-    tone, scale = rng.uniform(0.05, 0.6), rng.uniform(0.9, 1.15)
-    high = rng.uniform(0.6, 0.9)
-    side = rng.uniform(0.6, 1.1)
-    choices = [
-        _Obstacle("chair", lambda at, yaw: chair(at, yaw, tone=tone, scale=scale), 0.62, 0.85),
-        _Obstacle(
-            "gridded pattern",
-            lambda at, yaw: gridded_board(at, yaw, size_m=(side, side), bottom_m=0.7),
-            0.8,
-            0.6 + side,
-        ),
-        _Obstacle(
-            "notebook",
-            lambda at, yaw: notebook_on_table(looks, at, yaw, height_m=0.72, scale=1.1),
-            0.92,
-            0.98,
-        ),
-        _Obstacle(
-            "carton",
-            lambda at, yaw: carton_on_stool(looks, at, yaw, height_m=high),
-            high + 0.1,
-            high + 0.35,
-        ),
-        _Obstacle(
-            "pillar",
-            lambda at, yaw: pillar(looks, at, yaw, width_m=0.35 * scale, height_m=_HEIGHT_M),
-            0.6,
-            1.8,
-        ),
-        _Obstacle("person", lambda at, yaw: person(looks, at, yaw), 0.9, 1.4),
-    ]
-    return choices[rng.integers(len(choices))]
+    piece, name, sizes, (low_m, high_m) = _OBSTACLES[rng.integers(len(_OBSTACLES))]
+    scale = rng.uniform(*sizes)
+
+    def build(at_m: tuple[float, float], yaw_deg: float) -> list[Body]:
+        return furniture(piece, looks, spot(at_m, yaw_deg, scale))
+
+    return _Obstacle(name, build, scale * low_m, scale * high_m)
 
 
 def _script(rng: Rng, obstacle: _Obstacle, *, stops: bool) -> tuple[list[Phase], float]:

@@ -6,16 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.flights.places.sheet import Size
 from dlgmd_cli.flights.renderer.camera import FloatArray, rotation
 from dlgmd_cli.flights.renderer.solids import Face, Motion, Solid
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
+from dlgmd_cli.flights.textures import Size
 
 Triple = tuple[float, float, float]
 SIDES = ("front", "back", "left", "right", "top", "bottom")
-STANDING = ("front", "back", "left", "right", "top")
-AGAINST_WALL = ("front", "left", "right", "top")
-AROUND = ("front", "back", "left", "right")
 _ABOVE, _BELOW, _LEVEL = 1.0, 0.45, 0.72  # shares of the light on what looks up, down, sideways
 _LEAF_M = 0.004
 _LAMP_SIDE = np.array([0.1, -0.15, 0.0])
@@ -51,11 +48,16 @@ class Spot:
     at_m : ndarray, shape (3,)
         Its own origin, in the world.
     axes : ndarray, shape (3, 3)
-        Its own axes in the world, as columns.
+        Its own axes in the world, as columns; as long as it is larger than usual.
     """
 
     at_m: FloatArray
     axes: FloatArray
+
+    @property
+    def scale(self) -> float:
+        """How many times as large as usual it is."""
+        return float(np.linalg.norm(self.axes[:, 0]))
 
     def world(self, points_m: npt.ArrayLike) -> FloatArray:
         """Points, (..., 3), from its own axes to the world's."""
@@ -67,10 +69,10 @@ class Spot:
         return Spot(self.world(at_m), self.axes @ rotation(0.0, pitch_deg, yaw_deg))
 
 
-def spot(at_m: Sequence[float], yaw_deg: float = 0.0) -> Spot:
+def spot(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Spot:
     """A spot at (x, y), on the floor, or at (x, y, z); see `Spot`."""
     x, y, z = (*at_m, 0.0)[:3]
-    return Spot(np.array([x, y, z], float), rotation(0.0, 0.0, yaw_deg))
+    return Spot(np.array([x, y, z], float), scale * rotation(0.0, 0.0, yaw_deg))
 
 
 def light_on(normal: FloatArray) -> float:
@@ -83,8 +85,8 @@ def light_on(normal: FloatArray) -> float:
 def block(
     name: str,
     where: Spot,
-    low_m: Triple,
-    high_m: Triple,
+    low_m: npt.ArrayLike,
+    high_m: npt.ArrayLike,
     covered: Skin,
     *,
     sides: Sequence[str] = SIDES,
@@ -98,7 +100,7 @@ def block(
     name, motion
         See `Solid`.
     where : Spot
-    low_m, high_m : (float, float, float)
+    low_m, high_m : array_like, shape (3,)
     covered : Skin
         On all sides that `others` does not name.
     sides : sequence of str
@@ -107,7 +109,7 @@ def block(
     others : mapping of str to Skin, optional
         What is on single sides.
     """
-    (x0, y0, z0), (x1, y1, z1) = low_m, high_m
+    (x0, y0, z0), (x1, y1, z1) = np.array([low_m, high_m], float).tolist()
     dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
     # Top left corner, right and down, as somebody who looks at that side has them.
     frames = {
@@ -158,17 +160,12 @@ def panel(
     size_m: Size,
     covered: Skin,
     *,
-    both_sides: bool = False,
     motion: Motion | None = None,
 ) -> Solid:
     """A flat upright picture that looks along x of its spot, which is the middle of its bottom."""
     width, height = size_m
-    ways = (1, -1) if both_sides else (1,)
-    faces = [
-        _face(where, (0, -way * width / 2, height), (0, way * width, 0), (0, 0, -height), covered)
-        for way in ways
-    ]
-    return Solid(name, faces, motion)
+    face = _face(where, (0, -width / 2, height), (0, width, 0), (0, 0, -height), covered)
+    return Solid(name, [face], motion)
 
 
 def leaf(name: str, where: Spot, outline_m: npt.ArrayLike, covered: Skin) -> Solid:

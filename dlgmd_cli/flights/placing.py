@@ -9,9 +9,9 @@ import numpy as np
 
 from dlgmd_cli.flights.nearest import Nearest
 from dlgmd_cli.flights.path import Path
-from dlgmd_cli.flights.places.rooms import Place
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, World
+from dlgmd_cli.flights.rooms import Place
 from dlgmd_cli.flights.stage import REACH_M
 from dlgmd_cli.flights.surfaces import Surfaces
 
@@ -108,14 +108,9 @@ def world_of(place: Place, guests: Sequence[Body] = (), light: float = DAYLIGHT)
 
     Furniture that has the name of a guest gets another one, so that truths are about the guest.
     """
-    return lit_by(lambda _: light, place, guests)
-
-
-def lit_by(light: Callable[[float], float], place: Place, guests: Sequence[Body] = ()) -> World:
-    """What `world_of` makes, in light that changes; see `World`."""
     taken = {guest.name for guest in guests}
     furniture = [_other(body) if body.name in taken else body for body in place.bodies]
-    return World(place.room, [*furniture, *guests], light)
+    return World(place.room, [*furniture, *guests], lambda _: light)
 
 
 def singled_out(world: World, index: int) -> World:
