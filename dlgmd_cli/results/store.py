@@ -193,7 +193,7 @@ def commit(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         kinds = _TABLES if is_new_input else (record,)
-        remove(folder, [kind for kind in kinds] + [n for kind in kinds for n in files_of(kind)])
+        remove(folder, [*kinds, *(name for kind in kinds for name in files_of(kind))])
         for name in sorted(files, key=lambda name: name == record):
             write_file(folder / name, files[name])
     except OSError as error:
