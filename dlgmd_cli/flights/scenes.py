@@ -26,8 +26,8 @@ from dlgmd_cli.flights.stage import Stage
 from dlgmd_cli.flights.textures import Rng
 from dlgmd_cli.params import nearest
 from dlgmd_cli.stimuli.base import Scene
-from dlgmd_cli.stimuli.flat.approach import Approach, ApproachOptions, Ball, Cube
-from dlgmd_cli.stimuli.flat.translation import Translation, TranslationOptions
+from dlgmd_cli.stimuli.looming import Approach, ApproachOptions, Ball, Cube
+from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 
 NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
 _ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}

@@ -3,17 +3,17 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
-from dlgmd_cli.stimuli.base import (
-    MAX_FRAMES,
-    GreyImage,
-    Scene,
-    invalid,
-    option,
+from dlgmd_cli.stimuli.base import MAX_FRAMES, GreyImage, Scene, invalid, option
+from dlgmd_cli.stimuli.plain import (
+    DEFAULT_FRAMES,
+    FlatOptions,
+    FlatTruth,
+    Patch,
+    disc,
+    rectangle,
+    render,
 )
-from dlgmd_cli.stimuli.flat.base import DEFAULT_FRAMES, FlatOptions, FlatTruth, render
-from dlgmd_cli.stimuli.flat.shapes import Patch, disc, rectangle
 
 MIN_METRES, MAX_METRES = 0.001, 10_000
 
@@ -37,41 +37,31 @@ class ApproachOptions(FlatOptions):
     distance_m: float = option(7.5, "--distance", MIN_METRES, MAX_METRES, unit="m")
 
 
-class Solid(Protocol):
-    """How an object on the optical axis looks from a distance to its nearest point, both in m."""
-
-    def angle(self, size: float, distance: float) -> float:
-        """Angular size in radians."""
-        ...
-
-    def angle_slope(self, size: float, distance: float) -> float:
-        """Derivative of the angular size with respect to the distance, in rad/m."""
-        ...
-
-    def patch(self, options: ApproachOptions, distance: float) -> Patch:
-        """Its projection on the picture."""
-        ...
-
-
 class Cube:
-    """A cube seen face on; only its front face is in sight."""
+    """A cube on the optical axis, seen face on; only its front face is in sight.
+
+    Sizes, and distances to the nearest point, are in m.
+    """
 
     def angle(self, size: float, distance: float) -> float:
-        """2 atan(s / 2d), across the face."""
+        """Angular size in rad: 2 atan(s / 2d), across the face."""
         return 2.0 * math.atan2(size, 2.0 * distance)
 
     def angle_slope(self, size: float, distance: float) -> float:
-        """-s / (d² + s²/4)."""
+        """Its derivative with respect to the distance, in rad/m: -s / (d² + s²/4)."""
         return -size / (distance**2 + size**2 / 4.0)
 
     def patch(self, options: ApproachOptions, distance: float) -> Patch:
-        """A square of side f s / d."""
+        """Its projection on the picture: a square of side f s / d."""
         side = options.focal_px * options.object_size_m / distance
         return rectangle(options.shape, _middle(options), (side, side))
 
 
 class Ball:
-    """A ball of diameter s; its centre lies at D = d + s/2, behind its nearest point."""
+    """A ball of diameter s; its centre lies at D = d + s/2, behind its nearest point.
+
+    It is told what a `Cube` is.
+    """
 
     def angle(self, size: float, distance: float) -> float:
         """2 asin(R / D), with R = s / 2."""
@@ -95,7 +85,7 @@ class Approach(Scene[ApproachOptions]):
     ----------
     name, description : str
         See `Scene`.
-    solid : Solid
+    solid : Cube or Ball
         The kind of object.
     defaults : ApproachOptions
         See `Scene`.
@@ -109,7 +99,7 @@ class Approach(Scene[ApproachOptions]):
         self,
         name: str,
         description: str,
-        solid: Solid,
+        solid: Cube | Ball,
         defaults: ApproachOptions,
         *,
         recedes: bool = False,

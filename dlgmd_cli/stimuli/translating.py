@@ -4,15 +4,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from dlgmd_cli.stimuli.base import (
-    MAX_SIDE_PX,
-    GreyImage,
-    Scene,
-    invalid,
-    option,
+from dlgmd_cli.stimuli.base import MAX_SIDE_PX, GreyImage, Scene, invalid, option
+from dlgmd_cli.stimuli.plain import (
+    DEFAULT_FRAMES,
+    FlatOptions,
+    FlatTruth,
+    Patch,
+    rectangle,
+    render,
 )
-from dlgmd_cli.stimuli.flat.base import DEFAULT_FRAMES, FlatOptions, FlatTruth, render
-from dlgmd_cli.stimuli.flat.shapes import Patch, rectangle
 
 
 @dataclass(frozen=True)
