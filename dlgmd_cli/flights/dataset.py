@@ -1,6 +1,7 @@
 """Many flights of one scene, each from a seed of its own, and what they are labelled with."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -72,9 +73,7 @@ class Fleet:
     def paths_of(self, number: int) -> tuple[Path, ...]:
         """A flight's files: frames, truth, record, and the sheet if there is to be one."""
         has_sheet = self.draw_sheet is not None
-        return clip_paths(
-            self.scene, self.form, self.folder, self.name_of(number), sheet=has_sheet
-        )
+        return clip_paths(self.scene, self.form, self.folder, self.name_of(number), sheet=has_sheet)
 
     def present(self) -> dict[int, Label]:
         """The labels of the flights that are there, whole and as asked for, by number."""
@@ -192,10 +191,11 @@ def render_flights(
             yield number, error
         return
     try:
-        for number, outcome in run_tasks(partial(_render, fleet, overwrite), numbers, jobs):
-            if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
-                raise outcome.error
-            yield number, outcome.error
+        with closing(run_tasks(partial(_render, fleet, overwrite), numbers, jobs)) as outcomes:
+            for number, outcome in outcomes:
+                if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
+                    raise outcome.error
+                yield number, outcome.error
     finally:
         # Of processes that were stopped while they were writing.
         for number in numbers:

@@ -49,8 +49,12 @@ def plot_contact_sheet(sheet: ContactSheet) -> Figure:
             rim = BLACK if still.is_collision else GREY
             axes.imshow(_thumbnail(still.image), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
-            axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if still.is_collision else 0.3)
-            label = axes.set_xlabel(_caption(still), loc="left", fontsize=6.5, color=rim, labelpad=2)
+            axes.spines[:].set(
+                visible=True, color=rim, linewidth=2.5 if still.is_collision else 0.3
+            )
+            label = axes.set_xlabel(
+                _caption(still), loc="left", fontsize=6.5, color=rim, labelpad=2
+            )
             label.set(parse_math=False, weight="bold" if still.is_collision else "normal")
         for axes in grid:
             axes.set_axis_off()

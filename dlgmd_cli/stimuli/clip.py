@@ -4,7 +4,6 @@ A clip that has a record is there if and only if its record is: the record of an
 removed first, and the new one is written last.
 """
 
-import math
 import os
 import re
 import shutil
