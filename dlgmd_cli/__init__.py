@@ -5,21 +5,21 @@ TYPE_CHECKING = False
 
 __version__ = "0.1.0"
 
-__all__ = ["DLGMD", "DlgmdError", "DlgmdParameters", "load_set", "open_source"]
+__all__ = ["DLGMD", "DlgmdError", "DlgmdParameters", "load_set", "open_video"]
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError
     from dlgmd_cli.models.dlgmd import DLGMD
     from dlgmd_cli.params import DlgmdParameters
     from dlgmd_cli.presets import load_set
-    from dlgmd_cli.video.open import open_source
+    from dlgmd_cli.video.frames import open_video
 
 _HOMES = {
     "DLGMD": "dlgmd_cli.models.dlgmd",
     "DlgmdError": "dlgmd_cli.errors",
     "DlgmdParameters": "dlgmd_cli.params",
     "load_set": "dlgmd_cli.presets",
-    "open_source": "dlgmd_cli.video.open",
+    "open_video": "dlgmd_cli.video.frames",
 }
 
 

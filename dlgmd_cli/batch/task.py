@@ -5,7 +5,7 @@ from typing import Any
 
 from dlgmd_cli.batch.places import Place
 from dlgmd_cli.params import Parameters
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 # How a video can end, as summary.csv has it.
 DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", "timeout"
@@ -51,7 +51,7 @@ class Order:
     """
 
     variants: tuple[Variant, ...]
-    options: InputChoice
+    options: InputOptions
     formats: tuple[str, ...]
     threads: int | None = None
 

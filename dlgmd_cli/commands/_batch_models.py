@@ -17,7 +17,7 @@ from dlgmd_cli.commands._model import (
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params import PARAMETERS
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Models:
         labels = [_as_folder(choice.label) for choice in self.choices]
         return numbered([label.lower() for label in labels]) if _clash(labels) else labels
 
-    def options(self, given: dict[str, Any]) -> InputChoice:
+    def options(self, given: dict[str, Any]) -> InputOptions:
         """What is read of every video: as is given, else as the model's file records it.
 
         Raises

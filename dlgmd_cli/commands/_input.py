@@ -7,7 +7,7 @@ import click
 from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.params.base import shown
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 NORMALISATIONS = ("absolute", "sequence")
 DECODERS = ("opencv", "pyav")
@@ -61,7 +61,7 @@ input_options = OptionGroup(
 )
 
 
-def choose_input(given: dict[str, Any], recorded: dict[str, Any], origin: str) -> InputChoice:
+def choose_input(given: dict[str, Any], recorded: dict[str, Any], origin: str) -> InputOptions:
     """The command line's options, and for the others those that `origin` has on record.
 
     Raises
@@ -71,14 +71,14 @@ def choose_input(given: dict[str, Any], recorded: dict[str, Any], origin: str) -
     """
     values = {key: _recorded(key, value, origin) for key, value in recorded.items()}
     try:
-        InputChoice(**values)
+        InputOptions(**values)
     except ParameterError as error:
         raise ParameterError(origin, f"options: {str(error).rstrip('.')}") from None
     explicit = {key: value for key, value in given.items() if value is not None}
     if explicit.keys() & {"scale", "size"}:
         values.pop("scale", None)
         values.pop("size", None)
-    return InputChoice(**{**values, **explicit})
+    return InputOptions(**{**values, **explicit})
 
 
 def _recorded(key: Any, value: Any, origin: str) -> Any:

@@ -10,7 +10,7 @@ from dlgmd_cli.commands._subjects import Subject
 from dlgmd_cli.commands._types import Output
 from dlgmd_cli.params import Parameters
 from dlgmd_cli.params.axis import Axis, Grid
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Width
@@ -33,7 +33,7 @@ class Plan:
     grid: Grid
     points: Mapping[int, Parameters]
     subject: Subject
-    options: InputChoice
+    options: InputOptions
 
     @classmethod
     def make(
@@ -43,7 +43,7 @@ class Plan:
         grid: Grid,
         points: Mapping[int, Parameters],
         subject: Subject,
-        options: InputChoice,
+        options: InputOptions,
     ) -> "Plan":
         """A plan with the engine that `run` would use."""
         from dlgmd_cli.runs.sweep import engine_for

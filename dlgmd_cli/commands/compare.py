@@ -20,7 +20,7 @@ from dlgmd_cli.commands._types import Output, output_options, width_option
 from dlgmd_cli.commands._variants import Variant, variant_options
 from dlgmd_cli.params import DlgmdParameters
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.compare import Entry
     from dlgmd_cli.runs.recording import Recording
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Video
 
 _NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
 _NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_agg")
@@ -137,9 +137,9 @@ def _create(variants: list[Variant], engine: str | None) -> "list[Model]":
     return models
 
 
-def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int, int]:
+def _size(variant: Variant, options: InputOptions, source: "Video") -> tuple[int, int]:
     """At which size a variant sees the input: as asked for, else as its file records it."""
-    from dlgmd_cli.video.prepare import processed_size
+    from dlgmd_cli.video.frames import processed_size
 
     own = variant.size
     if (options.scale or options.size or own.scale or own.size) is None:
@@ -151,10 +151,10 @@ def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int
 
 def _require_an_answer(
     name: str,
-    source: "Source",
+    source: "Video",
     variants: list[Variant],
     entries: "list[Entry]",
-    options: InputChoice,
+    options: InputOptions,
 ) -> None:
     """Raise SourceError if the input ends before the first model can answer."""
     if any(entry.recording.n_valid for entry in entries):

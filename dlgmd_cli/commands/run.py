@@ -71,7 +71,7 @@ def run(
         from dlgmd_cli.runs import single
         from dlgmd_cli.runs.compare import Entry
         from dlgmd_cli.runs.findings import Asked, conclude
-        from dlgmd_cli.video.fingerprint import fingerprint
+        from dlgmd_cli.video.frames import fingerprint
 
         identity = fingerprint(input_path)
         entry = Entry(detector, source.size_wh)

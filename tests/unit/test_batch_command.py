@@ -26,7 +26,7 @@ from dlgmd_cli.batch.work import prepare as prepare_work
 from dlgmd_cli.batch.work import process
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.params import DlgmdParameters
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 COLUMNS = [
     "video",
@@ -289,7 +289,7 @@ def test_an_input_that_cannot_be_told_apart_is_redone(dlgmd, flights):
     dlgmd("batch", flights / "a", *QUICK)
     (known, *_) = find_videos([("", str(flights / "a"))]).videos
     variant = Variant("set9", DlgmdParameters(), "auto", Folder.named("dlgmd-out"))
-    order = Order((variant,), InputChoice(), ())
+    order = Order((variant,), InputOptions(), ())
     for video, n_tasks in ((known, 0), (replace(known, identity={}), 1)):
         assert len(plan([video], order, force=False, overwrite=False).tasks) == n_tasks
 
@@ -472,7 +472,7 @@ def drive_alone(flights, out):
     """A batch without a command around it, for a thread of its own."""
     place = Folder.named(str(out))
     place.prepare()
-    order = Order((Variant("set9", DlgmdParameters(), "auto", place),), InputChoice(), ())
+    order = Order((Variant("set9", DlgmdParameters(), "auto", place),), InputOptions(), ())
     with place.locked():
         made = plan(find_videos([("", str(flights))]).videos, order, force=True, overwrite=True)
         drive(made, LocalPool(order, 2), lambda event: None)
@@ -492,9 +492,9 @@ def test_what_plots_need_is_there_before_the_first_video(monkeypatch):
     imported = []
     monkeypatch.setattr("dlgmd_cli.batch.work.import_module", imported.append)
     monkeypatch.setattr("dlgmd_cli.batch.work.limit_threads", lambda count: None)
-    prepare_work(Order((), InputChoice(), ("png",)))
+    prepare_work(Order((), InputOptions(), ("png",)))
     assert imported == ["dlgmd_cli.plots.traces"]
-    prepare_work(Order((), InputChoice(), ()))
+    prepare_work(Order((), InputOptions(), ()))
     assert len(imported) == 1
 
 
@@ -502,7 +502,7 @@ def test_what_plots_need_is_there_before_the_first_video(monkeypatch):
 def test_so_many_videos_at_a_time(monkeypatch, jobs):
     monkeypatch.setattr("dlgmd_cli.batch.attend.prepare", prepare)
     tasks = [Task(Video(f"hangs{n}", f"/hangs{n}", f"hangs{n}"), (0,)) for n in range(2)]
-    pool = LocalPool(Order((), InputChoice(), ()), jobs, timeout_s=0.5)
+    pool = LocalPool(Order((), InputOptions(), ()), jobs, timeout_s=0.5)
     n_running, most, pids = 0, 0, set()
     with pool:
         for event in pool.work_on(tasks):
@@ -536,10 +536,10 @@ def test_a_summary_that_cannot_be_written_now_is_written_later(dlgmd, flights, m
 def test_what_may_not_be_replaced_is_not_even_decoded(tmp_path, monkeypatch):
     (tmp_path / "loom").mkdir()
     (tmp_path / "loom" / "thesis.tex").touch()
-    monkeypatch.setattr(InputChoice, "open", lambda *_: pytest.fail("decoded"))
+    monkeypatch.setattr(InputOptions, "open", lambda *_: pytest.fail("decoded"))
     variant = Variant("set9", DlgmdParameters(), "auto", Folder.named(str(tmp_path)))
     task = Task(Video("loom.avi", "/loom.avi", "loom"), (0,))
-    outcome = process(Order((variant,), InputChoice(), ()), task)
+    outcome = process(Order((variant,), InputOptions(), ()), task)
     assert outcome[0].error.startswith("this folder holds other files, such as thesis.tex")
 
 
