@@ -12,6 +12,7 @@ import click
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
+from dlgmd_cli.video.frames import parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
@@ -28,10 +29,10 @@ class Size(click.ParamType):
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[int, int]:
         """`480x270` -> (480, 270)."""
-        match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})", str(value).strip(), re.ASCII)
-        if match is None:
-            self.fail(f"{value!r} is not WIDTHxHEIGHT. Write 480x270.", param, ctx)
-        return int(match[1]), int(match[2])
+        try:
+            return parse_size(str(value))
+        except ParameterError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Time(click.ParamType):

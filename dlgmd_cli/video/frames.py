@@ -2,8 +2,10 @@
 
 import hashlib
 import math
+import numbers
 import os
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,6 +69,29 @@ class Frame:
         return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
 
+# Least and greatest value of the options that are numbers, whether the least is excluded, in words.
+_RANGES = {
+    "scale": (0.0, 1.0, True, "above 0 and up to 1"),
+    "fps": (0.0, 100_000.0, True, "a frame rate above 0"),
+    "input_fps": (0.0, 100_000.0, True, "a frame rate above 0"),
+    "start": (0.0, 1e9, False, "a time in seconds"),
+    "end": (0.0, 1e9, False, "a time in seconds"),
+}
+_CHOICES = {"decoder": tuple(DECODERS), "normalise": ("absolute", "sequence")}
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """`480x270` -> (480, 270); raises ParameterError."""
+    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})", text.strip(), re.ASCII)
+    if match is None:
+        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
+    return int(match[1]), int(match[2])
+
+
+def _wrong(name: str, value: object, why: str) -> ParameterError:
+    return ParameterError("", f"--{name.replace('_', '-')} {str(value)[:40]} {why}")
+
+
 @dataclass(frozen=True)
 class InputOptions:
     """What is read of an input, and which normalised membrane potential is thresholded.
@@ -90,10 +115,35 @@ class InputOptions:
     normalise: str | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.size, str):
+            object.__setattr__(self, "size", parse_size(self.size))
+        for name, (low, high, is_open, allowed) in _RANGES.items():
+            value = getattr(self, name)
+            is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+            if value is not None and not (
+                is_number and (low < value if is_open else low <= value) and value <= high
+            ):
+                raise _wrong(name, value, f"is not {allowed}")
+        for name, choices in _CHOICES.items():
+            value = getattr(self, name)
+            if value is not None and value not in choices:
+                raise _wrong(name, value, f"is not one of {', '.join(choices)}")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise ParameterError("", f"--end {self.end:g} is not after --start {self.start:g}")
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
+        """The options that a record holds; raises ParameterError, which names `origin`."""
+        known = {field.name for field in fields(cls)}
+        for key in record:
+            if key not in known:
+                raise ParameterError(origin, f"unknown option {str(key)[:40]!r} under 'options'")
+        try:
+            return cls(**record)
+        except ParameterError as error:
+            raise ParameterError(origin, f"options: {error.why}", error.mend) from None
 
     def n_expected(self, info: VideoInfo) -> int | None:
         """The number of frames until the requested end, as far as the input states it."""
