@@ -26,10 +26,12 @@ from dlgmd_cli.commands.options import (
     labelled,
     output_options,
     setup_options,
+    told_apart,
     width_option,
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import printable
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
 
 if TYPE_CHECKING:
@@ -58,7 +60,11 @@ def _setups(
         # To what a bare comparison would be with, if there is nothing else.
         models = () if derives else tuple(MODELS)
     found = [choose(set=name) for name in dict.fromkeys(set_names)]
-    found += [_sized(choose(config=path)) for path in dict.fromkeys(configs)]
+    files = list(dict.fromkeys(configs))
+    for path, label in zip(
+        files, told_apart([path.with_suffix("") for path in files]), strict=True
+    ):
+        found.append(replace(_sized(choose(config=path)), label=printable(label)))
     found += [choose(model=name) for name in dict.fromkeys(models)]
     if not any(isinstance(one.params, DlgmdParameters) for one in found):
         for option, is_given in (
