@@ -197,9 +197,7 @@ def render_flights(
                     raise outcome.error
                 yield number, outcome.error
     finally:
-        # Of processes that were stopped while they were writing.
-        for number in numbers:
-            remove_leftovers(fleet.paths_of(number))
+        remove_leftovers(fleet.folder)
 
 
 def _render(fleet: Fleet, overwrite: bool, number: int) -> None:

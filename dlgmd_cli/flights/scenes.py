@@ -24,7 +24,7 @@ from dlgmd_cli.flights.rooms import Hall, cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.stage import Stage
 from dlgmd_cli.flights.textures import Rng
-from dlgmd_cli.params import nearest
+from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stimuli.base import Scene
 from dlgmd_cli.stimuli.looming import Approach, ApproachOptions, Ball, Cube
 from dlgmd_cli.stimuli.translating import Translation, TranslationOptions

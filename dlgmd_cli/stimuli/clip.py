@@ -24,8 +24,7 @@ from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import PREFIX, refuse_existing, unwritable
 from dlgmd_cli.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, invalid
-from dlgmd_cli.video.count import count_frames
-from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, check_arrived, encode
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
 
 N_STILLS = 12
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
@@ -207,9 +206,11 @@ def write_clip(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         images = _watched(scene.frames(options), stills, on_frame)
-        _write_frames(form, temporary[0], images, n_frames, options)
         if form.is_video:
-            check_arrived(paths[0], count_frames(temporary[0]), n_frames)
+            shape, fps, codec = options.shape, options.fps, form.codec
+            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
+        else:
+            _write_pictures(temporary[0], images, n_digits(n_frames))
         rows = list(scene.truth(options))
         write_truth(temporary[1], scene.truth_type, rows)
         if scene.has_record:
@@ -228,7 +229,10 @@ def write_clip(
     except OSError as error:
         raise unwritable(paths[0], error) from None
     finally:
-        remove_leftovers(paths)
+        for path in temporary:
+            shutil.rmtree(path, ignore_errors=True)
+            with suppress(OSError):
+                path.unlink()
     return paths
 
 
@@ -268,13 +272,13 @@ def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> 
         refuse_existing(path, overwrite=overwrite)
 
 
-def remove_leftovers(paths: Iterable[Path]) -> None:
-    """Remove what was written of a clip's files under temporary names, if anything is there."""
-    for path in paths:
-        temporary = path.with_name(f"{PREFIX}{path.name}")
-        shutil.rmtree(temporary, ignore_errors=True)
-        with suppress(OSError):
-            temporary.unlink()
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder where nobody is writing now."""
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.suffix:  # the lock has none
+            path.unlink(missing_ok=True)
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
@@ -349,23 +353,14 @@ def _watched(
         on_frame(index + 1)
 
 
-def _write_frames(
-    form: Form, path: Path, frames: Iterable[GreyImage], n_frames: int, options: ClipOptions
-) -> None:
-    """Keep frames, (H, W) uint8 each; OSError passes through.
-
-    A video may hold fewer when the disk is full; see `check_arrived`.
-    """
-    if form.is_video:
-        encode(path, frames, options.shape, options.fps, codec=form.codec)
-        return
-    shutil.rmtree(path, ignore_errors=True)
-    path.mkdir()
-    digits = n_digits(n_frames)
+def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> None:
+    """Write frames, (H, W) uint8 each, as numbered PNG; OSError passes through."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
     for index, frame in enumerate(frames):
         # Not by OpenCV, which says nothing of a full disk.
         encoded = cv2.imencode(".png", frame)[1].tobytes()
-        (path / f"{index:0{digits}d}.png").write_bytes(encoded)
+        (folder / f"{index:0{digits}d}.png").write_bytes(encoded)
 
 
 def _put(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
