@@ -5,19 +5,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.cancel import Interrupted
-from dlgmd_cli.commands._console import (
+from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
+from dlgmd_cli.commands.console import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
     Command,
     Failed,
     print_path,
     print_table,
-    progress,
     say,
     settings,
 )
-from dlgmd_cli.commands._types import Size
+from dlgmd_cli.commands.options import Size
+from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
@@ -297,7 +296,7 @@ def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
             raise
         n_present = _label(fleet, overwrite)
     if is_interrupted:
-        say(_kept(fleet, n_present) if n_present else "Interrupted.")
+        say(f"Interrupted. {_kept(fleet, n_present)}" if n_present else "Interrupted.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
     if n_present < fleet.count:
         raise Failed(
@@ -343,6 +342,6 @@ def _label(fleet: "Fleet", overwrite: bool) -> int:
 def _kept(fleet: "Fleet", n_present: int) -> str:
     """What an end before the end leaves."""
     return (
-        f"{n_present} of {fleet.count} flights are in {fleet.folder}; "
+        f"{fleet.folder} holds {n_present} of {fleet.count} flights; "
         "run the same command again for the others."
     )

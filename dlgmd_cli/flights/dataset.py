@@ -1,7 +1,6 @@
 """Many flights of one scene, each from a seed of its own, and what they are labelled with."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -191,11 +190,10 @@ def render_flights(
             yield number, error
         return
     try:
-        with closing(run_tasks(partial(_render, fleet, overwrite), numbers, jobs)) as outcomes:
-            for number, outcome in outcomes:
-                if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
-                    raise outcome.error
-                yield number, outcome.error
+        for number, outcome in run_tasks(partial(_render, fleet, overwrite), numbers, jobs):
+            if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
+                raise outcome.error
+            yield number, outcome.error
     finally:
         remove_leftovers(fleet.folder)
 

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from dlgmd_cli.errors import printable
-from dlgmd_cli.plots.style import BLACK, DPI, GREY, house_style, save_figure
+from dlgmd_cli.plots.style import BLACK, DPI, GREY, house_style, save_figure, shortened, width_in
 from dlgmd_cli.stimuli.clip import ContactSheet, Still
 
 _N_COLUMNS = 4
-# Two columns of a paper; and as much of a page's height as a row takes at most.
-_WIDTH_IN, _MAX_TILE_IN, _CAPTION_IN, _TITLE_IN = 7.16, 2.2, 0.5, 0.4
+# Two columns of a paper; how high frames may be, so that 12 fit on a page; and about what the
+# words take, as Matplotlib leaves some room if it is too much.
+_WIDTH_IN, _MAX_TILE_IN, _CAPTION_IN, _TITLE_IN = width_in("two"), 2.2, 0.42, 0.36
 _LONGEST_NAME, _LONGEST_PHASE = 48, 28
 
 
@@ -80,7 +80,7 @@ def _title(sheet: ContactSheet) -> str:
     """What the clip is; and, of a flight, how it ends."""
     height, width = sheet.stills[0].image.shape
     facts = (
-        _shortened(sheet.name, _LONGEST_NAME),
+        shortened(sheet.name, _LONGEST_NAME),
         f"{width}×{height} px",
         f"{sheet.fps:g} frames/s",
         "1 frame" if sheet.n_frames == 1 else f"{sheet.n_frames} frames",
@@ -111,12 +111,6 @@ def _caption(still: Still) -> str:
         nearness.append(f"contact in {left_s:.{2 if left_s >= 0.1 else 3}f} s")
     if math.isfinite(angle_deg):
         nearness.append(f"{angle_deg:.1f}° across")
-    phase = _shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
+    phase = shortened(getattr(row, "phase", ""), _LONGEST_PHASE)
     lines = (f"frame {row.frame} · {row.time_s:.3f} s", phase, " · ".join(nearness))
     return "\n".join(line for line in lines if line)
-
-
-def _shortened(text: str, longest: int) -> str:
-    """The beginning of a text on one line."""
-    text = printable(text)
-    return text if len(text) <= longest else f"{text[: longest - 1]}…"

@@ -202,7 +202,7 @@ def write_clip(
     refuse_standing(paths, form, overwrite=overwrite)
     temporary = [path.with_name(f"{PREFIX}{path.name}") for path in paths]
     facts = scene.record(options)
-    stills = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
+    stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         images = _watched(scene.frames(options), stills, on_frame)
