@@ -9,9 +9,8 @@ import numpy.typing as npt
 from dlgmd_cli.flights.nearest import Nearest
 from dlgmd_cli.flights.path import Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.renderer.solids import World
+from dlgmd_cli.flights.renderer.solids import Surfaces, World
 from dlgmd_cli.flights.stage import REACH_M
-from dlgmd_cli.flights.surfaces import Surfaces
 
 # Distances are looked at no less often than this, and no more often than that.
 _LONGEST_S, _SHORTEST_S = 0.02, 0.002

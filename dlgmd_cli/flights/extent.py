@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.surfaces import Surfaces
+from dlgmd_cli.flights.renderer.solids import Surfaces
 
 # Directions nearer to each other than this have no angle that changes smoothly.
 _SAME_DIRECTION = 1e-12

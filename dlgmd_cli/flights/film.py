@@ -9,7 +9,7 @@ import numpy as np
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.options import FlightOptions
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.renderer import Renderer
+from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.sensor import Sensor
 from dlgmd_cli.flights.renderer.texture import FloatImage
 from dlgmd_cli.flights.stage import Stage

@@ -5,9 +5,8 @@ import numpy as np
 from dlgmd_cli.flights.extent import Extent
 from dlgmd_cli.flights.path import State
 from dlgmd_cli.flights.renderer.camera import Camera, FloatArray
-from dlgmd_cli.flights.renderer.solids import World
+from dlgmd_cli.flights.renderer.solids import IntArray, Surfaces, World
 from dlgmd_cli.flights.sightlines import Sightlines
-from dlgmd_cli.flights.surfaces import IntArray, Surfaces
 
 # A point is hidden by what is nearer by more than this share.
 _HIDES = 1e-6

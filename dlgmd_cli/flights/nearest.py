@@ -3,7 +3,7 @@
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.surfaces import Surfaces
+from dlgmd_cli.flights.renderer.solids import Surfaces
 
 # With fewer faces, nothing is inside.
 _LEAST_CLOSED = 4

@@ -3,8 +3,7 @@
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
-from dlgmd_cli.flights.renderer.solids import Solid
-from dlgmd_cli.flights.surfaces import IntArray, Surfaces
+from dlgmd_cli.flights.renderer.solids import IntArray, Solid, Surfaces
 
 # Cells of the grid whose crossings are looked along, its rim being the picture's.
 N_COLUMNS, N_ROWS = 64, 36

@@ -10,8 +10,8 @@ from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.nearest import Nearest
 from dlgmd_cli.flights.path import State
 from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.solids import Surfaces
 from dlgmd_cli.flights.stage import Stage
-from dlgmd_cli.flights.surfaces import Surfaces
 
 # A frame's time and that of contact may differ in the last digits.
 _SAME_S = 1e-9

@@ -16,12 +16,11 @@ from dlgmd_cli.flights.nearest import Nearest
 from dlgmd_cli.flights.path import State
 from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, World, quad
+from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, Surfaces, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.script import accelerate, cruise, hover, stand, take_off, yaw
 from dlgmd_cli.flights.sightlines import Sightlines
 from dlgmd_cli.flights.stage import REACH_M, Stage
-from dlgmd_cli.flights.surfaces import Surfaces
 from dlgmd_cli.flights.truth import FlightTruth, Target, truth_rows
 
 PLAIN = Texture([[0.5]])

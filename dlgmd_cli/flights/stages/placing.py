@@ -11,9 +11,8 @@ from dlgmd_cli.flights.nearest import Nearest
 from dlgmd_cli.flights.path import Path
 from dlgmd_cli.flights.places.rooms import Place
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, World
+from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, Surfaces, World
 from dlgmd_cli.flights.stage import REACH_M
-from dlgmd_cli.flights.surfaces import Surfaces
 
 # Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front looks along its x.
 Build: TypeAlias = Callable[[tuple[float, float], float], Sequence[Body]]
