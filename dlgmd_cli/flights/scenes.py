@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.flights.stages.ball import ball_and_capsules
 from dlgmd_cli.flights.stages.groups import group1, group2, group3, group4, group5
 from dlgmd_cli.flights.stages.misses import (

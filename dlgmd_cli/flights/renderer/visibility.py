@@ -22,6 +22,22 @@ _EDGE_ON_M = 1e-9
 _TOUCHING_M = 1e-6
 
 
+def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether all corners of each face, (n, n_corners, 3), are beyond one border of the picture."""
+    right, down = camera.middle_xy / camera.focal_px
+    x, y, depth = np.moveaxis(seen, -1, 0)
+    beyond = np.array(
+        [
+            x - right * depth,
+            -x - right * depth,
+            y - down * depth,
+            -y - down * depth,
+            _NEAR_M - depth,
+        ]
+    )
+    return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
+
+
 class Sight:
     """The outlines of bodies; all planar faces are projected together.
 
@@ -62,7 +78,7 @@ class Sight:
         seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
         origins = self._origins - eyes[surfaces.face_body]
         heights = (surfaces.normals * origins).sum(axis=1)  # of the faces above the camera
-        chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~_is_outside(camera, seen))
+        chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~is_outside(camera, seen))
         heights, normals, shares = heights[chosen], surfaces.normals[chosen], self._shares[chosen]
         rays = pose.camera_from_world.T @ camera.rays_from_xy
         planes = normals @ rays / heights[:, None]
@@ -89,22 +105,6 @@ class Sight:
             if outline_of_it is not None:
                 found[index] = [outline_of_it]
         return found
-
-
-def _is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether all corners of each face, (n, n_corners, 3), are beyond one border of the picture."""
-    right, down = camera.middle_xy / camera.focal_px
-    x, y, depth = np.moveaxis(seen, -1, 0)
-    beyond = np.array(
-        [
-            x - right * depth,
-            -x - right * depth,
-            y - down * depth,
-            -y - down * depth,
-            _NEAR_M - depth,
-        ]
-    )
-    return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
 
 
 def _clip_near(seen: FloatArray) -> FloatArray:

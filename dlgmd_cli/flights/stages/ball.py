@@ -10,14 +10,14 @@ import math
 import cv2
 import numpy as np
 
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.path import REACH_M, Stage
 from dlgmd_cli.flights.places.materials import plain
 from dlgmd_cli.flights.places.rooms import Hall
 from dlgmd_cli.flights.places.sheet import Rng, clouds, limited
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body, Motion, Round, Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
 from dlgmd_cli.flights.script import hover
-from dlgmd_cli.flights.stage import REACH_M, Stage
 from dlgmd_cli.flights.stages.placing import FRAME_S
 
 CONTACT_FRAME = 61

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.path import Stage
 from dlgmd_cli.flights.places.indoor import cluttered_room, simple_room
 from dlgmd_cli.flights.places.obstacles import carton_on_stool, gridded_board, notebook_on_table
 from dlgmd_cli.flights.places.rooms import Place
 from dlgmd_cli.flights.places.seats import chair
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body
 from dlgmd_cli.flights.script import (
     Phase,
@@ -24,7 +25,6 @@ from dlgmd_cli.flights.script import (
     take_off,
     yaw,
 )
-from dlgmd_cli.flights.stage import Stage
 from dlgmd_cli.flights.stages.placing import FRAME_S, Build, in_the_way, world_of
 
 # What is filmed after the collision.

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dlgmd_cli.flights.path import Path
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.path import Path, Stage
 from dlgmd_cli.flights.places.building import door, notes_on_wall
 from dlgmd_cli.flights.places.indoor import (
     cluttered_room,
@@ -19,10 +20,8 @@ from dlgmd_cli.flights.places.indoor import (
 )
 from dlgmd_cli.flights.places.obstacles import person
 from dlgmd_cli.flights.places.rooms import Hall, Place
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body
 from dlgmd_cli.flights.script import Phase, accelerate, cruise, decelerate, hover, yaw
-from dlgmd_cli.flights.stage import Stage
 from dlgmd_cli.flights.stages.placing import DAYLIGHT, lit_by, world_of
 
 _LAMPS_ON_S, _DUSK = 2.0, 0.3

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dlgmd_cli.flights.contact import Surroundings, first_contact
-from dlgmd_cli.flights.path import Path
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.geometry import first_contact, surroundings
+from dlgmd_cli.flights.path import REACH_M, Path, Stage
 from dlgmd_cli.flights.places.building import pillar
 from dlgmd_cli.flights.places.indoor import cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.places.obstacles import (
@@ -18,7 +19,6 @@ from dlgmd_cli.flights.places.obstacles import (
 from dlgmd_cli.flights.places.rooms import Place
 from dlgmd_cli.flights.places.seats import chair
 from dlgmd_cli.flights.places.sheet import Rng
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body, World
 from dlgmd_cli.flights.script import (
     Phase,
@@ -31,7 +31,6 @@ from dlgmd_cli.flights.script import (
     take_off,
     yaw,
 )
-from dlgmd_cli.flights.stage import REACH_M, Stage
 from dlgmd_cli.flights.stages.placing import (
     Build,
     PassedError,
@@ -209,7 +208,7 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
 
 def _nearest(path: Path, world: World, time_s: float) -> tuple[World, str]:
     """The name of what is nearest at a time, and the world where only that has it."""
-    distances = Surroundings(world).distances(path.state(time_s).position_m, time_s)
+    distances = surroundings(world).distances(path.state(time_s).position_m, time_s)
     nearest = int(np.argmin(distances))
     if nearest >= len(world.bodies):
         return world, world.room.name
