@@ -10,13 +10,13 @@ import math
 import cv2
 import numpy as np
 
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.path import REACH_M, Stage
 from dlgmd_cli.flights.placing import FRAME_S
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body, Motion, Round, Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
 from dlgmd_cli.flights.rooms import Hall
 from dlgmd_cli.flights.script import hover
-from dlgmd_cli.flights.stage import REACH_M, Stage
 from dlgmd_cli.flights.textures import Rng, clouds, limited, plain
 
 CONTACT_FRAME = 61

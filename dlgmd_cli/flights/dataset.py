@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import read_record

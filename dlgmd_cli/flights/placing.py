@@ -7,13 +7,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from dlgmd_cli.flights.nearest import Nearest
-from dlgmd_cli.flights.path import Path
+from dlgmd_cli.flights.geometry import Nearest
+from dlgmd_cli.flights.path import REACH_M, Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, World
 from dlgmd_cli.flights.rooms import Place
-from dlgmd_cli.flights.stage import REACH_M
-from dlgmd_cli.flights.surfaces import Surfaces
 
 # Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front looks along its x.
 Build: TypeAlias = Callable[[tuple[float, float], float], Sequence[Body]]
@@ -61,7 +59,7 @@ def in_the_way(
     x, y, _ = state.position_m.tolist()
     yaw = math.degrees(math.atan2(ahead[1], ahead[0])) + 180.0 + turned_deg
     bodies = build((x, y), yaw)
-    nearest = Nearest(Surfaces([body for body in bodies if body.name == target]))
+    nearest = Nearest([body for body in bodies if body.name == target])
 
     def touches(ahead_m: float) -> bool:
         return bool(

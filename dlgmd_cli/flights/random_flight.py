@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dlgmd_cli.flights.bodies import spot
-from dlgmd_cli.flights.contact import Surroundings, first_contact
+from dlgmd_cli.flights.drone import fly
 from dlgmd_cli.flights.furniture import furniture
-from dlgmd_cli.flights.path import Path
+from dlgmd_cli.flights.geometry import first_contact, surroundings
+from dlgmd_cli.flights.path import REACH_M, Path, Stage
 from dlgmd_cli.flights.placing import (
     Build,
     PassedError,
@@ -17,7 +18,6 @@ from dlgmd_cli.flights.placing import (
     singled_out,
     world_of,
 )
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.solids import Body, World
 from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.script import (
@@ -31,7 +31,6 @@ from dlgmd_cli.flights.script import (
     take_off,
     yaw,
 )
-from dlgmd_cli.flights.stage import REACH_M, Stage
 from dlgmd_cli.flights.textures import Rng
 
 _AFTER_S = 0.5
@@ -189,7 +188,7 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
 
 def _nearest(path: Path, world: World, time_s: float) -> tuple[World, str]:
     """The name of what is nearest at a time, and the world where only that has it."""
-    distances = Surroundings(world).distances(path.state(time_s).position_m, time_s)
+    distances = surroundings(world).distances(path.state(time_s).position_m, time_s)
     nearest = int(np.argmin(distances))
     if nearest >= len(world.bodies):
         return world, world.room.name

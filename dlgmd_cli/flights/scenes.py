@@ -13,16 +13,15 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.flights import script
 from dlgmd_cli.flights.ball import ball_and_capsules
 from dlgmd_cli.flights.bodies import spot
+from dlgmd_cli.flights.drone import fly
 from dlgmd_cli.flights.furniture import furniture
-from dlgmd_cli.flights.options import FlightOptions
 from dlgmd_cli.flights.path import Path as FlightPath
+from dlgmd_cli.flights.path import Stage
 from dlgmd_cli.flights.placing import DAYLIGHT, FRAME_S, in_the_way, world_of
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.random_flight import random_flight
 from dlgmd_cli.flights.renderer.solids import Body, Motion
 from dlgmd_cli.flights.rooms import Hall, cluttered_room, corridor, simple_room
-from dlgmd_cli.flights.scene import FlightScene
-from dlgmd_cli.flights.stage import Stage
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.flights.textures import Rng
 from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stimuli.base import Scene

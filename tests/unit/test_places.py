@@ -24,9 +24,9 @@ from dlgmd_cli.flights.places.blocks import Skin, block, light_on, prism, ring, 
 from dlgmd_cli.flights.places.furnish import Furnishing
 from dlgmd_cli.flights.places.shade import shaded
 from dlgmd_cli.flights.places.sheet import MAX_SIDE_PX, Sheet, clouds, grain
-from dlgmd_cli.flights.renderer.order import Order, between
 from dlgmd_cli.flights.renderer.solids import Round, Solid
 from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.flights.renderer.visibility import Order, between
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
