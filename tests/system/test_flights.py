@@ -1,7 +1,13 @@
 """Every flight, at length: near misses, random flights, and rooms in which nothing overlaps."""
 
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +19,7 @@ from dlgmd_cli.flights.renderer.camera import Camera
 from dlgmd_cli.flights.renderer.visibility import Order
 from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.results.labels import read_labels
 
 pytestmark = pytest.mark.slow
 
@@ -57,8 +64,8 @@ def test_near_misses_miss(scene_of, name):
     assert near < min(row.distance_m for row in rows) < far
     assert all(math.isnan(row.time_to_contact_s) for row in rows)
     world = surroundings(stage.world)
-    for time in np.arange(0.0, stage.duration_s, 0.1):
-        assert world.distances(stage.path.state(time).position_m, time).min() > 0.3
+    for time_s in np.arange(0.0, stage.duration_s, 0.1):
+        assert world.distances(stage.path.state(time_s).position_m, time_s).min() > 0.3
 
 
 def test_through_the_doorway_means_through(scene_of):
@@ -95,8 +102,8 @@ def test_the_person_crosses_the_picture(scene_of):
 def test_bodies_are_apart_and_in_the_room(scene_of, name):
     scene, options, _ = scene_of(name)
     stage = scene.stage(options)
-    for time in (0.0, stage.duration_s / 2, stage.duration_s):
-        bodies = placed(stage.world.bodies, time)
+    for time_s in (0.0, stage.duration_s / 2, stage.duration_s):
+        bodies = placed(stage.world.bodies, time_s)
         assert Order(bodies).is_exact
         for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
             level = wall.normal @ wall.corners_m[0]
@@ -152,3 +159,42 @@ def test_hover_jitter_makes_small_differences_only(scene_of):
     )
     frames = np.array(list(scene.frames(options)), float)
     assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.5
+
+
+# Many of them, stopped from outside
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_from_outside(tmp_path, jobs):
+    program = (
+        "import flightscenes\n"
+        "from dlgmd_cli.__main__ import main\n"
+        "from dlgmd_cli.flights.scenes import SCENES\n"
+        "if __name__ == '__main__':\n"
+        "    SCENES['quick'] = flightscenes.Quick()\n"
+        "    main()\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    command = [sys.executable, "program.py", "synth", "quick", "--count", "9999", "--out", "f"]
+    here = Path(__file__).parents[1]
+    process = subprocess.Popen(
+        [*command, "--jobs", str(jobs)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until and len(list(tmp_path.glob("f/*.yaml"))) < 6:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 130, said
+    listed = [label.video for label in read_labels(tmp_path / "f" / "labels.csv")]
+    assert listed == sorted(path.name for path in tmp_path.glob("f/*.mp4")) and len(listed) >= 6
+    assert len(list((tmp_path / "f").iterdir())) == 3 * len(listed) + 1
+    assert said == (
+        f"Interrupted. f holds {len(listed)} of 9999 flights; "
+        "run the same command again for the others.\n"
+    )
