@@ -5,20 +5,21 @@ TYPE_CHECKING = False
 
 __version__ = "0.1.0"
 
-__all__ = ["DLGMD", "DlgmdError", "DlgmdParameters", "load_set", "open_source"]
+__all__ = ["DLGMD", "Alarm", "DlgmdError", "DlgmdParameters", "load_set", "open_source"]
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError
+    from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.models.dlgmd import DLGMD
-    from dlgmd_cli.params import DlgmdParameters
-    from dlgmd_cli.presets import load_set
+    from dlgmd_cli.parameters import DlgmdParameters, load_set
     from dlgmd_cli.video.open import open_source
 
 _HOMES = {
+    "Alarm": "dlgmd_cli.models.detection",
     "DLGMD": "dlgmd_cli.models.dlgmd",
     "DlgmdError": "dlgmd_cli.errors",
-    "DlgmdParameters": "dlgmd_cli.params",
-    "load_set": "dlgmd_cli.presets",
+    "DlgmdParameters": "dlgmd_cli.parameters",
+    "load_set": "dlgmd_cli.parameters",
     "open_source": "dlgmd_cli.video.open",
 }
 

@@ -15,7 +15,7 @@ from dlgmd_cli.commands._console import (
     show_traceback,
     usage_errors_escaped,
 )
-from dlgmd_cli.params import nearest
+from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stops import Stops, interrupt
 
 COMMANDS = (

@@ -222,7 +222,7 @@ class Video:
 def _doubts(tape: "Tape", decoder: str) -> list[str]:
     """What looks wrong about the input."""
     from dlgmd_cli.models.base import undefined
-    from dlgmd_cli.params import DlgmdParameters
+    from dlgmd_cli.parameters import DlgmdParameters
     from dlgmd_cli.results.measures import Summary
     from dlgmd_cli.runs.reading import Reading
     from dlgmd_cli.runs.recording import Recording

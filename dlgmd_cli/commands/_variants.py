@@ -10,7 +10,7 @@ from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
-from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters, Parameters
 from dlgmd_cli.results.cells import text_cell
 from dlgmd_cli.video.choice import InputChoice
 
@@ -55,7 +55,7 @@ def _variants(
     if not (set_names or configs or models):
         set_names = (DEFAULT_SET,)
         # To what a bare comparison would be with, if there is nothing else.
-        models = () if derives else tuple(PARAMETERS)
+        models = () if derives else tuple(MODELS)
     files = list(dict.fromkeys(configs))
     found = [_variant(_choice(set_name=name)) for name in set_names]
     found += [
@@ -132,7 +132,7 @@ variant_options = OptionGroup(
         "--model",
         "models",
         multiple=True,
-        type=click.Choice(list(PARAMETERS)),
+        type=click.Choice(list(MODELS)),
         help="A model with its published values; repeatable.  [default: all three]",
     ),
     click.option(

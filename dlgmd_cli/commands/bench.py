@@ -99,7 +99,7 @@ def bench(
     resizing), and the whole, in which both go on at once.
     """
     from dlgmd_cli.paper.speed import RADII, SCALES, measure
-    from dlgmd_cli.presets import load_set
+    from dlgmd_cli.parameters import load_set
 
     chosen_radii = tuple(dict.fromkeys(radii)) or RADII
     chosen_scales = tuple(dict.fromkeys(scales)) or SCALES

@@ -18,7 +18,7 @@ from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import Output, output_options, width_option
 from dlgmd_cli.commands._variants import Variant, variant_options
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.runs.facts import facts, too_short
 from dlgmd_cli.video.choice import InputChoice
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.recording import Recording
     from dlgmd_cli.video.prepare import Source
 
-_NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
+_NEEDED_LATER = ("dlgmd_cli.models.engines.opencv", "dlgmd_cli.runs.compare", "rich.table")
 _NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_agg")
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.findings import Findings
 
 _NEEDED_LATER = (
-    "dlgmd_cli.models.tiled",
+    "dlgmd_cli.models.engines.opencv",
     "dlgmd_cli.runs.findings",
     "dlgmd_cli.results.folder",
     "rich.table",

@@ -10,7 +10,7 @@ from statistics import median
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.base import Grey, Model, create_model
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import run
 from dlgmd_cli.video.prefetch import opencv_threads

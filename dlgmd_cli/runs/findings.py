@@ -5,7 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.params import Parameters
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.measures import Summary
 from dlgmd_cli.results.record import write_record
 from dlgmd_cli.results.tables import Result, write_tables

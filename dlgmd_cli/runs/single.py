@@ -61,7 +61,9 @@ def watch(
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), frames_ahead(source) as frames:
         for frame in frames:
-            if not visit(frame, model.step(frame.grey, layers=wants_layers(frame.index))):
+            if not visit(
+                frame, model.step(frame.grey, frame.time_s, layers=wants_layers(frame.index))
+            ):
                 return
 
 

@@ -20,7 +20,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import SourceError, printable
-from dlgmd_cli.presets import MAX_CONFIG_BYTES
+from dlgmd_cli.parameters import MAX_CONFIG_BYTES
 from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
 from dlgmd_cli.results.comparison import write_comparison
 from dlgmd_cli.results.files import fitting

@@ -29,7 +29,7 @@ from dlgmd_cli.batch.summary import COLUMNS, Summary
 from dlgmd_cli.batch.task import DONE, FAILED, TIMEOUT, Ending, Order, Task, Variant, Video
 from dlgmd_cli.commands._batch_view import Tally, failures
 from dlgmd_cli.errors import OutputExistsError, SourceError, WorkerError
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.record import parse_record, yaml_text
 from dlgmd_cli.runs.worker import Worker
 from dlgmd_cli.video.choice import InputChoice

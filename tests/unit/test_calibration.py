@@ -9,7 +9,7 @@ from reference_data import reference_dir
 from dlgmd_cli import DLGMD, load_set, open_source
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
-from dlgmd_cli.params import EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters import EmdLgmdParameters, LgmdParameters
 
 SECOND = 30  # frames
 LABEL_ERROR = 2  # frames

@@ -14,7 +14,7 @@ from conftest import FPS, N_FRAMES, WIDTH, looming_frames, read_video, write_vid
 
 from dlgmd_cli import DLGMD, load_set, open_source
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.parameters import MODELS
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.runs import single
 from dlgmd_cli.runs.layers import LayerRecording, run_layers
@@ -82,7 +82,7 @@ def test_arrays_are_the_library_s(dlgmd, tmp_path):
 @pytest.mark.parametrize("model", ["dlgmd", "lgmd"])
 def test_scales_hold_the_layers_of_every_frame(tmp_path, model):
     write_video(tmp_path / "looms.avi", looming_frames(30, 96, 54))
-    detector = create_model(PARAMETERS[model]())
+    detector = create_model(MODELS[model].parameters())
     recording, seen = LayerRecording((), whole=True), {name: [] for name in "psg"}
     with open_source(tmp_path / "looms.avi") as source:
         run_layers(source, detector, recording)
