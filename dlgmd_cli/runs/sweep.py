@@ -9,15 +9,16 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import DlgmdError, OutputError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
 from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.parameters import DlgmdParameters, Parameters
@@ -27,9 +28,9 @@ from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sweep import Grid, Series, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Setup, Tell
-from dlgmd_cli.video.frames import Frame
-from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.runs.run import OnFrame, Tell, input_identity, input_record, too_short
+from dlgmd_cli.video.frames import Frame, InputOptions, Video
+from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
 
 RECORD, TABLE, FIGURE = "sweep.yaml", "sweep.csv", "sweep"
 PRODUCTS = frozenset({RECORD, TABLE, *(f"{FIGURE}.{suffix}" for suffix in store.PLOT_FORMATS)})
@@ -49,6 +50,86 @@ Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
 @dataclass(frozen=True)
+class Subject:
+    """What the models of a sweep look at.
+
+    Attributes
+    ----------
+    name : str
+        What results are called.
+    size_wh : (int, int)
+        Width and height of the frames, in px.
+    clips : callable
+        The frames of each clip. Rows farther than so many px from any change may be left out;
+        None asks for all.
+    speeds_px : tuple of float
+        Of each clip, the speed of its cube in px/frame; empty for a video, of which the response
+        is measured instead of attenuation alone.
+    settings : dict
+        What it adds to the record's `sweep`.
+    too_short : callable
+        From the number of frames, the model's label and the number that it needs to the error.
+    options : dict
+        What is read of a video, as the record has it.
+    identity : dict
+        What tells a video from others.
+    facts : callable
+        What the record says of a video of so many frames, once they are read.
+    """
+
+    name: str
+    size_wh: tuple[int, int]
+    clips: Callable[[int | None], Iterable[Iterable[Frame]]]
+    speeds_px: tuple[float, ...]
+    settings: dict[str, Any]
+    too_short: Callable[[int, str, int], DlgmdError]
+    n_expected: int | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    identity: dict[str, Any] = field(default_factory=dict)
+    facts: Callable[[int], dict[str, Any]] = lambda n_frames: {}
+
+
+def video_subject(
+    path: str, video: Video, options: InputOptions, false_positive_frame: int | None = None
+) -> Subject:
+    """A video, or pictures, that `path` led to.
+
+    Parameters
+    ----------
+    path : str
+        As the user gave it.
+    video : Video
+        Open; it may be closed when the sweep is done.
+    options : InputOptions
+        How it was opened.
+    false_positive_frame : int, optional
+        Where a response is a mistake, for distinguishability.
+    """
+    identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
+
+    def frames() -> Iterator[Frame]:
+        with opencv_threads(1), ReadAhead(video) as ahead:
+            yield from ahead
+
+    def facts(n_frames: int) -> dict[str, Any]:
+        known = input_record(video, video.size_wh, n_frames, identity)
+        return {**known, "warnings": list(video.progress.warnings)}
+
+    return Subject(
+        name=video.info.name,
+        size_wh=video.size_wh,
+        clips=lambda reach_px: [frames()],
+        speeds_px=(),
+        settings={"false_positive_frame": false_positive_frame},
+        too_short=lambda n_frames, label, n: too_short(path, video, label, n, options),
+        n_expected=options.n_expected(video.info),
+        options=options.to_record(),
+        identity=identity,
+        facts=facts,
+    )
+
+
+@dataclass(frozen=True)
 class Clip:
     """Decoded frames in a temporary file, which any process can map into its memory.
 
@@ -56,10 +137,8 @@ class Clip:
     ----------
     path : Path
         The file.
-    dtype : str
-        Type of the frames, uint8 or float32.
-    shape : (int, int, int)
-        Number, height and width of the frames.
+    dtype, shape : str, (int, int, int)
+        Type of the frames, uint8 or float32; their number, height and width.
     frame, time_s : ndarray, shape (n,)
         Their numbers and times.
     is_still : bool
@@ -74,33 +153,19 @@ class Clip:
     is_still: bool
 
     @classmethod
-    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame = lambda n: None) -> "Clip":
-        """Write frames of one size and type, at least one, into a file.
-
-        Raises
-        ------
-        OutputError
-            If there is no room for them.
-        Interrupted
-            If the user asks to stop.
-        """
-        numbers, is_still = [], True
+    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame) -> "Clip":
+        """Write frames of one size and type, at least one, into a file; OSError passes through."""
+        numbers: list[tuple[int, float]] = []
+        is_still = True
         first: Grey = np.empty((0, 0))
-        try:
-            with path.open("wb") as file:
-                for one in frames:
-                    cancel.check()
-                    first = one.grey if not numbers else first
-                    is_still = is_still and np.array_equal(one.grey, first)
-                    file.write(np.ascontiguousarray(one.grey).data)
-                    numbers.append((one.index, one.time_s))
-                    on_frame(one.index + 1)
-        except OSError as error:
-            raise OutputError(
-                str(path.parent),
-                f"the decoded frames cannot be kept there ({error.strerror or error})",
-                "Make room, or process smaller frames with --scale.",
-            ) from None
+        with path.open("wb") as file:
+            for one in frames:
+                cancel.check()
+                first = one.grey if not numbers else first
+                is_still = is_still and np.array_equal(one.grey, first)
+                file.write(np.ascontiguousarray(one.grey).data)
+                numbers.append((one.index, one.time_s))
+                on_frame(one.index + 1)
         frame, time_s = np.array(numbers, dtype=np.float64).T.copy()
         height, width = first.shape
         shape = (len(numbers), height, width)
@@ -109,45 +174,6 @@ class Clip:
     def open(self) -> Grey:
         """The frames, shape (n, H, W), read from the file as they are needed."""
         return np.asarray(np.memmap(self.path, self.dtype, mode="r", shape=self.shape))
-
-
-class Subject(Protocol):
-    """What the models of a sweep look at.
-
-    Attributes
-    ----------
-    name : str
-        What results are called.
-    size_wh : (int, int)
-        Width and height of the frames, in px.
-    speeds_px : tuple of float
-        Of each clip, the speed of its cube; empty for a video, of which the response is measured
-        instead of attenuation alone.
-    settings : dict
-        What of the record depends on it: `options`, `sweep`, and of a video `input`, as far as it
-        is known without decoding.
-    false_positive_frame : int or None
-        Where a response is a mistake, for distinguishability.
-    """
-
-    name: str
-    size_wh: tuple[int, int]
-    speeds_px: tuple[float, ...]
-    settings: dict[str, Any]
-    false_positive_frame: int | None
-
-    def clips(
-        self, folder: Path, reach_px: int | None, progress: Progress
-    ) -> tuple[list[Clip], dict[str, Any]]:
-        """Keep all frames in `folder`; also returns what the record says of them.
-
-        Rows that are farther than `reach_px` from any change may be left out, unless it is None.
-        """
-        ...
-
-    def too_short(self, clip: Clip, label: str, n_needed: int) -> DlgmdError:
-        """The error for too few frames."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -197,13 +223,15 @@ class Probe:
 
     def _measured(self, clip: Clip, params: Parameters, rows: Series) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
-        attenuation = mean_attenuation(rows[3])
+        mp, p_sum, s_sum, attenuation_db = rows
+        attenuation = mean_attenuation(attenuation_db)
         if not self.measures_response:
             return (attenuation,)
         _, height, width = clip.shape
         options = {"normalise": "sequence"} if self.by_sequence else {}
         record = {"processed": {"width": width, "height": height}, "options": options}
-        result = Result(clip.frame, clip.time_s, *rows, params=params, record=record)
+        sums = (p_sum, s_sum, attenuation_db)
+        result = Result(clip.frame, clip.time_s, mp, *sums, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
@@ -307,49 +335,62 @@ def grid_parameters(
     return found, first_fault
 
 
-def engine_for(setup: Setup, size_wh: tuple[int, int], tell: Tell = lambda message: None) -> str:
+def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
     """The engine that `run` would use on frames of that size; raises what `create_model` does."""
-    model = create_model(setup.params, engine=setup.engine)
-    if setup.params.model != "dlgmd":
+    model = create_model(params, engine=asked)
+    if params.model != "dlgmd":
         return model.engine_name
-    return choose_engine(setup.engine, size_wh[0] * size_wh[1], tell)
+    return choose_engine(asked, size_wh[0] * size_wh[1], tell)
 
 
-@dataclass
 class Sweep:
     """A sweep and the folder that it is kept in.
 
-    Attributes
+    Parameters
     ----------
     folder : Path
         Where its files are.
     subject : Subject
         What the models look at.
-    setup : Setup
-        The model, and the parameters that are the same at all points.
     grid : Grid
-        Those that are not.
-    points : mapping of int to Parameters
-        The parameters at all points that are possible.
+        Parameters that differ.
+    params : Parameters
+        The others.
+    label : str
+        What errors call the model.
     engine : str
-        What computes the model, not `auto`.
+        What computes it, not `auto`.
+
+    Attributes
+    ----------
+    points : dict of int to Parameters
+        The parameters at all points that are possible.
+    fault : ParameterError or None
+        Why the first of the other points is not.
     result : SweepResult
         What is done so far.
+
+    Raises
+    ------
+    ParameterError
+        If no point is possible.
     """
 
-    folder: Path
-    subject: Subject
-    setup: Setup
-    grid: Grid
-    points: Mapping[int, Parameters]
-    engine: str
-    result: SweepResult = field(init=False)
-    _facts: dict[str, Any] = field(init=False, default_factory=dict)
-
-    def __post_init__(self) -> None:
-        speeds_px = self.subject.speeds_px
-        names = ATTENUATION_COLUMNS if speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(self.grid, speeds_px, names, self.points)
+    def __init__(
+        self,
+        folder: Path,
+        subject: Subject,
+        grid: Grid,
+        params: Parameters,
+        label: str,
+        engine: str,
+    ) -> None:
+        self.folder, self.subject, self.grid = folder, subject, grid
+        self.params, self.label, self.engine = params, label, engine
+        self.points, self.fault = grid_parameters(grid, params)
+        names = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
+        self.result = SweepResult.empty(grid, subject.speeds_px, names, self.points)
+        self._facts: dict[str, Any] = {}
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Take in the points that the folder, which must be there, has of the same sweep.
@@ -367,8 +408,9 @@ class Sweep:
         if overwrite or RECORD not in names:
             return
         before = read_record(self.folder / RECORD)
-        settings = yaml.safe_load(self._text(self._settings()))
-        differing = _differing(before, settings)
+        differing = _differing(before, yaml.safe_load(self._text(self._settings())))
+        if self.subject.identity and not store.is_same_input(before, self.subject.identity):
+            differing.append("input")
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             mend = "Add --overwrite to replace it, or choose another --out."
@@ -400,17 +442,16 @@ class Sweep:
         missing = {point: self.points[point] for point in self.points if point not in done}
         if not missing:
             return
-        clips: list[Clip] = []
         try:
-            clips, self._facts = self.subject.clips(self.folder, self._reach_px(), progress)
+            clips = self._keep_frames(progress)
             self._require_an_answer(clips)
             self._begin()
             probe = Probe(
-                tuple(clips),
+                clips,
                 self.engine,
                 measures_response=not self.subject.speeds_px,
-                by_sequence=self.subject.settings["options"].get("normalise") == "sequence",
-                false_positive_frame=self.subject.false_positive_frame,
+                by_sequence=self.subject.options.get("normalise") == "sequence",
+                false_positive_frame=self.subject.settings.get("false_positive_frame"),
             )
             with (
                 progress(f"sweep {self.subject.name}", len(self.points), "point") as on_point,
@@ -439,7 +480,7 @@ class Sweep:
         rows = self.result.rows(range(len(self.grid)))
         text = self._text(self._record(complete=True))
         files: dict[str, store.Write] = {
-            TABLE: lambda path: write_rows(path, self.result.header, rows),
+            TABLE: partial(write_rows, header=self.result.header, rows=rows),
             **figures,
             RECORD: lambda path: path.write_text(text, encoding="utf-8"),
         }
@@ -454,17 +495,23 @@ class Sweep:
         """What is doubtful about the input, a line each."""
         return list(self._facts.get("warnings", []))
 
-    def _begin(self) -> None:
-        """Make the folder that of this sweep, with the points that were taken in."""
-        done = self.result.done
-        for name in () if done else PRODUCTS:
-            (self.folder / name).unlink(missing_ok=True)
-        text = self._text(self._record(complete=False))
-        store.write_text(self.folder / RECORD, text)
-        rows = self.result.rows(sorted(done))
-        store.write_file(
-            self.folder / TABLE, lambda path: write_rows(path, self.result.header, rows)
-        )
+    def _keep_frames(self, progress: Progress) -> tuple[Clip, ...]:
+        """Write the frames of all clips into files, and note what the record says of them."""
+        subject, clips = self.subject, []
+        radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
+        with progress(subject.name, subject.n_expected, "frame") as on_frame:
+            for number, frames in enumerate(subject.clips(max(radii, default=None))):
+                path = self.folder / f"{store.PREFIX}frames-{number}"
+                clips.append(Clip.keep(path, frames, on_frame))
+        self._facts = subject.facts(len(clips[0].frame))
+        if subject.identity:
+            clip, nothing = clips[0], np.full(len(clips[0].frame), np.nan)
+            p_sum = np.full(len(nothing), 0.0 if clip.is_still else 1.0)
+            result = Result(
+                clip.frame, clip.time_s, nothing, p_sum, nothing, nothing, self.params, self._facts
+            )
+            self._facts["warnings"] += result.doubts()
+        return tuple(clips)
 
     def _require_an_answer(self, clips: Sequence[Clip]) -> None:
         """Raise if the shortest clip ends before the model can answer, at every point."""
@@ -474,31 +521,33 @@ class Sweep:
             least = min(least, create_model(params).first_valid_frame + 1)
             if least <= n_frames:
                 return
-        raise self.subject.too_short(clips[0], self.setup.label, int(least))
+        raise self.subject.too_short(n_frames, self.label, int(least))
 
-    def _reach_px(self) -> int | None:
-        """How far from a change there may be any answer; None if that is not known."""
-        radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
-        return max(radii) if radii else None
+    def _begin(self) -> None:
+        """Make the folder that of this sweep, with the points that were taken in."""
+        done = self.result.done
+        for name in () if done else PRODUCTS:
+            (self.folder / name).unlink(missing_ok=True)
+        store.write_text(self.folder / RECORD, self._text(self._record(complete=False)))
+        rows = self.result.rows(sorted(done))
+        write = partial(write_rows, header=self.result.header, rows=rows)
+        store.write_file(self.folder / TABLE, write)
 
     def _settings(self) -> dict[str, Any]:
         """The part of the record that says what is swept."""
         axes = {self.grid.x.key, self.grid.y.key}
-        params = self.setup.params.to_dict()
-        settings = dict(self.subject.settings)
+        params = self.params.to_dict()
         swept = {"x": self.grid.x.to_record(), "y": self.grid.y.to_record()}
         return {
-            "input": settings.get("input", {}),
-            "model": self.setup.params.model,
+            "model": self.params.model,
             "engine": self.engine,
             **{key: value for key, value in params.items() if key not in axes},
-            "options": settings["options"],
-            "sweep": {**swept, **settings["sweep"]},
+            "options": self.subject.options,
+            "sweep": {**swept, **self.subject.settings},
         }
 
     def _record(self, *, complete: bool) -> dict[str, Any]:
         """What `sweep.yaml` says."""
-        settings = {key: value for key, value in self._settings().items() if key != "input"}
         summary = {
             "points": len(self.grid),
             "computed": len(self.result.done),
@@ -506,23 +555,17 @@ class Sweep:
         }
         facts = {key: value for key, value in self._facts.items() if key != "warnings"}
         outcome = {"warnings": self.warnings, "complete": complete, "summary": summary}
-        return {**facts, **settings, **outcome}
+        return {**facts, **self._settings(), **outcome}
 
     def _text(self, record: dict[str, Any]) -> str:
         """A record with the versions, as YAML."""
-        decoder = str(self.subject.settings.get("input", {}).get("decoder"))
-        used = versions(decoder, self.engine)
-        whole = {"schema": SCHEMA, **record, "versions": used}
-        return yaml_text(whole, default_flow_style=None)
+        used = versions(str(self.subject.identity.get("decoder")), self.engine)
+        return yaml_text({"schema": SCHEMA, **record, "versions": used}, default_flow_style=None)
 
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """The keys by which the settings `now` differ from those on record."""
-    found = [key for key in now if key not in ("input", "sweep") and before.get(key) != now[key]]
-    for part in ("input", "sweep"):
-        known = before.get(part)
-        known = known if isinstance(known, dict) else {}
-        if any(known.get(key) != value for key, value in now[part].items()):
-            keys = [key for key in now[part] if known.get(key) != now[part][key]]
-            found += keys if part == "sweep" else [part]
-    return found
+    swept = before.get("sweep")
+    known = {**before, **(swept if isinstance(swept, dict) else {})}
+    asked = {**now, **now["sweep"]}
+    return [key for key in asked if key != "sweep" and known.get(key) != asked[key]]
