@@ -20,7 +20,7 @@ from dlgmd_cli.parameters import MODELS
 from dlgmd_cli.plots import overlays
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.runs.compare import Entry, compare
-from dlgmd_cli.video.open import open_source
+from dlgmd_cli.video.frames import open_video
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
 COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
@@ -326,7 +326,7 @@ def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
         append(frame, response)
 
     entries[1].recording.append = failing
-    with open_source(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
+    with open_video(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
         compare(source, entries)
     assert [len(entry.recording) for entry in entries] == [7, 7]
 
