@@ -4,9 +4,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colorbar import Colorbar
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, strongest
@@ -23,7 +25,9 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.results.layers import LayerSheet
 
 # In inches: a tile at most, and beside the tiles the names, the colour bars and the titles.
-_MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.1, 0.45
+_MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.1, 0.65
+# Between tiles, as a share of their width.
+_GAP = 0.06
 
 
 def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
@@ -47,80 +51,94 @@ def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
     Figure
         At the resolution at which tiles have the pixels that cells were chosen for.
     """
-    n_frames, n_rows, n_columns = sheet.luminance.shape
+    n_frames, height, width_px = sheet.luminance.shape
     tile = min(_MAX_TILE_IN, (width_in(width) - _BESIDE_IN) / n_frames)
-    tile = min(tile, _MAX_TILE_IN * n_columns / n_rows)
-    row_in = max(_MIN_ROW_IN, tile * n_rows / n_columns)
-    names = ("Input", "P", "S", "G")
-    rows = zip(
-        names, (sheet.luminance, sheet.p, sheet.s, sheet.g), ("luminance", *sheet.units),
-        strict=True,
-    )  # fmt: skip
+    tile = min(tile, _MAX_TILE_IN * width_px / height)
+    row_in = max(_MIN_ROW_IN, tile * height / width_px)
+    rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
+    units = ("luminance", *sheet.units)
     with house_style():
-        figure = new_figure(4 * row_in + _ABOVE_IN, width)
+        figure = new_figure(4 * (row_in + 0.06) + _ABOVE_IN, width)
         # Titles of narrow tiles need room, too.
         figure.set_figwidth(min(width_in(width), n_frames * max(tile, 0.7) + _BESIDE_IN))
-        grid: Any = figure.subplots(4, n_frames, squeeze=False)
-        _write_titles(figure, sheet, grid[0])
+        grid: Any = figure.subplots(4)
         drawn: list[tuple[AxesImage, FloatImage]] = []
-        for axes_of_row, (name, images, unit) in zip(grid, rows, strict=True):
-            axes_of_row[0].set_ylabel(name, rotation=0, ha="right", va="center")
+        for axes, (name, images), unit in zip(grid, rows.items(), units, strict=True):
             scale = INPUT_SCALE if name == "Input" else Scale.of(images)
-            tiles = [
-                _draw_tile(axes, image, scale)
-                for axes, image in zip(axes_of_row, images, strict=True)
-            ]
-            shown = [tile for tile in tiles if tile is not None]
-            if shown and scale is not None:
-                _add_bar(figure, shown[0], list(axes_of_row), scale, unit)
+            tiles = _draw_row(axes, images, scale)
+            axes.set_ylabel(name, rotation=0, ha="right", va="center")
+            _add_bar(figure, axes, scale, unit)
             if name != "Input":
-                drawn += [(tile, image) for tile, image in zip(tiles, images, strict=True) if tile]
+                drawn += [(picture, images[place]) for place, picture in tiles.items()]
+        _write_titles(grid[0], sheet)
         if sheet.label:
             label = plain(shortened(sheet.label, 30 if n_frames < 3 else 80))
             figure.suptitle(label, color=GREY, fontsize=7)
         figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # everything stays where it is
         for picture, image in drawn:
-            box = picture.axes.get_window_extent()
+            box = picture.get_window_extent()
             picture.set_data(strongest(image, max(1, int(box.height)), max(1, int(box.width))))
     return figure
 
 
-def _write_titles(figure: Figure, sheet: LayerSheet, axes_of_row: Any) -> None:
-    """The number and the time of every frame over its column."""
-    fontsize = 7 if len(sheet.frame) <= 8 else 6
-    for axes, frame, time_s in zip(axes_of_row, sheet.frame, sheet.time_s, strict=True):
-        axes.set_title(f"frame {frame}\n{time_s:.3f} s", fontsize=fontsize, pad=3)
-
-
-def _draw_tile(axes: Axes, image: FloatImage, scale: Scale | None) -> AxesImage | None:
-    """One layer of one frame; None if it is not defined."""
+def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> dict[int, AxesImage]:
+    """The layers of all frames side by side, those that are defined by their place."""
+    n_frames, height, width = images.shape
+    drawn = {}
+    for place, image in enumerate(images):
+        left = place * width * (1 + _GAP)
+        if scale is None or np.isnan(image).any():
+            axes.add_patch(Rectangle((left, 0), width, height, color=LIGHT_GREY, linewidth=0))
+            look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 6.5}
+            axes.text(left + width / 2, height / 2, "undefined", **look)
+            continue
+        low, high = scale.limits
+        drawn[place] = axes.imshow(
+            image,
+            cmap=scale.colours,
+            vmin=low,
+            vmax=high,
+            interpolation="auto" if scale is INPUT_SCALE else "nearest",
+            extent=(left, left + width, height, 0),
+        )
+    axes.set_xlim(0, n_frames * width * (1 + _GAP) - width * _GAP)
+    axes.set_ylim(height, 0)
+    axes.set_aspect("equal", anchor="E")
     axes.set_xticks([])
     axes.set_yticks([])
-    axes.spines[:].set(visible=True, linewidth=0.3, color=GREY)
-    height, width = image.shape
-    if scale is None or np.isnan(image).any():
-        axes.set_facecolor(LIGHT_GREY)
-        axes.set_aspect(height / width)
-        look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 6.5}
-        axes.text(0.5, 0.5, "undefined", transform=axes.transAxes, **look)
-        return None
-    low, high = scale.limits
-    way = "auto" if scale is INPUT_SCALE else "nearest"
-    extent = (0.0, width, height, 0.0)
-    return axes.imshow(
-        image, cmap=scale.colours, vmin=low, vmax=high, interpolation=way, extent=extent
-    )
+    axes.spines[:].set_visible(False)
+    return drawn
 
 
-def _add_bar(
-    figure: Figure, picture: AxesImage, beside: list[Axes], scale: Scale, unit: str
-) -> None:
-    """The scale of a row, right of it; where all is 0, words say so."""
-    ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
-    bar: Colorbar = figure.colorbar(
-        picture, ax=beside, ticks=[] if scale.is_flat else ticks, fraction=0.05, pad=0.01, aspect=9
+def _write_titles(axes: Axes, sheet: LayerSheet) -> None:
+    """The number and the time of every frame over its column."""
+    n_frames, _, width = sheet.luminance.shape
+    texts = [
+        f"frame {frame}\n{time_s:.3f} s"
+        for frame, time_s in zip(sheet.frame, sheet.time_s, strict=True)
+    ]
+    middles = (np.arange(n_frames) * (1 + _GAP) + 0.5) * width
+    axes.set_xticks(middles, texts, fontsize=7 if n_frames <= 8 else 6)
+    axes.tick_params(top=False, bottom=False, labeltop=True, labelbottom=False, pad=1)
+
+
+def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None:
+    """The scale of a row, right of it; where all is 0 words say so, and its place stays free."""
+    known = scale or INPUT_SCALE
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(*known.limits), known.colours),
+        ax=axes,
+        ticks=MaxNLocator(4, steps=[1, 2, 5, 10]),
+        fraction=0.05,
+        pad=0.01,
+        aspect=9,
     )
-    label = f"0 {unit}\neverywhere" if scale.is_flat else unit
-    bar.set_label(label, labelpad=2, fontsize=7, parse_math=False)
+    bar.set_label(unit, labelpad=2, fontsize=7, parse_math=False)
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+    if scale is None or scale.is_flat:
+        bar.ax.set_visible(False)
+    if scale is not None and scale.is_flat:
+        look: Any = {"transform": axes.transAxes, "va": "center", "rotation": 90, "fontsize": 6.5}
+        axes.text(1.01, 0.5, f"0 {unit}\neverywhere", parse_math=False, in_layout=False, **look)
