@@ -2,7 +2,7 @@
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_table
+from dlgmd_cli.commands.console import Command, print_table
 from dlgmd_cli.parameters import MODELS, DlgmdParameters, Parameters
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")

@@ -72,7 +72,9 @@ class Annotations:
         ]
         for start, end, text in self.spans:
             if end < first_frame or start > last_frame:
-                lines.append(f"{text!r} at frames {start} to {end} is outside {frames} and is left out")
+                lines.append(
+                    f"{text!r} at frames {start} to {end} is outside {frames} and is left out"
+                )
             elif start < first_frame or end > last_frame:
                 lines.append(f"{text!r} at frames {start} to {end} is cut off at {frames}")
         return lines

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 
 from dlgmd_cli.models.base import Model
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.video.frames import Frame
+from dlgmd_cli.video.frames import Frame, Video
 from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
-from dlgmd_cli.video.prepare import Source
 
 
 @dataclass
@@ -23,7 +22,7 @@ class Entry:
 
 
 def compare(
-    source: Source,
+    source: Video,
     entries: Sequence[Entry],
     on_frame: Callable[[int], None] = lambda n_decoded: None,
 ) -> None:
@@ -31,7 +30,7 @@ def compare(
 
     Parameters
     ----------
-    source : Source
+    source : Video
         Where the frames come from; its own size does not matter.
     entries : sequence of Entry
         At least one. Whatever ends the comparison, their recordings hold what was computed, the
