@@ -5,20 +5,18 @@ the drone follows them with the lags of its motors and attitude, drag, and gusts
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.flights.path import Path, Stretch
+from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.script import SPIN_UP_S, Phase, hover
 
 STEP_S = 0.001
-MAX_SPEED_M_S, MAX_JITTER = 30.0, 20.0
-
 GRAVITY_M_S2 = 9.81
 # Speed lost to the air, in 1/s: 12 degrees of pitch lead to about 6 m/s.
 DRAG_1_S = 0.35
@@ -67,33 +65,27 @@ def fly(
     Parameters
     ----------
     script : sequence of Phase
-        If it begins with `stand` or `take_off`, the drone stands on the floor at first; else it
-        is in the air.
+        One phase or more. If it begins with `stand` or `take_off`, the drone stands on the floor
+        at first; else it is in the air.
     position_m : array_like, shape (3,)
         Where it starts.
     yaw_deg : float
         Where its nose points at first.
     speed_m_s : float
-        How fast it flies at first, along its nose.
+        How fast it flies at first, along its nose, if it is in the air.
     seed : int
         Seed of the disturbances. The same script and seed are the same flight to the last bit.
     jitter : float
         Factor on the disturbances; 0 is still air.
     contact_s : float, optional
-        Time at which it hits something. It is thrown back, and hovers near by instead of following
-        the script, as a phase called "collision". Up to and including that time, the flight is the
-        same as without contact. A time at or after the end changes nothing.
+        Time above 0 at which it hits something. It is thrown back, and hovers near by instead of
+        following the script, as a phase called "collision". Up to and including that time, the
+        flight is the same as without contact. A time at or after the end changes nothing.
 
     Returns
     -------
     Path
-
-    Raises
-    ------
-    ParameterError
-        If the script is empty or stands on the floor later on, or a number is out of its range.
     """
-    _check(script, speed_m_s, jitter, contact_s)
     starts = [0.0]
     for each in script:
         starts.append(starts[-1] + each.seconds)
@@ -105,18 +97,11 @@ def fly(
     n_steps = math.ceil(duration / STEP_S) + 2
     gusts = _gusts(n_steps, seed, jitter)
     drone = _start(script[0], position_m, yaw_deg, speed_m_s)
-    pilot = _Pilot(drone)
     begins = {round(start / STEP_S): phase for start, phase in zip(starts, script, strict=False)}
     if contact_s is not None and contact_s >= duration:
         contact_s = None
     n_before = n_steps if contact_s is None else math.floor(contact_s / STEP_S) + 1
-    samples = [drone.sample()]
-    for index, gust in enumerate(gusts[:n_before]):
-        if index in begins:
-            pilot.begin(begins[index], drone, index * STEP_S)
-        drone.advance(pilot.steer(drone, index * STEP_S), gust)
-        samples.append(drone.sample())
-    first = Stretch(0.0, STEP_S, np.array(samples))
+    first = Stretch(0.0, STEP_S, _simulated(drone, _Pilot(drone), begins, gusts[:n_before]))
     if contact_s is None:
         return Path((first,), phases)
     after = _rebound(first, drone, contact_s, gusts[n_before:], seed)
@@ -124,26 +109,17 @@ def fly(
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
 
-def _check(
-    script: Sequence[Phase], speed_m_s: float, jitter: float, contact_s: float | None
-) -> None:
-    """Refuse what cannot be flown."""
-    if not 0.0 <= speed_m_s <= MAX_SPEED_M_S:
-        raise ParameterError("speed_m_s", f"{speed_m_s:g} is not 0 to {MAX_SPEED_M_S:g}")
-    if not 0.0 <= jitter <= MAX_JITTER:
-        raise ParameterError("jitter", f"{jitter:g} is not 0 to {MAX_JITTER:g}")
-    if contact_s is not None and not contact_s > 0.0:
-        raise ParameterError("contact_s", f"{contact_s:g} is not above 0")
-    why = None
-    in_air = next((i for i, p in enumerate(script) if p.forward != "stand"), len(script))
-    if not script:
-        why = "it has no phase"
-    elif any(phase.forward == "stand" for phase in script[in_air:]):
-        why = "it stands on the floor after having flown"
-    elif 0 < in_air < len(script) and not script[in_air].climb_m:
-        why = "it does not take off from where it stands"
-    if why:
-        raise ParameterError("the flight's script", why)
+def _simulated(
+    drone: "_Drone", pilot: "_Pilot", begins: Mapping[int, Phase], gusts: Sequence[_Gust]
+) -> FloatArray:
+    """Samples of a flight, as `Stretch` has them; `begins` holds the phases by their first step."""
+    samples = [drone.sample()]
+    for step, gust in enumerate(gusts):
+        if step in begins:
+            pilot.begin(begins[step], drone, step * STEP_S)
+        drone.advance(pilot.steer(drone, step * STEP_S), gust)
+        samples.append(drone.sample())
+    return np.array(samples)
 
 
 def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
@@ -247,8 +223,6 @@ def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: f
     x, y, z = (float(each) for each in np.asarray(position_m, float))
     yaw = math.radians(yaw_deg)
     if first.forward == "stand" or first.climb_m:
-        if speed_m_s:
-            raise ParameterError("speed_m_s", f"{speed_m_s:g}, but the drone stands on the floor")
         return _Drone(x, y, z, yaw=yaw, stands=True)
     vx, vy = speed_m_s * math.cos(yaw), speed_m_s * math.sin(yaw)
     pitch = -math.atan2(DRAG_1_S * speed_m_s, GRAVITY_M_S2)
@@ -273,13 +247,8 @@ def _rebound(
     drone.pitch_rate = rates[1] + math.radians(kick)
     drone.yaw_rate = rates[2] + math.radians(kick * swing)
     hold = drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
-    pilot = _Pilot(drone, hold)
-    pilot.begin(hover(1.0), drone, 0.0)
-    samples = [drone.sample()]
-    for gust in gusts:
-        drone.advance(pilot.steer(drone, 0.0), gust)
-        samples.append(drone.sample())
-    return Stretch(contact_s, STEP_S, np.array(samples))
+    samples = _simulated(drone, _Pilot(drone, hold), {0: hover(1.0)}, gusts)
+    return Stretch(contact_s, STEP_S, samples)
 
 
 class _Pilot:

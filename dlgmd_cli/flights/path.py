@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -94,13 +94,10 @@ class Path:
         Each is valid until the next one starts, that time included.
     phases : tuple of (str, float, float)
         Name, start and end, in s, without gaps.
-    offset_m : tuple of float
-        Added to all positions.
     """
 
     stretches: Sequence[Stretch]
     phases: tuple[tuple[str, float, float], ...]
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def duration_s(self) -> float:
@@ -123,16 +120,11 @@ class Path:
         position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         spin = _angular_velocity(angles, rates)
-        return State(position + self.offset_m, velocity, roll, pitch, yaw, spin)
+        return State(position, velocity, roll, pitch, yaw, spin)
 
     def pose(self, time_s: float) -> Pose:
         """Position and attitude of the camera; see `state`."""
         return self.state(time_s).pose
-
-    def moved(self, by_m: FloatArray) -> "Path":
-        """The same flight, moved by (3,) m."""
-        x, y, z = (float(a + b) for a, b in zip(self.offset_m, by_m, strict=True))
-        return replace(self, offset_m=(x, y, z))
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,7 @@ _RC: Any = {
     "svg.hashsalt": "dlgmd",
     "pdf.fonttype": 42,
 }
-_LACKS_LETTERS = (
-    "the figure's font lacks some letters of the texts, and shows boxes in their place"
-)
+_LACKS_LETTERS = "the figure's font lacks some letters of the texts, and shows boxes in their place"
 
 
 @contextmanager

@@ -115,7 +115,7 @@ class Camera:
 
         Their component along the camera's axis is 1: a point at depth d is d times as far.
         """
-        across = (np.asarray(points_xy) - self.middle_xy) / self.focal_px
-        seen = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
-        rays: FloatArray = seen @ pose.camera_from_world
+        across = np.asarray(points_xy)
+        ends = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
+        rays: FloatArray = ends @ self.rays_from_xy.T @ pose.camera_from_world
         return rays

@@ -7,7 +7,7 @@ import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
 from dlgmd_cli.flights.renderer.coverage import Coverage
-from dlgmd_cli.flights.renderer.solids import IntArray, Surfaces, World
+from dlgmd_cli.flights.renderer.solids import Surfaces, World
 from dlgmd_cli.flights.renderer.texture import FloatImage, Outline, Window
 from dlgmd_cli.flights.renderer.visibility import Order, Sight
 
@@ -116,35 +116,14 @@ def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
     return left, top, right, bottom
 
 
-def _bands(start: FloatArray, shape: tuple[int, int], rows: tuple[int, int]) -> Iterator[Window]:
+def _bands(
+    corners_xy: FloatArray, shape: tuple[int, int], rows: tuple[int, int]
+) -> Iterator[Window]:
     """Windows that hold all that a polygon, (n, 2), touches in some rows of a picture."""
-    (left, top), (right, bottom) = start.min(axis=0), start.max(axis=0)
-    first_row, last_row = max(math.floor(top), rows[0]), min(math.ceil(bottom), rows[1])
-    width = min(right, shape[1]) - max(left, 0.0) + 1.0
-    n_rows = max(_MIN_ROWS, int(_BAND_PX / width)) if width > 1.0 else _MIN_ROWS
-    tops = np.arange(first_row, last_row, n_rows)
-    bottoms = np.minimum(tops + n_rows, last_row)
-    several = len(tops) > 1
-    lefts, rights = _sides(start, tops, bottoms) if several else ([left], [right])
-    for row, row_end, low, high in zip(tops, bottoms, lefts, rights, strict=False):
-        if high > -1.0 and low < shape[1] + 1.0:
-            x, x_end = max(math.floor(low), 0), min(math.ceil(high), shape[1])
-            if x < x_end:
-                yield x, int(row), x_end, int(row_end)
-
-
-def _sides(start: FloatArray, tops: IntArray, bottoms: IntArray) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest x of a polygon, (n, 2), in each of some bands."""
-    end = np.roll(start, -1, axis=0)
-    # Of each side, the part that passes through each band, and its least and greatest x there.
-    low = np.clip(tops[:, None], np.minimum(start[:, 1], end[:, 1]), None)
-    high = np.clip(bottoms[:, None], None, np.maximum(start[:, 1], end[:, 1]))
-    run, rise = (end - start).T
-    is_level = np.abs(rise) < 1e-9
-    slope = np.where(is_level, 0.0, run / np.where(is_level, 1.0, rise))
-    ends = start[:, 0] + (np.stack([low, high]) - start[:, 1]) * slope
-    ends = np.where(is_level, np.stack([start[:, 0], end[:, 0]])[:, None], ends)
-    is_here = low <= high
-    lefts = np.where(is_here, ends.min(axis=0), np.inf).min(axis=1)
-    rights = np.where(is_here, ends.max(axis=0), -np.inf).max(axis=1)
-    return lefts, rights
+    (low_x, low_y), (high_x, high_y) = corners_xy.min(axis=0), corners_xy.max(axis=0)
+    left, right = max(math.floor(low_x), 0), min(math.ceil(high_x), shape[1])
+    top, bottom = max(math.floor(low_y), rows[0]), min(math.ceil(high_y), rows[1])
+    if left < right:
+        n_rows = max(_MIN_ROWS, _BAND_PX // (right - left))
+        for first in range(top, bottom, n_rows):
+            yield left, first, right, min(first + n_rows, bottom)
