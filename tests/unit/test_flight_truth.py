@@ -3,8 +3,10 @@
 import math
 from dataclasses import asdict, fields
 
+import bodies
 import numpy as np
 import pytest
+from bodies import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +16,7 @@ from dlgmd_cli.flights.geometry import Nearest, first_contact, surroundings
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import REACH_M, Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, World, quad
+from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, World
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.script import accelerate, cruise, hover, stand, take_off, yaw
 from dlgmd_cli.flights.truth import FlightTruth, Target, truth_rows
@@ -32,32 +34,20 @@ def polygon(*corners):
     return Face(corners, PLAIN, corners[0], corners[1] - corners[0], corners[-1] - corners[0])
 
 
-def box(name, low, high, *, inwards=False, motion=None):
-    low, high, faces = np.array(low, float), np.array(high, float), []
-    for axis in range(3):
-        u, v = (np.eye(3)[(axis + i) % 3] * (high - low) for i in (1, 2))
-        for is_high in (False, True):
-            corner = low.copy()
-            corner[axis] = (low, high)[is_high][axis]
-            around = [corner, corner + u, corner + u + v, corner + v]
-            faces.append(polygon(*(around if is_high != inwards else around[::-1])))
-    return Solid(name, faces, motion)
-
-
 def ball(radius=0.3, at=(4, 0, 1), name="ball", motion=None):
-    return Round(name, np.array([at, at], float), radius, PLAIN, motion=motion)
+    return bodies.ball(at, radius, name=name, motion=motion)
 
 
-def capsule(*ends, radius=0.1, name="pole", motion=None):
-    return Round(name, np.array(ends, float), radius, PLAIN, motion=motion)
+def pole(first, last, radius=0.1, name="pole", motion=None):
+    return bodies.capsule(first, last, radius, name=name, motion=motion)
 
 
 def board(x, side, name="board"):
     """A square that looks back along x, its middle at the height of the camera, 1 m."""
-    return Solid(name, [quad((x, side / 2, 1 + side / 2), (0, -side, 0), (0, 0, -side), PLAIN)])
+    return bodies.board(x, side, name=name, z=1.0)
 
 
-ROOM = box("room", (-20, -20, 0), (20, 20, 8), inwards=True)
+ROOM = box((-20, -20, 0), (20, 20, 8), name="room", inwards=True)
 
 
 def straight(speed=2.0, seconds=2.0, **options):
@@ -74,13 +64,13 @@ def moving(t):
     return (-0.7 * t, 0.4 * math.sin(2 * t), 0.1 * t * t)
 
 
-def truth(bodies, path, target, contact_s=None, *, fps=25, n_frames=20):
-    stage = Stage(World(ROOM, bodies), path, target, contact_s, path.duration_s)
+def truth(things, path, target, contact_s=None, *, fps=25, n_frames=20):
+    stage = Stage(World(ROOM, things), path, target, contact_s, path.duration_s)
     return list(truth_rows(stage, CAMERA, fps, n_frames))
 
 
-def first_row(bodies, target, path=None):
-    return truth(bodies, path or straight(), target, n_frames=1)[0]
+def first_row(things, target, path=None):
+    return truth(things, path or straight(), target, n_frames=1)[0]
 
 
 def still(position=(0, 0, 1), velocity=(0, 0, 0), angles=(0, 0, 0), spin=(0, 0, 0)):
@@ -131,8 +121,8 @@ def test_a_target_that_does_not_exist_is_refused():
 
 
 def test_distances_to_known_bodies():
-    bodies = [board(4, 1), box("box", (2, 0.5, 0), (3, 1, 0.25)), ball(0.3, (0, 2, 1))]
-    bodies += [capsule((5, -1, 0), (5, -1, 3), radius=0.2), ball(0.2, (0, -4, 1))]
+    things = [board(4, 1), box((2, 0.5, 0), (3, 1, 0.25), name="box"), ball(0.3, (0, 2, 1))]
+    things += [pole((5, -1, 0), (5, -1, 3), radius=0.2), ball(0.2, (0, -4, 1))]
     for name, distance in (
         ("board", 4.0),
         ("box", math.sqrt(4 + 0.25 + 0.75**2)),
@@ -140,16 +130,16 @@ def test_distances_to_known_bodies():
         ("pole", math.sqrt(26) - 0.2),
         ("room", 1.0),
     ):
-        assert first_row(bodies, name).distance_m == pytest.approx(distance)
+        assert first_row(things, name).distance_m == pytest.approx(distance)
 
 
 def test_inside_a_closed_body_there_is_no_distance():
     inside = fly([hover(1)], position_m=(2.5, 0.6, 0.1), jitter=0.0)
-    for body in (box("x", (2, 0.5, 0), (3, 1, 0.25)), ball(0.5, (2.4, 0.6, 0.1), "x")):
+    for body in (box((2, 0.5, 0), (3, 1, 0.25), name="x"), ball(0.5, (2.4, 0.6, 0.1), "x")):
         row = first_row([body], "x", inside)
         assert (row.distance_m, row.angular_size_deg, row.angular_velocity_deg_s) == (0, 180, 0)
     slanted = Solid("x", [polygon((3, 0, 0), (4, 1, 0), (4, 1, 2), (3, 0, 2))])
-    without_a_bottom = [f for f in box("x", (3, 0, 1), (4, 1, 2)).faces if f.normal[2] >= 0]
+    without_a_bottom = [f for f in box((3, 0, 1), (4, 1, 2), name="x").faces if f.normal[2] >= 0]
     path = fly([hover(1)], position_m=(3.4, 0.6, 0.8), jitter=0.0)
     assert first_row([slanted], "x", path).distance_m == pytest.approx(0.2 / math.sqrt(2))
     row = first_row([Solid("x", without_a_bottom)], "x", path)
@@ -171,8 +161,8 @@ def test_distance_to_a_polygon_is_that_of_its_nearest_point(shares, seed, point)
     corners, point = flat @ tilt, np.array(point)
     # With another of more corners, so that its last one is repeated.
     other = polygon(*[(50 + math.cos(a), math.sin(a), 50) for a in np.arange(7) * math.tau / 7])
-    bodies = [Solid("a", [polygon(*corners)]), Solid("b", [other])]
-    found = Nearest(bodies).distances(point, 0.0)[0]
+    nearest = Nearest([Solid("a", [polygon(*corners)]), Solid("b", [other])])
+    found = nearest.distances(point, 0.0)[0]
     assert found == pytest.approx(slow_distance(point, corners), abs=1e-9)
 
 
@@ -217,14 +207,14 @@ def test_a_ball_spans_twice_an_arcsine():
 
 
 @pytest.mark.parametrize(
-    ("bodies", "half"),
+    ("things", "half"),
     [
         (
-            [capsule((2, -0.5, 1), (2, 0.5, 1))],
+            [pole((2, -0.5, 1), (2, 0.5, 1))],
             math.atan(0.25) + math.asin(0.1 / math.hypot(2, 0.5)),
         ),
-        ([capsule((2, 0, 1), (3, 0, 1))], math.asin(0.1 / 2)),
-        ([capsule((3, 0, 1), (2, 0, 1))], math.asin(0.1 / 2)),
+        ([pole((2, 0, 1), (3, 0, 1))], math.asin(0.1 / 2)),
+        ([pole((3, 0, 1), (2, 0, 1))], math.asin(0.1 / 2)),
         (
             [ball(0.3, (4, 1, 1), "pole"), ball(0.3, (4, -1, 1), "pole")],
             math.atan(1 / 4) + math.asin(0.3 / math.sqrt(17)),
@@ -234,8 +224,8 @@ def test_a_ball_spans_twice_an_arcsine():
     ],
     ids=["capsule", "on its tip", "reversed", "two balls", "behind", "all round"],
 )
-def test_bodies_of_one_name_span_one_angle(bodies, half):
-    row = first_row(bodies, "pole")
+def test_bodies_of_one_name_span_one_angle(things, half):
+    row = first_row(things, "pole")
     assert row.angular_size_deg == pytest.approx(math.degrees(2 * half))
 
 
@@ -248,9 +238,9 @@ def test_a_room_surrounds_the_drone():
 @pytest.mark.parametrize("kind", ["box", "ball", "capsule"])
 def test_the_angle_changes_as_fast_as_finite_differences_say(kind, motion):
     body = {
-        "box": box("x", (3, -0.2, 0.5), (4, 1.2, 1.4), motion=motion),
+        "box": box((3, -0.2, 0.5), (4, 1.2, 1.4), name="x", motion=motion),
         "ball": ball(0.4, (4, 0.5, 1.2), "x", motion),
-        "capsule": capsule((4, -1, 1), (5, 1, 1.5), radius=0.2, name="x", motion=motion),
+        "capsule": pole((4, -1, 1), (5, 1, 1.5), radius=0.2, name="x", motion=motion),
     }[kind]
     path = turning()
     target, h = Target(Stage(World(ROOM, [body]), path, "x", None, 2.0)), 1e-5
@@ -269,8 +259,8 @@ def test_turning_on_the_spot_changes_no_angle():
 # Image speed
 
 
-def fastest(bodies, state, target=None, time_s=0.0):
-    return ImageSpeed(World(ROOM, bodies), CAMERA, target).fastest(state, time_s)
+def fastest(things, state, target=None, time_s=0.0):
+    return ImageSpeed(World(ROOM, things), CAMERA, target).fastest(state, time_s)
 
 
 F = CAMERA.focal_px
@@ -293,20 +283,20 @@ OMEGA = math.radians(30)
     ids=["forwards", "yaw", "roll", "at rest"],
 )
 def test_the_speed_of_a_room_is_that_of_its_closed_form(state, expected):
-    bodies = [ball()] if expected == 0.0 else []
-    assert fastest(bodies, state) == pytest.approx(expected, rel=1e-9)
+    things = [ball()] if expected == 0.0 else []
+    assert fastest(things, state) == pytest.approx(expected, rel=1e-9)
 
 
 def sideways(t):
     return (0, 2 * t, 0)
 
 
-MOVED = box("x", (4, -0.5, 0.5), (5, 0.5, 1.5), motion=sideways)
-SMALL = box("x", (4, 0.02, 1.01), (4.01, 0.025, 1.015), motion=sideways)
+MOVED = box((4, -0.5, 0.5), (5, 0.5, 1.5), name="x", motion=sideways)
+SMALL = box((4, 0.02, 1.01), (4.01, 0.025, 1.015), name="x", motion=sideways)
 
 
 @pytest.mark.parametrize(
-    ("bodies", "expected"),
+    ("things", "expected"),
     [
         # Its nearest point, at 3.7 m, is nearly the fastest: all of it moves alike.
         ([ball(0.3, (4, 0, 1), "x", sideways)], F * 2 / 3.7),
@@ -314,15 +304,15 @@ SMALL = box("x", (4, 0.02, 1.01), (4.01, 0.025, 1.015), motion=sideways)
         ([MOVED], F * 2 / 4),
         ([MOVED, board(3, 4)], 0.0),
         ([MOVED, ball(1, (2, 0, 1))], 0.0),
-        ([MOVED, capsule((2, 0, -5), (2, 0, 7), radius=0.9)], 0.0),
+        ([MOVED, pole((2, 0, -5), (2, 0, 7), radius=0.9)], 0.0),
         ([ball(0.004, (4, 0.021, 1.013), "x", sideways)], F * 2 / 4),  # between the grid's lines
         ([SMALL], F * 2 / 4),
-        ([box("x", (4, 5, 0.5), (5, 6, 1.5), motion=sideways)], 0.0),
+        ([box((4, 5, 0.5), (5, 6, 1.5), name="x", motion=sideways)], 0.0),
     ],
     ids=["ball", "behind", "box", "board", "a ball before", "pole", "tiny", "small", "beside"],
 )
-def test_what_is_hidden_or_beside_the_picture_does_not_count(bodies, expected):
-    assert fastest(bodies, still(), "x") == pytest.approx(expected, rel=2e-3)
+def test_what_is_hidden_or_beside_the_picture_does_not_count(things, expected):
+    assert fastest(things, still(), "x") == pytest.approx(expected, rel=2e-3)
 
 
 def test_a_small_target_is_found_wherever_the_camera_looks():
@@ -333,7 +323,7 @@ def test_a_small_target_is_found_wherever_the_camera_looks():
 
 def test_a_body_beside_the_camera_hides_what_it_should():
     # Its near end is behind the camera, so that its corners have no place in the picture.
-    wall = box("wall", (-2, 0.2, 0), (3, 0.4, 3))
+    wall = box((-2, 0.2, 0), (3, 0.4, 3), name="wall")
     # At the left edge the wall is as near as it gets in the picture; the speed of a point at
     # x = X / Z on it is f x / Z, and its depth 0.2 / x.
     x = math.tan(math.radians(40))
@@ -364,9 +354,9 @@ def slow_depth(body, eye, ray):
 # One reaches from behind the camera across its plane.
 ACROSS = [(1, 0.5, 0.8), (-5, -1.5, 0.8), (-5, -1.5, 1.4), (1, 0.5, 1.4)]
 BODIES = [
-    box("a", (3, -1.2, 0), (4, -0.3, 1.2), motion=moving),
+    box((3, -1.2, 0), (4, -0.3, 1.2), name="a", motion=moving),
     Solid("across", [polygon(*ACROSS), polygon(*ACROSS[::-1])]),
-    capsule((3, -1, 0.5), (4, 1, 1.5), radius=0.25, motion=moving),
+    pole((3, -1, 0.5), (4, 1, 1.5), radius=0.25, motion=moving),
     ball(0.35, (5, 0.8, 1.3), motion=moving),
     board(6, 3),
 ]
@@ -406,9 +396,9 @@ def test_the_fastest_point_is_that_of_finite_differences(time_s):
 
 
 def test_speeds_of_rows_are_per_frame_and_follow_the_target():
-    bodies, path = [board(4, 1)], straight()
-    expected = fastest(bodies, path.state(0.0), "board") / 25
-    assert first_row(bodies, "board", path).max_image_speed_px == expected
+    things, path = [board(4, 1)], straight()
+    expected = fastest(things, path.state(0.0), "board") / 25
+    assert first_row(things, "board", path).max_image_speed_px == expected
 
 
 # Contact
@@ -416,7 +406,7 @@ def test_speeds_of_rows_are_per_frame_and_follow_the_target():
 
 @pytest.mark.parametrize(
     "body",
-    [board(3, 1), ball(0.3, (3.3, 0, 1)), box("box", (3, -1, 0), (4, 1, 2))],
+    [board(3, 1), ball(0.3, (3.3, 0, 1)), box((3, -1, 0), (4, 1, 2), name="box")],
     ids=lambda body: body.name,
 )
 def test_contact_is_when_the_nearest_point_is_within_reach(body):
@@ -460,7 +450,7 @@ def test_a_body_can_come_to_the_drone(body, expected):
 def test_the_floor_it_stands_on_is_no_contact_and_a_ceiling_is():
     path = fly([stand(0.5), take_off(3, 2)], position_m=(0, 0, 0.05))
     assert first_contact(path, World(ROOM)) is None
-    found = first_contact(path, World(box("room", (-5, -5, 0), (5, 5, 1.5), inwards=True)))
+    found = first_contact(path, World(box((-5, -5, 0), (5, 5, 1.5), name="room", inwards=True)))
     assert path.state(found).position_m[2] == pytest.approx(1.5 - REACH_M, abs=1e-6)
 
 

@@ -14,6 +14,8 @@ from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.renderer.visibility import Order
 
+pytestmark = pytest.mark.slow
+
 CAMERA = Camera((90, 150), 80.0)
 N_VIEWS = 3
 
