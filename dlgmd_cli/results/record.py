@@ -1,100 +1,84 @@
-"""run.yaml: everything that it takes to repeat a run, and what came of it."""
+"""run.yaml and its kin: everything that it takes to repeat a run, and what came of it."""
 
 import platform
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
-import numpy as np
 import yaml
 
 from dlgmd_cli import __version__
-from dlgmd_cli.results.folder import RUN, Kind
 
-_HEADERS = {
-    RUN: "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n",
-}
+if TYPE_CHECKING:
+    from pathlib import Path
 
+    from upath import UPath
+
+# Raised when a key of the records changes its meaning.
+SCHEMA = 1
+_HEADER = "# Written by dlgmd.\n"
 # Far more than any record has.
-MAX_RECORD_BYTES = 1_000_000
-
-# How the bytes of a file's name that are no UTF-8 are written.
+_MAX_BYTES = 1_000_000
+# The fast loader refuses bytes of a file's name that are not UTF-8; this is how they are written.
 _UNDECODABLE = re.compile(rb"\\u[dD][89a-fA-F]")
-
-# What else a number depends on, by the decoder or engine that made it.
+# Packages that numbers depend on, by the decoder or engine that made them.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
 
 
-def versions(*used_beside: str) -> dict[str, str]:
-    """Versions of what the numbers depend on, given the decoder and the engine."""
-    used = {
+def versions(*used: str) -> dict[str, str]:
+    """Versions of what the numbers depend on, given the decoder and the engines."""
+    import cv2
+    import numpy as np
+
+    found = {
         "dlgmd": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-    for package in (_PACKAGES[name] for name in used_beside if name in _PACKAGES):
-        used[package] = import_module(package).__version__
-    return used
+    for package in (_PACKAGES[name] for name in used if name in _PACKAGES):
+        found[package] = import_module(package).__version__
+    return found
 
 
-def yaml_text(document: dict[str, Any], **look: Any) -> str:
+def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:
     """A document as YAML in its own order, all in ASCII if a terminal would act on a letter."""
 
     def dump(allow_unicode: bool) -> str:
         return str(
             yaml.safe_dump(
-                document, sort_keys=False, width=100, allow_unicode=allow_unicode, **look
+                dict(document), sort_keys=False, width=100, allow_unicode=allow_unicode, **look
             )
         )
 
     text = dump(allow_unicode=True)
-    return text if all(map(str.isprintable, text.split("\n"))) else dump(allow_unicode=False)
+    if not all(map(str.isprintable, text.split("\n"))):
+        text = dump(allow_unicode=False)
+    return header + text
 
 
-def write_record(
-    folder: Path, record: dict[str, Any], kind: Kind = RUN, *, engines: Iterable[str]
-) -> None:
-    """Write `record` and the versions as YAML, in its own order; OSError passes through.
-
-    `engines` are those that made the numbers.
-    """
-    used = versions(record["input"]["decoder"], *engines)
-    text = yaml_text({**record, "versions": used})
-    header = _HEADERS.get(kind, "# Written by dlgmd.\n")
-    (folder / kind.record).write_text(header + text, encoding="utf-8")
+def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str = _HEADER) -> str:
+    """A record with the schema's number and the versions, as YAML."""
+    known = {key: value for key, value in record.items() if key not in ("schema", "versions")}
+    used = versions(str(known.get("input", {}).get("decoder")), *engines)
+    return yaml_text({"schema": SCHEMA, **known, "versions": used}, header)
 
 
-def parse_document(text: bytes) -> dict[str, Any]:
-    """A record of any kind, or nothing if it is none; never raises."""
-    if len(text) > MAX_RECORD_BYTES:
+def read_record(path: "Path | UPath") -> dict[str, Any]:
+    """The record in a file, or nothing if it cannot be read or is none; never raises."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MAX_BYTES + 1)
+    except OSError:
+        return {}
+    if len(text) > _MAX_BYTES:
         return {}
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
     if _UNDECODABLE.search(text):
-        loader = yaml.SafeLoader  # the fast one refuses them
+        loader = yaml.SafeLoader
     try:
         document = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) else {}
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """The record of any kind in a file, or nothing if it cannot be read or is none."""
-    try:
-        with path.open("rb") as file:
-            return parse_document(file.read(MAX_RECORD_BYTES + 1))
-    except OSError:
-        return {}
-
-
-def parse_record(text: bytes) -> dict[str, Any]:
-    """What `write_record` wrote, or nothing if it is not such; never raises."""
-    record = parse_document(text)
-    is_record = all(
-        isinstance(record.get(key), dict) for key in ("input", "processed", "versions", "summary")
-    )
-    return record if is_record else {}

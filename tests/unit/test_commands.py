@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from dlgmd_cli import __version__, load_set
-from dlgmd_cli.app import COMMANDS, cli
-from dlgmd_cli.params import PARAMETERS
-from dlgmd_cli.presets import load_config
+from dlgmd_cli.commands.app import COMMANDS, cli
+from dlgmd_cli.parameters import MODELS, load_config
 
 
 def test_every_command_has_help_with_an_example(dlgmd):
@@ -63,7 +62,7 @@ def test_help_and_usage_errors_import_nothing_heavy():
     ):
         program = (
             "import sys\n"
-            "from dlgmd_cli.app import main\n"
+            "from dlgmd_cli.commands.app import main\n"
             f"sys.argv = ['dlgmd', *{arguments!r}]\n"
             "try:\n    main()\n"
             "except SystemExit: pass\n"
@@ -94,7 +93,7 @@ def test_a_closed_stdout_is_no_traceback():
 def test_closed_streams_are_not_taken_by_files():
     program = (
         "import os, sys\n"
-        "from dlgmd_cli import app\n"
+        "from dlgmd_cli.commands import app\n"
         "app.cli = lambda **_: None\n"
         "app.main()\n"
         "names = [os.readlink(f'/proc/self/fd/{fd}') for fd in range(3)]\n"
@@ -127,7 +126,7 @@ def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
     assert result.exit_code == 0
     (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
     config = load_config(tmp_path / "my.yaml")
-    assert config.model == model and config.values == PARAMETERS[model]().to_dict()
+    assert config.model == model and config.values == MODELS[model].parameters().to_dict()
 
 
 @pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])

@@ -1,0 +1,110 @@
+"""The `dlgmd` command: global options, and commands that are imported when they are called."""
+
+import io
+import os
+import sys
+from importlib import import_module
+from typing import Any
+
+import click
+
+from dlgmd_cli import __version__
+from dlgmd_cli.commands.console import (
+    Settings,
+    errors_as_one_line,
+    show_traceback,
+    usage_errors_escaped,
+)
+
+COMMANDS = (
+    "run",
+    "batch",
+    "plot",
+    "compare",
+    "sweep",
+    "layers",
+    "kernels",
+    "sets",
+    "synth",
+    "bench",
+)
+
+
+class LazyGroup(click.Group):
+    """Commands by name, each imported from its own module when it is needed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names, in the order of the README."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command, or None."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"dlgmd_cli.commands.{cmd_name}"), cmd_name)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, with a guess at what was meant."""
+        from dlgmd_cli.parameters import nearest
+
+        name = click.utils.make_str(args[0])
+        near = None if name in COMMANDS else nearest(name, COMMANDS)
+        if near:
+            ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
+        return super().resolve_command(ctx, args)
+
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """As click does; what it says of an unknown option is fit for a terminal."""
+        with usage_errors_escaped():
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; whatever it raises becomes one line and an exit code."""
+        with errors_as_one_line():
+            return super().invoke(ctx)
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Example: dlgmd run flight.mp4 --set 9",
+)
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@click.version_option(__version__, prog_name="dlgmd")
+@click.pass_context
+def cli(ctx: click.Context, quiet: bool, debug: bool) -> None:
+    """Watch a drone's video the way a locust's collision-detecting neuron does (D-LGMD)."""
+    ctx.obj = Settings(quiet=quiet, debug=debug)
+
+
+def main() -> None:
+    """Run the command line."""
+    # OpenCV and FFmpeg would report damage line by line, beside our own warning.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    sys.excepthook = show_traceback
+    _occupy_standard_streams()
+    # Not every terminal's encoding has the letters of file names and of the model's symbols.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    cli(prog_name="dlgmd")
+
+
+def _occupy_standard_streams() -> None:
+    """Open those that the shell closed, so that no file of a result takes their place."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # which takes the lowest that is free

@@ -1,0 +1,146 @@
+"""Engines: whatever computes the summation and the grouping layer from the history of P."""
+
+import math
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.models.base import FloatImage, Photoreceptors
+from dlgmd_cli.models.kernels import Connections
+
+# Imported on first use: Numba takes a fifth of a second.
+_HOMES = {
+    "opencv": ("dlgmd_cli.models.engines.opencv", "OpencvEngine"),
+    "numba": ("dlgmd_cli.models.engines.numba", "NumbaEngine"),
+}
+ENGINES = tuple(_HOMES)
+AUTO = "auto"
+# Below this, Numba's start takes longer than it saves in a few hundred frames.
+WORTH_COMPILING_PX = 500_000
+
+
+class Grouping(NamedTuple):
+    """Gain k, threshold T_de and saturation of the grouping layer, Eqs. (9) and (10)."""
+
+    gain: float
+    t_de: float
+    cap: float
+
+
+class Engine(Protocol):
+    """Made for one set of connections, and for frames of one size and type."""
+
+    def respond(
+        self,
+        receptors: Photoreceptors,
+        grouping: Grouping,
+        layers: tuple[FloatImage, FloatImage] | None = None,
+    ) -> tuple[float, float]:
+        """ΣS and ΣG of the newest frame, in units of luminance.
+
+            S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
+            G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
+
+        Parameters
+        ----------
+        receptors : Photoreceptors
+            With P(t) and as many before it as the largest delay.
+        grouping : Grouping
+            Constants of this frame's grouping layer.
+        layers : (ndarray, ndarray), optional
+            Filled with S and G; shape (H, W) float32 each.
+        """
+        ...
+
+
+def choose_engine(
+    name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
+) -> str:
+    """The engine meant by `name`: itself, or for `auto` the one that suits the size.
+
+    Parameters
+    ----------
+    name : str
+        One of `ENGINES`, or `auto`.
+    n_cells : int
+        H · W of the frames.
+    tell : callable, optional
+        Called with a message if Numba would suit the size, and does not work.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such engine.
+    MissingExtraError
+        If the package that it needs is not installed.
+    """
+    if name not in (*ENGINES, AUTO):
+        raise ParameterError(
+            "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
+        )
+    if name == "numba" and (fault := _fault_of_numba()):
+        raise MissingExtraError(
+            "--engine numba",
+            f"the package 'numba' {fault}",
+            "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.",
+        )
+    if name != AUTO:
+        return name
+    if n_cells < WORTH_COMPILING_PX or not _is_installed("numba"):
+        return "opencv"
+    fault = _fault_of_numba()
+    if fault:
+        tell(f"The package 'numba' {fault}; the engine is opencv.")
+    return "opencv" if fault else "numba"
+
+
+def require_opencv(name: str, model: str) -> str:
+    """The one engine of a model that has no other; ParameterError if `name` is another one."""
+    if name not in (AUTO, "opencv"):
+        raise ParameterError(
+            "--engine", f"the model {model} has no engine {name!r}", "Leave it out."
+        )
+    return "opencv"
+
+
+def create_engine(
+    name: str, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
+) -> Engine:
+    """An engine by its name, for frames like those of `receptors`.
+
+    `tell` is called with a message before something that takes long.
+    """
+    module, kind = _HOMES[name]
+    engine: Engine = getattr(import_module(module), kind)(connections, receptors, tell)
+    return engine
+
+
+def _is_installed(package: str) -> bool:
+    """Whether a package is there, without importing it."""
+    try:
+        return find_spec(package) is not None
+    except ValueError:  # it is on record as absent
+        return False
+
+
+def _fault_of_numba() -> str | None:
+    """Why Numba cannot be used, or None."""
+    if not _is_installed("numba"):
+        return "is not installed"
+    try:
+        import_module("numba")
+    except Exception as error:  # it refuses, for one, a NumPy that is too new for it
+        return f"cannot be loaded ({str(error) or type(error).__name__})"
+    return None
+
+
+def just_below(threshold: float) -> float:
+    """The largest float32 below `threshold`, so that > with it is what ≥ is with `threshold`."""
+    nearest = np.float32(threshold)
+    if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
+        nearest = np.nextafter(nearest, np.float32(-math.inf))
+    return float(nearest)

@@ -1,0 +1,149 @@
+"""The columns of every CSV, in one place, and how they are written and read.
+
+A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or ``@`` as a formula, and a formula
+can start programs and send data away. Text from outside is guarded; numbers are not touched.
+"""
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import ResultError, printable
+
+Series = npt.NDArray[np.float64]
+
+# Of one result. A result's attributes have these names; flags are in the plural there.
+TABLES = {
+    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq"),
+    "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
+    "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
+}
+# Of several: compare.csv, in long form.
+COMPARISON = ("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db")
+
+# Some spreadsheets take wide and small forms, and the minus of mathematics, for the plain ones.
+_STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
+# What a spreadsheet may drop before it looks at the first letter.
+_DROPPED = r"[\s\"']*"
+_AT_START = re.compile(f"(?={_DROPPED}[{_STARTS_FORMULA}])")
+_BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
+# No line of a result is nearly as long.
+_MAX_LINE = 10_000
+_MAX_NUMBER = 1e30
+_REMAKE = "Run again with --overwrite."
+
+
+def cell(value: Any) -> str:
+    """A number as it stands in a CSV: reads back exactly as float32, empty where undefined."""
+    number = float(value)
+    return "" if math.isnan(number) else f"{number:.9g}"
+
+
+def text_cell(text: str) -> str:
+    """Text from outside, such as a file's name, on one line and without effect in a spreadsheet.
+
+    What would start a formula gets ``./`` in front, so that a path still leads to the same file.
+    Behind a semicolon, where some programs split, the first letter of a formula becomes an escape.
+    Applied twice, it changes nothing more.
+    """
+
+    def escaped(found: re.Match[str]) -> str:
+        code = ord(found[2])
+        return found[1] + (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
+
+    line = _BEHIND_SEPARATOR.sub(escaped, printable(text))
+    return f"./{line}" if _AT_START.match(line) else line
+
+
+def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Write cells as CSV; OSError passes through."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
+    """Write arrays of shape (n,), each a column; OSError passes through."""
+    cells = (map(cell, values.tolist()) for values in columns.values())
+    write_rows(path, list(columns), zip(*cells, strict=True))
+
+
+def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:
+    """Write compare.csv, label by label, given its columns by label; OSError passes through."""
+
+    def rows() -> Iterator[list[str]]:
+        for label, found in columns.items():
+            for values in zip(*(found[name].tolist() for name in COMPARISON[1:]), strict=True):
+                yield [text_cell(label), *map(cell, values)]
+
+    write_rows(path, COMPARISON, rows())
+
+
+def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
+    """The columns of a CSV of numbers, shape (n,) with n of at least 1, NaN where empty.
+
+    Raises
+    ------
+    ResultError
+        If it cannot be read, has another header, or holds something else than frames in order.
+    """
+    return _checked(path, header, [row for _, row in _rows(path, header)])
+
+
+def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
+    """The columns of every label of a compare.csv, in its order; raises ResultError."""
+    by_label: dict[str, list[list[str]]] = {}
+    for _, row in _rows(path, COMPARISON):
+        by_label.setdefault(row[0], []).append(row[1:])
+    return {label: _checked(path, COMPARISON[1:], rows) for label, rows in by_label.items()}
+
+
+def _rows(path: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of every line below the header."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = iter(lambda: file.readline(_MAX_LINE), "")
+            rows = csv.reader(lines)
+            if tuple(next(rows, ())) != header:
+                raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
+            for row in rows:
+                if len(row) != len(header):
+                    raise ResultError(
+                        str(path), f"line {rows.line_num} has not {len(header)} cells", _REMAKE
+                    )
+                yield rows.line_num, row
+    except FileNotFoundError:
+        raise ResultError(str(path), "this file is missing", _REMAKE) from None
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are no text
+        reason = getattr(error, "strerror", None) or "not a CSV file"
+        raise ResultError(str(path), f"it cannot be read ({reason})", _REMAKE) from None
+
+
+def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:
+    """The rows as columns, after a look at what figures and sums rely on."""
+    try:
+        numbers = [[float(text or "nan") for text in row] for row in rows]
+    except ValueError as error:
+        raise ResultError(str(path), f"it holds something else than numbers ({error})") from None
+    if not numbers:
+        raise ResultError(str(path), "it holds no frames", _REMAKE)
+    table = np.array(numbers)
+    columns = {name: table[:, place].copy() for place, name in enumerate(header)}
+    frame, time_s = columns["frame"], columns["time_s"]
+    is_in_order = (
+        (frame == frame.round()) & (np.diff(frame, prepend=-1.0) > 0) & (frame < 2**53)
+    ).all() and (np.isfinite(time_s) & (np.diff(time_s, prepend=time_s[0]) >= 0)).all()
+    if (
+        not is_in_order
+        or (table[np.isfinite(table)] > _MAX_NUMBER).any()
+        or np.isposinf(table).any()
+    ):
+        raise ResultError(str(path), "its rows are not frames in order", _REMAKE)
+    return columns

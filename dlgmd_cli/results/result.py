@@ -1,0 +1,354 @@
+"""`Result`: what a model said about a video, and everything that follows from it."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
+from dlgmd_cli.models.detection import absolute, detect, sequence
+from dlgmd_cli.parameters import MODELS, Parameters
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.record import read_record, record_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Series = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+# Frames on either side of a peak or a false positive that distinguishability looks at.
+NEAR_FRAMES = 5
+_HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
+_FLAGS = {"spike": "spikes", "alarm": "alarms"}
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a model said about a video; arrays of shape (n,), one entry a processed frame.
+
+    Attributes
+    ----------
+    frame : int array
+        Number of the frame in the input, from 0.
+    time_s : array
+        Time of the frame, in seconds.
+    mp : array
+        Raw membrane potential K, [Zhao2023] Eq. (13); NaN where undefined, in the first frames.
+    p_sum, s_sum : array
+        Sums of the photoreceptor and the summation layer, in the model's own units.
+    attenuation_db : array
+        10 lg(ΣS/ΣP) in dB; -inf where nothing passes, NaN where undefined.
+    params : Parameters
+        The model's.
+    record : dict
+        What `run.yaml` holds, less the summary and the versions.
+    """
+
+    frame: npt.NDArray[np.int64]
+    time_s: Series
+    mp: Series
+    p_sum: Series
+    s_sum: Series
+    attenuation_db: Series
+    params: Parameters
+    record: dict[str, Any] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def name(self) -> str:
+        """What the input is called."""
+        return Path(str(self.record.get("input", {}).get("path", ""))).stem
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is doubtful about the result, a line each."""
+        found: list[str] = self.record.setdefault("warnings", [])
+        return found
+
+    @property
+    def by_sequence(self) -> bool:
+        """Whether spikes follow `mp_seq` instead of `mp_abs`."""
+        return bool(self.record.get("options", {}).get("normalise") == "sequence")
+
+    @property
+    def n_cells(self) -> int:
+        """Pixels of a processed frame, the cells that K sums over."""
+        processed = self.record["processed"]
+        return int(processed["width"] * processed["height"])
+
+    @property
+    def n_valid(self) -> int:
+        """Frames to which the model could answer."""
+        return int(np.count_nonzero(~np.isnan(self.mp)))
+
+    @cached_property
+    def mp_abs(self) -> Series:
+        """Causal, scale-free membrane potential, see `detection.absolute`."""
+        return np.asarray(absolute(self.mp, self.n_cells, self.params.kappa))
+
+    @cached_property
+    def mp_seq(self) -> Series:
+        """Membrane potential scaled to [0, 1] by the extremes of its own sequence."""
+        return sequence(self.mp)
+
+    @property
+    def level(self) -> Series:
+        """The normalised membrane potential that drives the spikes."""
+        return self.mp_seq if self.by_sequence else self.mp_abs
+
+    @property
+    def threshold(self) -> float:
+        """Level at which a spike is raised, T_MP of [Zhao2023] Eq. (14)."""
+        return self.params.t_mp
+
+    @cached_property
+    def _detected(self) -> tuple[Flags, Flags]:
+        return detect(self.level, self.params.t_mp, self.params.n_sp)
+
+    @property
+    def spikes(self) -> Flags:
+        """Where the level reaches the threshold, [Zhao2023] Eq. (14)."""
+        return self._detected[0]
+
+    @property
+    def alarms(self) -> Flags:
+        """Where the alarm is on: at least n_sp spikes in a row end there, Eq. (15)."""
+        return self._detected[1]
+
+    @property
+    def alarm_onsets(self) -> npt.NDArray[np.intp]:
+        """Rows at which an alarm is raised."""
+        return np.flatnonzero(self.alarms & ~np.concatenate(([False], self.alarms[:-1])))
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The few numbers that a result comes down to; None where there is none.
+
+        `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
+        `spikes` (spiking frames), `first_spike_time_s`, `alarms` (unbroken runs of alarm frames),
+        `first_alarm_frame`, `first_alarm_time_s`, and `mean_attenuation_db` over the frames where
+        something passes.
+        """
+        peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
+        passing = self.attenuation_db[np.isfinite(self.attenuation_db)]
+        first_alarm = int(onsets[0]) if onsets.size else None
+        return {
+            "mp_max": None if peak is None else float(self.mp[peak]),
+            "mp_max_frame": None if peak is None else int(self.frame[peak]),
+            "mp_max_time_s": None if peak is None else float(self.time_s[peak]),
+            "spikes": int(spiking.size),
+            "first_spike_time_s": float(self.time_s[spiking[0]]) if spiking.size else None,
+            "alarms": int(onsets.size),
+            "first_alarm_frame": None if first_alarm is None else int(self.frame[first_alarm]),
+            "first_alarm_time_s": None if first_alarm is None else float(self.time_s[first_alarm]),
+            "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
+        }
+
+    @property
+    def sharpness(self) -> float:
+        """How broad the response is: the mean of K/max K over the valid frames, lower is sharper.
+
+        NaN where no frame is valid, or the membrane potential is 0 throughout.
+        """
+        valid = self.mp[~np.isnan(self.mp)]
+        peak = float(valid.max()) if valid.size else 0.0
+        return float((valid / peak).mean()) if peak > 0.0 else math.nan
+
+    def distinguishability(self, false_positive_frame: int) -> float:
+        """DA: the mean K near its peak over the mean K near a false positive.
+
+        Each mean is over the valid frames that lie no more than 5 frame numbers away. Infinite
+        where the model is silent near the false positive alone; NaN where it is silent near both,
+        or one of them has no valid frame.
+        """
+        if self._peak_row is None:
+            return math.nan
+        response = self._mean_near(int(self.frame[self._peak_row]))
+        mistake = self._mean_near(false_positive_frame)
+        if mistake == 0.0:
+            return math.inf if response > 0.0 else math.nan
+        return response / mistake
+
+    def doubts(self) -> list[str]:
+        """What looks wrong, a line each."""
+        lines = []
+        if len(self) > 1 and not (self.p_sum > 0.0).any():
+            line = "no frame differs from the one before it: a still scene"
+            if self.record.get("input", {}).get("decoder") == "opencv":
+                line += (
+                    ", or interlaced video, which OpenCV may not convert; if so, read it with "
+                    "--decoder pyav, or de-interlace it with ffmpeg -vf yadif"
+                )
+            lines.append(line)
+        if self.n_valid and not np.isfinite(self.level).any():
+            lines.append(
+                "the membrane potential never changes, so it cannot be normalised by its own "
+                "sequence; there are no spikes"
+            )
+        return lines
+
+    def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
+        """Columns of the CSVs by name, shape (n,)."""
+        found = {name: getattr(self, _FLAGS.get(name, name)) for name in names}
+        return {name: np.broadcast_to(values, len(self)) for name, values in found.items()}
+
+    def files(self, formats: Iterable[str] = ()) -> dict[str, store.Write]:
+        """What writes each file of the result, by its name; see `store.commit`."""
+        found: dict[str, store.Write] = {
+            name: partial(csv.write_columns, columns=self.columns(header))
+            for name, header in csv.TABLES.items()
+        }
+        formats = tuple(formats)
+        if formats:
+            from dlgmd_cli.plots.style import figure_files
+
+            figures = {kind: partial(self.plot, kind) for kind in store.FIGURES[store.RUN]}
+            found |= figure_files(figures, formats)
+        record = {**self.record, "summary": self.summary}
+        text = record_text(record, [str(self.record.get("engine"))], _HEADER)
+        found[store.RUN] = lambda path: path.write_text(text, encoding="utf-8")
+        return found
+
+    def save(self, folder: str | Path, formats: Iterable[str] = ()) -> None:
+        """Write the CSVs, plots in `formats` and `run.yaml`, in place of an earlier result.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written.
+        """
+        store.commit(store.place(folder), store.RUN, self.files(formats))
+
+    def plot(self, kind: str = "mp", **options: Any) -> "Figure":
+        """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
+        from dlgmd_cli.plots.traces import plot
+
+        return plot(kind, {self.name: self}, **options)
+
+    def to_dataframe(self) -> Any:
+        """All columns of the CSVs as a pandas DataFrame, which needs pandas."""
+        try:
+            import pandas as pd
+        except ImportError:
+            why = "pandas is not installed"
+            raise MissingExtraError("to_dataframe", why, "Run: pip install pandas.") from None
+        names = dict.fromkeys(name for header in csv.TABLES.values() for name in header)
+        return pd.DataFrame(self.columns(names))
+
+    @cached_property
+    def _peak_row(self) -> int | None:
+        """Row of the greatest membrane potential."""
+        return int(np.nanargmax(self.mp)) if self.n_valid else None
+
+    def _mean_near(self, frame: int) -> float:
+        """Mean K over the valid frames near `frame`, NaN if there are none."""
+        near = self.mp[np.abs(self.frame - frame) <= NEAR_FRAMES]
+        valid = near[~np.isnan(near)]
+        return float(valid.mean()) if valid.size else math.nan
+
+
+def read_result(folder: str | Path) -> Result:
+    """What `Result.save` or `dlgmd run` wrote into a folder; numbers to nine digits.
+
+    Raises
+    ------
+    ResultError
+        If there is no result, or one of its files is not as it was written.
+    """
+    folder = _existing(folder)
+    record = read_record(folder / store.RUN)
+    if not record:
+        raise ResultError(
+            str(folder), f"it holds no result (no {store.RUN})", "Run 'dlgmd run' first."
+        )
+    columns: dict[str, Series] = {}
+    for name in ("mp.csv", "attenuation.csv"):
+        table = csv.read_columns(folder / name, csv.TABLES[name])
+        if columns and not np.array_equal(columns["frame"], table["frame"]):
+            raise ResultError(str(folder / name), "its frames are not those of mp.csv")
+        columns.update(table)
+    return _result(folder / store.RUN, columns, record, record)
+
+
+def read_comparison(folder: str | Path) -> dict[str, Result]:
+    """Every result of a folder that `dlgmd compare` wrote, by label, in its order.
+
+    A comparison holds no sums: `p_sum` and `s_sum` are NaN.
+
+    Raises
+    ------
+    ResultError
+        If there is no comparison, or one of its files is not as it was written.
+    """
+    folder = _existing(folder)
+    record = read_record(folder / store.COMPARISON)
+    models = record.get("models")
+    if not isinstance(models, list):
+        why = f"it holds no comparison (no {store.COMPARISON})"
+        raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
+    by_label = csv.read_comparison_columns(folder / "compare.csv")
+    described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
+    if by_label.keys() != described.keys():
+        raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
+    results = {}
+    for label, columns in by_label.items():
+        own = described[label]
+        sums = np.full(len(columns["frame"]), np.nan)
+        common: dict[str, Any] = {key: record[key] for key in ("input", "options") if key in record}
+        size = {"width": own.get("width"), "height": own.get("height")}
+        results[label] = _result(
+            folder / store.COMPARISON,
+            {**columns, "p_sum": sums, "s_sum": sums},
+            {**common, **own, "processed": size},
+            own,
+        )
+    return results
+
+
+def _existing(folder: str | Path) -> Path:
+    """The folder, which must be there."""
+    folder = Path(folder)
+    try:
+        if not folder.is_dir():
+            why = "it is not a folder" if folder.exists() else "there is no such folder"
+            raise ResultError(str(folder), why, "Give one that 'dlgmd run' wrote.")
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise ResultError(str(folder)[:200], f"it cannot be read ({error})") from None
+    return folder
+
+
+def _result(
+    path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
+) -> Result:
+    """A result of stored columns and their record; `own` holds the model and its parameters."""
+    model = MODELS.get(str(own.get("model")))
+    processed = record.get("processed")
+    try:
+        if model is None:
+            raise ParameterError("", f"unknown model {str(own.get('model'))[:40]!r}")
+        if not all(isinstance(processed[side], int) for side in ("width", "height")):  # type: ignore
+            raise TypeError
+        kind = model.parameters
+        params = kind.from_mapping({key: own[key] for key in kind.specs() if key in own})
+    except ParameterError as error:
+        raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
+    except (TypeError, KeyError):
+        raise ResultError(str(path), "it does not say the processed size", "Run again.") from None
+    return Result(
+        columns["frame"].astype(np.int64),
+        columns["time_s"],
+        columns["mp"],
+        columns["p_sum"],
+        columns["s_sum"],
+        columns["attenuation_db"],
+        params,
+        record,
+    )

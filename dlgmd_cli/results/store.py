@@ -1,0 +1,284 @@
+"""Where results lie, and the one commit rule: a result is whole if and only if its record is there.
+
+Writing a result removes its old record first, then writes each file under a temporary name and
+renames it, the record last. What a killed process leaves has no record, and the next one replaces
+it. In a bucket the same files are uploaded in the same order.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.errors import MissingExtraError, OutputError, OutputExistsError
+from dlgmd_cli.results.record import read_record
+
+if TYPE_CHECKING:
+    from upath import UPath
+
+Write = Callable[[Path], object]
+
+PLOT_FORMATS = ("png", "pdf", "svg")
+RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
+# Every file that a command may write beside its record, and figures without their suffix.
+_TABLES = {
+    RUN: ("mp.csv", "attenuation.csv", "spikes.csv"),
+    COMPARISON: ("compare.csv",),
+    LAYERS: ("layers.npz",),
+}
+FIGURES = {
+    RUN: ("mp", "attenuation", "spikes"),
+    COMPARISON: ("compare-mp", "compare-attenuation"),
+    LAYERS: ("layers",),
+}
+PREFIX = ".dlgmd-"
+_LOCK = f"{PREFIX}lock"
+_MAX_NAME_BYTES = 200
+
+
+def files_of(record: str) -> frozenset[str]:
+    """Names of all files that may belong to a record, itself among them."""
+    figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
+    return frozenset({record, *_TABLES[record], *figures})
+
+
+def place(text: str | os.PathLike[str]) -> "Path | UPath":
+    """The folder that a user means: a path, or a URL of a bucket such as ``s3://bucket/results``.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is a URL, and what reads such is not installed.
+    """
+    if not is_url(text):
+        return Path(text)
+    try:
+        from upath import UPath
+
+        return UPath(text)
+    except (ImportError, ValueError) as error:
+        raise MissingExtraError(
+            str(text),
+            f"such URLs cannot be used ({error})",
+            "Install pip install 'dlgmd[cluster]', and the package of that kind of URL (s3fs).",
+        ) from None
+
+
+def is_url(text: str | os.PathLike[str]) -> bool:
+    """Whether a name is a URL, such as ``s3://bucket/flights``."""
+    return "://" in os.fspath(text)
+
+
+def fitting(name: str) -> str:
+    """As much of the beginning of a file's name as file systems take, with a suffix to come."""
+    return os.fsencode(name)[:_MAX_NAME_BYTES].decode(errors="ignore")
+
+
+def result_folder(out: Path, name: str) -> Path:
+    """The folder of the result of an input of that name."""
+    return out / (name if name.strip(".") else f"video{name}")
+
+
+def check(
+    folder: "Path | UPath", record: str, identity: Mapping[str, Any], *, overwrite: bool
+) -> bool:
+    """Whether the results in `folder` are of another input, and may be replaced.
+
+    Parameters
+    ----------
+    folder : Path or UPath
+        It need not be there.
+    record : str
+        `RUN`, `COMPARISON` or `LAYERS`.
+    identity : mapping
+        What tells the input from others: `path`, and what `fingerprint` says.
+    overwrite : bool
+        Whether results that stand there may be replaced.
+
+    Raises
+    ------
+    OutputExistsError
+        If a result stands there that may not be replaced, or files that are no result.
+    """
+    try:
+        if not folder.exists():
+            return False
+        if not folder.is_dir():
+            raise OutputExistsError(str(folder), "it is not a folder", "Choose another --out.")
+        names = {path.name for path in folder.iterdir()}
+    except OSError as error:
+        raise unwritable(folder, error) from None
+    records = names & {RUN, COMPARISON, LAYERS}
+    ours = frozenset().union(*map(files_of, _TABLES))
+    strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
+    if strays and not records:
+        raise OutputExistsError(
+            str(folder), f"it holds other files, such as {strays[0]}", "Choose another --out."
+        )
+    mend = "Add --overwrite to replace it, or choose another --out."
+    if record in records and not overwrite:
+        raise OutputExistsError(str(folder), "a result already exists here", mend)
+    others = [
+        name for name in sorted(records) if not is_same_input(read_record(folder / name), identity)
+    ]
+    if others and not overwrite:
+        why = f"it holds the result of another input ({others[0]})"
+        raise OutputExistsError(str(folder), why, mend)
+    return bool(others)
+
+
+def is_same_input(record: Mapping[str, Any], identity: Mapping[str, Any]) -> bool:
+    """Whether a record is of the input that `identity` describes."""
+    known = record.get("input")
+    return isinstance(known, dict) and all(known.get(k) == v for k, v in identity.items())
+
+
+@contextmanager
+def locked(folder: "Path | UPath") -> Iterator[None]:
+    """Keep other processes from writing into a folder, which is made if need be.
+
+    A folder in which nothing was written is removed again. Buckets have no locks.
+
+    Raises
+    ------
+    OutputExistsError
+        If another process is writing there.
+    OutputError
+        If the folder cannot be written.
+    """
+    if not isinstance(folder, Path) or is_url(str(folder)):
+        yield
+        return
+    from filelock import FileLock, Timeout
+
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    lock = FileLock(folder / _LOCK)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire(timeout=0)
+    except Timeout:
+        why = "another dlgmd command is writing here"
+        raise OutputExistsError(str(folder), why, "Wait for it, or choose another --out.") from None
+    except OSError as error:
+        raise unwritable(folder, error) from None
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            (folder / _LOCK).unlink()
+        lock.release()
+        with suppress(OSError):
+            for path in made:
+                path.rmdir()
+
+
+def commit(
+    folder: "Path | UPath", record: str, files: Mapping[str, Write], *, is_new_input: bool = False
+) -> None:
+    """Write a result by the commit rule, in place of an earlier one.
+
+    Parameters
+    ----------
+    folder : Path or UPath
+        Made if need be.
+    record : str
+        `RUN`, `COMPARISON` or `LAYERS`; one of `files`, and written last.
+    files : mapping of str to callable
+        What writes each file, by its name; called with the path of a local file.
+    is_new_input : bool
+        Remove what other commands wrote there, too: it is of another input.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written. The folder then holds no record.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        kinds = _TABLES if is_new_input else (record,)
+        remove(folder, [*kinds, *(name for kind in kinds for name in files_of(kind))])
+        for name in sorted(files, key=lambda name: name == record):
+            write_file(folder / name, files[name])
+    except OSError as error:
+        raise unwritable(folder, error) from None
+
+
+def remove(folder: "Path | UPath", names: Iterable[str]) -> None:
+    """Remove files, and what killed processes left; those that are not there do not matter."""
+    there = {path.name for path in folder.iterdir()}
+    for name in dict.fromkeys(names):
+        if name in there:
+            (folder / name).unlink()
+    for name in there:
+        if name.startswith(PREFIX) and name != _LOCK:
+            (folder / name).unlink()
+
+
+def write_file(path: "Path | UPath", write: Write) -> None:
+    """Let `write` make a file that appears whole, in place of an earlier one, or not at all.
+
+    Raises OSError if that is impossible; nothing is left of it then.
+    """
+    if not is_url(str(path)):
+        temporary = Path(path).with_name(f"{PREFIX}{path.name}")
+        try:
+            write(temporary)
+            temporary.replace(path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        local = Path(folder) / path.name
+        write(local)
+        path.fs.put_file(str(local), path.path)  # type: ignore[union-attr]
+
+
+def write_text(path: "Path | UPath", text: str) -> None:
+    """Write a text file that appears whole; raises OutputError."""
+    try:
+        write_file(path, lambda file: file.write_text(text, encoding="utf-8", newline=""))
+    except OSError as error:
+        raise unwritable(path, error) from None
+
+
+@contextmanager
+def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
+    """Temporary files to write instead of `paths`; renamed to them at the end, or removed.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be written; `option` is what the user can change.
+    """
+    temporary = tuple(path.with_name(f"{PREFIX}{path.name}") for path in paths)
+    try:
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        for file, path in zip(temporary, paths, strict=True):
+            file.replace(path)
+    except OSError as error:
+        raise unwritable(paths[0], error, option) from None
+    finally:
+        for file in temporary:
+            with suppress(OSError):
+                file.unlink()
+
+
+def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
+    """Raise OutputExistsError if `path`, which `option` asks for, may not be written over."""
+    if path.is_dir():
+        raise OutputExistsError(str(path), "it is a folder", f"Choose another {option}.")
+    if path.exists() and not overwrite:
+        raise OutputExistsError(str(path), "it already exists", "Add --overwrite to replace it.")
+
+
+def unwritable(path: "Path | UPath", error: OSError, option: str = "--out") -> OutputError:
+    """The error for what cannot be written."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return OutputError(
+        str(path), f"it cannot be written ({reason})", f"Choose another {option}, or make room."
+    )

@@ -1,0 +1,438 @@
+"""The one loop: a video is decoded once and steps every model; `run` is the library's entry."""
+
+import math
+import os
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.models.base import Model, create_model
+from dlgmd_cli.parameters import (
+    MODELS,
+    Parameters,
+    load_config,
+    load_model_preset,
+    load_preset,
+    merge,
+)
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.video.frames import (
+    Frame,
+    InputOptions,
+    Video,
+    VideoInfo,
+    fingerprint,
+    processed_size,
+)
+from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+
+DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
+ENGINES = ("opencv", "numba")
+
+Tell = Callable[[str], None]
+OnFrame = Callable[[int], None]
+# frame, time_s, p_sum, s_sum, attenuation_db, mp: 48 bytes a frame.
+_N_COLUMNS = 6
+
+
+def _nothing(*_: Any) -> None:
+    """For who does not want to be told."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One model of a run: its parameters, and where they are from.
+
+    Attributes
+    ----------
+    params : Parameters
+        The model's.
+    label : str
+        What messages and figures call it: `set9`, `lgmd`, or a file's stem.
+    engine : str
+        `opencv`, `numba` or `auto`.
+    named : dict
+        What the record says of its origin: ``{"set": 9}``, if a set was named.
+    origin : str
+        The file that the parameters are from, as errors name it.
+    options : dict
+        Options of the run that wrote that file, if a run did.
+    size : InputOptions
+        Only its `scale` and `size` count: the processed size of this model, where it has its own.
+    """
+
+    params: Parameters
+    label: str
+    engine: str = "auto"
+    named: dict[str, Any] = field(default_factory=dict)
+    origin: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    size: InputOptions = field(default_factory=InputOptions)
+
+    def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
+        """Width and height in px at which it sees a video: as asked for, else its own."""
+        is_asked = options.scale is not None or options.size is not None
+        if is_asked or (self.size.scale is None and self.size.size is None):
+            return video.size_wh
+        width, height = video.info.width, video.info.height
+        return processed_size(width, height, scale=self.size.scale, size_wh=self.size.size)
+
+
+def choose(
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    formulation: str | None = None,
+    engine: str | None = None,
+) -> Setup:
+    """The model that a set, a file or a name stands for, with single parameters overridden.
+
+    Parameters merge as defaults, set or file, `overrides` and `formulation`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such set, file, model or engine, or a parameter is not valid.
+    """
+    if set is not None and config is not None:
+        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
+    if set is not None and model not in (DEFAULT_MODEL, None):
+        raise ParameterError(
+            "", "--set works only with the D-LGMD model", f"Leave out --set or --model {model}."
+        )
+    if config is not None:
+        file = load_config(Path(config))
+    elif model not in (DEFAULT_MODEL, None) and model in MODELS:
+        file = load_model_preset(str(model))
+    else:
+        try:
+            file = load_preset(DEFAULT_SET if set is None else set)
+        except ParameterError as error:
+            mend = f"{error.mend.rstrip('.')}, or give a file with --config."
+            raise ParameterError("Invalid value for '--set'", error.why, mend) from None
+    name = model or file.model or DEFAULT_MODEL
+    if name not in MODELS:
+        known = ", ".join(MODELS)
+        raise ParameterError(
+            file.name if model is None else "",
+            f"there is no model {name[:40]!r}",
+            f"Choose from {known}.",
+        )
+    chosen = engine or file.engine or "auto"
+    if chosen not in (*ENGINES, "auto"):
+        known = ", ".join(ENGINES)
+        raise ParameterError(
+            file.name if engine is None else "",
+            f"there is no engine {chosen[:40]!r}",
+            f"Choose from {known}.",
+        )
+    kind = MODELS[name].parameters
+    values = dict(overrides or {})
+    if formulation is not None:
+        if "formulation" not in kind.specs():
+            raise ParameterError("", "--formulation works only with the D-LGMD model")
+        values["formulation"] = formulation
+    if config is not None:
+        label = Path(config).stem
+    else:
+        number = str(DEFAULT_SET if set is None else set).removeprefix("set")
+        label = name if name != DEFAULT_MODEL else f"set{number}"
+    named = file.named if set is None else {"set": int(str(set).removeprefix("set"))}
+    params = merge(kind, file, values)
+    return Setup(params, label, chosen, named, file.name, dict(file.options))
+
+
+def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
+    """The options given, and for the others those that the file of a setup has on record.
+
+    Raises
+    ------
+    ParameterError
+        If options exclude each other or are not valid.
+    """
+    explicit = {key: value for key, value in given.items() if value is not None}
+    recorded = InputOptions.from_record(setup.options, setup.origin)
+    if explicit.keys() & {"scale", "size"}:
+        recorded = replace(recorded, scale=None, size=None)
+    return replace(recorded, **explicit)
+
+
+@overload
+def run(
+    video: str | os.PathLike[str],
+    models: None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: str | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    on_frame: OnFrame = _nothing,
+    **options: Any,
+) -> Result: ...
+
+
+@overload
+def run(
+    video: str | os.PathLike[str],
+    models: Sequence[Parameters | str | int],
+    *,
+    engine: str | None = None,
+    on_frame: OnFrame = _nothing,
+    **options: Any,
+) -> list[Result]: ...
+
+
+def run(
+    video: str | os.PathLike[str],
+    models: Sequence[Parameters | str | int] | None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: str | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    on_frame: OnFrame = _nothing,
+    **options: Any,
+) -> Result | list[Result]:
+    """Run one model, or several, over a video that is decoded once.
+
+    Parameters
+    ----------
+    video : str or path
+        A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``.
+    models : sequence, optional
+        What to run: parameters, or names of sets (``9``) and models (``"lgmd"``). Without it, one
+        model is run, as `set`, `config` and `model` say; set 9 unless given.
+    set, config, model, formulation : optional
+        One of the paper's sets, a YAML file, the name of a model; how delays that are not whole
+        frames are rounded.
+    param : mapping, optional
+        Single parameters to override, such as ``{"r": 4}``.
+    engine : str, optional
+        `opencv` or `numba`; by frame size unless given.
+    on_frame : callable, optional
+        Called after each frame with the number of frames of the input that are done.
+    options
+        `scale`, `size`, `fps`, `input_fps`, `decoder`, `start`, `end` (seconds) and `normalise`,
+        as `dlgmd run --help` explains them.
+
+    Returns
+    -------
+    Result or list of Result
+        One, or one for each of `models`, in their order.
+
+    Raises
+    ------
+    SourceError
+        If nothing can be decoded, or the video is too short for every model.
+    ParameterError
+        If a parameter or an option is not valid.
+    MissingExtraError
+        If an engine or a decoder needs a package that is not installed.
+
+    Examples
+    --------
+    >>> result = run("flight.mp4", set=9)  # doctest: +SKIP
+    >>> result.summary["alarms"]  # doctest: +SKIP
+    1
+    """
+    if models is None:
+        setup = choose(set, config, model, param, formulation, engine)
+        return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]
+    setups = [_setup(one, engine) for one in models]
+    return run_input(video, setups, InputOptions(**options), on_frame=on_frame)
+
+
+def _setup(model: Parameters | str | int, engine: str | None) -> Setup:
+    """What an entry of `models` stands for."""
+    if isinstance(model, Parameters):
+        return Setup(model, model.model, engine or "auto")
+    if model in MODELS and model != DEFAULT_MODEL:
+        return choose(model=str(model), engine=engine)
+    return choose(set=str(model).removeprefix("set"), engine=engine)
+
+
+def run_input(
+    path: str | os.PathLike[str],
+    setups: Sequence[Setup],
+    options: InputOptions,
+    *,
+    on_frame: OnFrame = _nothing,
+    tell: Tell = _nothing,
+) -> list[Result]:
+    """Open an input, run every model over it and close it; raises what `run` raises."""
+    with options.open(path) as video:
+        results = run_models(
+            video, setups, options, identity=fingerprint(path), on_frame=on_frame, tell=tell
+        )
+        require_an_answer(os.fspath(path), video, setups, results, options)
+    return results
+
+
+def run_models(
+    video: Video,
+    setups: Sequence[Setup],
+    options: InputOptions,
+    *,
+    identity: Mapping[str, Any],
+    on_frame: OnFrame = _nothing,
+    tell: Tell = _nothing,
+) -> list[Result]:
+    """Decode `video` once and step every model; the loop that all commands share.
+
+    Parameters
+    ----------
+    video : Video
+        Where the frames come from.
+    setups : sequence of Setup
+        At least one model.
+    options : InputOptions
+        How the video was opened; for the records, and for the normalisation.
+    identity : mapping
+        What tells the input from another of its name, see `fingerprint`; for the records.
+    on_frame : callable
+        Called after each frame with the number of frames of the input that are done.
+    tell : callable
+        Called with a message before something that takes long.
+
+    Returns
+    -------
+    list of Result
+        One a setup. Their record says ``complete: false`` if the stop flag ended the loop; they
+        hold the frames before it.
+
+    Raises
+    ------
+    Interrupted
+        If the stop flag ended the loop before the first frame.
+    """
+    models = [create_model(one.params, engine=one.engine, tell=tell) for one in setups]
+    sizes = [one.size_on(video, options) for one in setups]
+    rows = [array("d") for _ in setups]
+    complete = _feed(video, models, sizes, rows, on_frame)
+    if not complete and not rows[0]:
+        raise cancel.Interrupted
+    results = []
+    for setup, model, size_wh, values in zip(setups, models, sizes, rows, strict=True):
+        columns = np.array(values).reshape(-1, _N_COLUMNS).T.copy()
+        frame, time_s, p_sum, s_sum, attenuation_db, mp = columns
+        n_read = None if complete else (int(frame[-1]) + 1, float(time_s[-1]))
+        record = {
+            **input_record(video, size_wh, len(frame), identity, n_read),
+            **setup.named,
+            "model": setup.params.model,
+            "engine": model.engine_name,
+            **setup.params.to_dict(),
+            "options": options.to_record(),
+            "warnings": list(video.progress.warnings),
+            "complete": complete,
+        }
+        result = Result(
+            frame.astype(np.int64), time_s, mp, p_sum, s_sum, attenuation_db, setup.params, record
+        )
+        result.warnings.extend(result.doubts())
+        results.append(result)
+    return results
+
+
+def _feed(
+    video: Video,
+    models: Sequence[Model],
+    sizes: Sequence[tuple[int, int]],
+    rows: Sequence["array[float]"],
+    on_frame: OnFrame,
+) -> bool:
+    """Step every model with every frame and keep the numbers; False if the stop flag ended it."""
+    distinct = list(dict.fromkeys(sizes))
+
+    def frames() -> Iterator[dict[tuple[int, int], Frame]]:
+        for picture in video.pictures():
+            yield {size: video.frame(picture, size) for size in distinct}
+
+    # The decoder has threads of its own; OpenCV's would only be in its way.
+    with opencv_threads(1), ReadAhead(frames()) as ahead:
+        for by_size in ahead:
+            for model, size_wh, values in zip(models, sizes, rows, strict=True):
+                frame = by_size[size_wh]
+                answer = model.step(frame.grey, frame.time_s)
+                sums = (answer.p_sum, answer.s_sum, answer.attenuation_db, answer.mp)
+                values.extend((frame.index, frame.time_s, *sums))
+            on_frame(frame.index + 1)
+            if cancel.requested():
+                return False
+    return True
+
+
+def input_record(
+    video: Video,
+    size_wh: tuple[int, int],
+    n_processed: int,
+    identity: Mapping[str, Any],
+    n_read: tuple[int, float] | None = None,
+) -> dict[str, Any]:
+    """What a record says of the input and of what was made of it.
+
+    `n_read` is the count of the frames read and the time of the last one, where the reading was
+    stopped: decoding may be ahead of it.
+    """
+    info, progress = video.info, video.progress
+    frames, last_s = n_read or (progress.n_decoded, progress.last_time_s)
+    return {
+        "input": {
+            "path": info.path,
+            "width": info.width,
+            "height": info.height,
+            "fps": info.fps,
+            "frames": frames,
+            "duration_s": last_s + 1.0 / info.fps,
+            "decoder": info.decoder,
+            **identity,
+        },
+        "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n_processed},
+    }
+
+
+def input_identity(info: VideoInfo, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What tells an input from others: where it lies, its size and its time of change."""
+    return {"path": info.path, **fingerprint(path)}
+
+
+def require_an_answer(
+    name: str,
+    video: Video,
+    setups: Sequence[Setup],
+    results: Sequence[Result],
+    options: InputOptions,
+) -> None:
+    """Raise SourceError if a whole input ended before any model could answer."""
+    if any(result.n_valid for result in results) or not results[0].record["complete"]:
+        return
+    needs = [create_model(one.params).first_valid_frame + 1 for one in setups]
+    n_needed = min(needs)
+    raise too_short(name, video, setups[needs.index(n_needed)].label, n_needed, options)
+
+
+def too_short(
+    name: str, video: Video, label: str, n_needed: int, options: InputOptions
+) -> SourceError:
+    """The error for an input of fewer than the `n_needed` frames that a model needs."""
+    n_read = video.progress.n_decoded
+    if options.start or options.end is not None or options.fps is not None:
+        last_s = video.progress.last_time_s
+        end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."
+        why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
+        return SourceError(name, why, end)
+    frames = f"{n_read} frame{'s' * (n_read > 1)}"
+    return SourceError(
+        name, f"{frames}, but {label} needs at least {n_needed}", "Use a longer clip."
+    )
