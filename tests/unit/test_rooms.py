@@ -101,7 +101,7 @@ def test_surfaces_reflect_what_things_do_and_come_from_the_seed(name):
 
 def test_tone_is_the_mean_of_a_material():
     for made in (textures.plaster, textures.wood, textures.cloth, textures.concrete):
-        dark, bright = (made(seeded(), SIZE, tone=tone).mean() for tone in (0.2, 0.5))
+        dark, bright = (made(seeded(), SIZE, 500.0, tone=tone).mean() for tone in (0.2, 0.5))
         assert dark == pytest.approx(0.2, rel=0.15) and bright == pytest.approx(0.5, rel=0.15)
 
 
@@ -110,14 +110,11 @@ def runs(line):
     return sum(dark for dark, _ in groupby(line < 0.4))
 
 
-@pytest.mark.parametrize("lines", [2, 9])
-def test_gridded_has_the_lines_asked_for(lines):
-    image = pictures.gridded(seeded(), (0.9, 0.9), 800.0, lines)
-    between_lines = round(0.5 * (0.9 / (lines - 1) + 0.02) * 800)
-    assert runs(image[between_lines]) == runs(image[:, between_lines]) == lines
+def test_gridded_has_nine_lines_and_square_cells():
+    image = pictures.gridded(seeded(), (0.9, 0.9), 800.0)
+    assert runs(image[50]) == runs(image[:, 50]) == 9
     assert image.min() < 0.06 and image.max() > 0.8
-    # Cells are square where the board is not.
-    image = pictures.gridded(seeded(), (0.9, 0.46), 800.0, 9)
+    image = pictures.gridded(seeded(), (0.9, 0.46), 800.0)
     assert (runs(image[50]), runs(image[:, 50])) == (9, 5)
 
 
@@ -297,7 +294,7 @@ def test_a_doorway_is_open():
 
 def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
     hall = rooms.Hall((4.0, 3.0, 2.5))
-    inside = rooms.room(hall.size_m, seeded())
+    inside = rooms.room(hall, seeded())
     middle = np.array([2.0, 0.0, 1.25])
     for (side, wall), face in zip(hall.walls().items(), inside.faces, strict=True):
         assert (middle - face.corners_m[0]) @ face.normal > 0
@@ -317,7 +314,7 @@ def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
 
 def test_what_walls_are_made_of_can_be_told():
     plastered, bricked = (
-        rooms.room((3.0, 3.0, 2.5), seeded(), wall=wall).faces[0].texture.image[200:400, 200:400]
+        rooms.room(rooms.Hall((3.0, 3.0, 2.5)), seeded(), wall=wall).faces[0].texture.image[200:400, 200:400]
         for wall in ("plaster", "brick")
     )
     assert bricked.std() > 2.0 * plastered.std()
