@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from dlgmd_cli.threads import n_processors, thread_limit
+
 if TYPE_CHECKING:  # loading NumPy takes time, and --help does not need it
     import numpy.typing as npt
 
@@ -18,6 +20,7 @@ MAX_PLAUSIBLE_FPS = 1000.0
 READS_PAST_DAMAGE = 32
 # How many pictures a reader can be asked to keep unchanged; after that it reuses their memory.
 KEPT_PICTURES = 6
+_MAX_DECODER_THREADS = 16
 
 # What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
 # files and addresses: concat, hls, dash, sdp, vobsub, image2 and the like.
@@ -171,6 +174,14 @@ class Decoder(Protocol):
     def close(self) -> None:
         """Free the file, so that it can be opened again; may be called twice."""
         ...
+
+
+def decoder_threads() -> int:
+    """How many threads a decoder gets: two frames more in flight than there are processors.
+
+    They keep the processors busy while the last frame is converted. A limit of threads holds.
+    """
+    return thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
 
 
 def plausible_fps(fps: float) -> float | None:

@@ -15,16 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.video.base import Verdict
 from dlgmd_cli.video.frames import (
     KEPT_PICTURES,
     Frame,
-    selection,
     open_video,
     processed_size,
-
+    selection,
 )
-from dlgmd_cli.video.base import Verdict
-from dlgmd_cli.video.luma import resized, to_grey
+from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
 
 NAN = math.nan
