@@ -1,10 +1,10 @@
 """What every input consists of: pictures with their times, facts about the file, progress."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dlgmd_cli.threads import n_processors, thread_limit
 
@@ -98,21 +98,6 @@ class Progress:
     warnings: list[str] = field(default_factory=list)
 
 
-class Reader(Protocol):
-    """Pictures of one input, in order; a fault ends the reading with a warning."""
-
-    info: VideoInfo
-    progress: Progress
-
-    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
-        """Every picture that `select` takes; an `image` is valid until `n_kept` more of them."""
-        ...
-
-    def close(self) -> None:
-        """Free the input; may be called twice."""
-        ...
-
-
 class VideoFacts(NamedTuple):
     """What a video file states; None where it states nothing.
 
@@ -142,38 +127,6 @@ class Decoded(NamedTuple):
 
     image: "npt.NDArray[Any]"
     levels: tuple[int, int] | None = None
-
-
-class Decoder(Protocol):
-    """Frames of one video file, from its beginning.
-
-    Attributes
-    ----------
-    is_damaged : bool
-        Whether anything after the first frame could not be decoded so far.
-    """
-
-    is_damaged: bool
-
-    def open(self) -> VideoFacts | None:
-        """Open the file and decode its first frame; None if there is none."""
-        ...
-
-    def grabs(self) -> Iterator[Grab]:
-        """Every frame from the first on; once after each `open`."""
-        ...
-
-    def keep(self, n_pictures: int) -> None:
-        """From now on, leave an image unchanged until so many more were asked for."""
-        ...
-
-    def picture(self) -> Decoded | None:
-        """The frame grabbed last, see `keep`; None if it is damaged."""
-        ...
-
-    def close(self) -> None:
-        """Free the file, so that it can be opened again; may be called twice."""
-        ...
 
 
 def decoder_threads() -> int:

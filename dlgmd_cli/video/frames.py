@@ -15,7 +15,6 @@ from dlgmd_cli.video.base import (
     KEPT_PICTURES,
     Picture,
     Progress,
-    Reader,
     Select,
     Verdict,
     VideoInfo,
@@ -25,6 +24,9 @@ from dlgmd_cli.video.base import (
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
+
+    from dlgmd_cli.video.files import FileReader
+    from dlgmd_cli.video.images import ImageReader
 
 __all__ = [
     "DECODERS",
@@ -141,7 +143,10 @@ class Video:
     """
 
     def __init__(
-        self, reader: Reader, size_wh: tuple[int, int], select: Callable[[], Select]
+        self,
+        reader: "FileReader | ImageReader",
+        size_wh: tuple[int, int],
+        select: Callable[[], Select],
     ) -> None:
         from dlgmd_cli.video.luma import to_grey
 
@@ -239,7 +244,7 @@ def open_video(
         raise
 
 
-def _open_reader(path: str, fps: float | None, decoder: str) -> Reader:
+def _open_reader(path: str, fps: float | None, decoder: str) -> "FileReader | ImageReader":
     """A reader for a video file, a folder of pictures, or a pattern."""
     from dlgmd_cli.video.files import FileReader
     from dlgmd_cli.video.images import ImageReader, in_folder, is_pattern, matching
