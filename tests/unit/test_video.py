@@ -5,12 +5,14 @@ import math
 import os
 import struct
 import sys
+import threading
+import time
 from collections import deque
 
 import cv2
 import numpy as np
 import pytest
-from conftest import FPS, HEIGHT, N_FRAMES, WIDTH, looming_frames, write_video
+from conftest import HEIGHT, N_FRAMES, WIDTH, looming_frames, write_video
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,6 +26,7 @@ from dlgmd_cli.video.frames import (
     selection,
 )
 from dlgmd_cli.video.luma import resized, to_grey
+from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
 from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
 
 NAN = math.nan
@@ -297,35 +300,6 @@ def test_a_variable_rate_is_no_hole(intervals):
 # Videos
 
 
-def with_durations(data: bytes, runs: list[tuple[int, int]]) -> bytes:
-    """An MP4 (index at its end, one track) with other durations: (frames, time units) in turn."""
-    start = data.index(b"stts") - 4
-    old_size = struct.unpack(">I", data[start : start + 4])[0]
-    entries = b"".join(struct.pack(">II", *run) for run in runs)
-    box = b"stts" + bytes(4) + struct.pack(">I", len(runs)) + entries
-    box = struct.pack(">I", 4 + len(box)) + box
-    grown = bytearray(data[:start] + box + data[start + old_size :])
-    for parent in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
-        at = data.index(parent) - 4
-        size = struct.unpack(">I", data[at : at + 4])[0] + len(box) - old_size
-        grown[at : at + 4] = struct.pack(">I", size)
-    return bytes(grown).replace(b"edts", b"free")  # the edit list would cut it to its old length
-
-
-def test_times_of_a_variable_frame_rate(tmp_path, decoder):
-    data = write_video(tmp_path / "x.mp4", looming_frames(), fourcc="mp4v").read_bytes()
-    box = data.index(b"stts")
-    n_entries, n_frames, unit = struct.unpack(">III", data[box + 8 : box + 20])
-    assert (n_entries, n_frames) == (1, N_FRAMES)
-    path = tmp_path / "vfr.mp4"
-    path.write_bytes(with_durations(data, [(8, unit), (4, 3 * unit), (8, 2 * unit)]))
-    with open_video(path, decoder=decoder) as source:
-        times = [f.time_s for f in source]
-        assert source.progress.warnings == []
-    steps = [1] * 8 + [3] * 4 + [2] * 7
-    assert np.diff(times) == pytest.approx(np.array(steps) / FPS, abs=1e-6)
-
-
 def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path, decoder):
     path = write_video(tmp_path / "edited.mp4", looming_frames(), fourcc="mp4v")
     data = bytearray(path.read_bytes())
@@ -337,24 +311,6 @@ def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path, decoder):
         n_frames = len(list(source))
         assert source.progress.warnings == []
         assert abs(n_frames - N_FRAMES // 2) <= 1 and source.info.n_frames == N_FRAMES
-
-
-def test_rotation_is_honoured(tmp_path, decoder):
-    frames = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in range(4)]
-    for frame in frames:
-        frame[:4] = 255  # a bright upper edge
-    path = write_video(tmp_path / "rotated.mp4", frames, fourcc="mp4v")
-    data = bytearray(path.read_bytes())
-    matrix = data.index(b"tkhd") + 4 + 40  # of a version-0 track header
-    one = 0x10000
-    assert struct.unpack(">9i", data[matrix : matrix + 36])[:5] == (one, 0, 0, 0, one)
-    data[matrix : matrix + 36] = struct.pack(">9i", 0, one, 0, -one, 0, 0, 0, 0, 1 << 30)
-    path.write_bytes(data)
-    with open_video(path, decoder=decoder) as source:
-        picture = next(iter(source)).luminance
-        assert (source.info.width, source.info.height) == (HEIGHT, WIDTH)
-    assert picture.shape == (WIDTH, HEIGHT)
-    assert picture[:, -2:].mean() > 0.8 > 0.2 > picture[:, :-8].mean()  # now on the right
 
 
 @pytest.mark.parametrize("stated", [5, 5000])
@@ -549,3 +505,78 @@ def test_pictures_without_a_rate_or_a_first_one(tmp_path, pictures):
     (tmp_path / "1.png").write_bytes(b"no picture")
     with pytest.raises(SourceError, match="cannot be read as a picture"):
         open_video(tmp_path)
+
+
+# Reading ahead
+
+
+@pytest.fixture
+def no_thread_is_left():
+    yield
+    assert [t for t in threading.enumerate() if t.name == "dlgmd-decode"] == []
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_reading_ahead_gives_the_same_frames(clips, scale, decoder):
+    with open_video(clips / "loom.avi", scale=scale, decoder=decoder) as source:
+        plain = [frame.grey for frame in source]
+        with ReadAhead(source.pictures(KEPT_PICTURES)) as pictures:
+            ahead = [source.frame(picture).grey for picture in pictures]
+    assert len(plain) == N_FRAMES and np.array_equal(plain, ahead)
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_never_further_ahead_than_asked():
+    taken = []
+
+    def source():
+        for number in range(50):
+            taken.append(number)
+            yield number
+
+    with ReadAhead(source(), depth=3) as items:
+        for number in items:
+            time.sleep(0.002)
+            # Three wait in the queue, and one more in the hand of the thread.
+            assert len(taken) <= number + 1 + 3 + 1
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_an_error_comes_after_what_was_before_it():
+    def source():
+        yield from range(5)
+        raise OSError("damaged")
+
+    seen = []
+    with pytest.raises(OSError, match="damaged"), ReadAhead(source()) as items:
+        for item in items:
+            seen.append(item)
+    assert seen == list(range(5))
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_an_error_of_the_consumer_stops_the_thread(error):
+    def endless():
+        number = 0
+        while True:
+            yield number
+            number += 1
+
+    with pytest.raises(error), ReadAhead(endless()) as items:
+        for number in items:
+            if number == 20:
+                raise error
+
+
+def test_the_host_s_threads_are_restored():
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with pytest.raises(ValueError), opencv_threads(1):
+            assert cv2.getNumThreads() == 1
+            raise ValueError
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
