@@ -1,6 +1,5 @@
 """From what a user typed to the frames a model takes: opened, chosen by time, grey, reduced."""
 
-import hashlib
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -374,6 +373,8 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     OSError
         If the files cannot be looked at.
     """
+    import hashlib
+
     from dlgmd_cli.video.images import in_folder, is_pattern, matching
 
     file = Path(path)
