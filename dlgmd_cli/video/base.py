@@ -18,8 +18,6 @@ MAX_PLAUSIBLE_FPS = 1000.0
 # A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
 # from before the damage may still be inside the decoder's threads.
 READS_PAST_DAMAGE = 32
-# How many pictures a reader can be asked to keep unchanged; after that it reuses their memory.
-KEPT_PICTURES = 6
 _MAX_DECODER_THREADS = 16
 
 # What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other

@@ -87,8 +87,8 @@ class FileReader:
             )
         return facts
 
-    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
-        """Every picture that `select` takes, until the stream ends or breaks.
+    def pictures(self, select: Select) -> Iterator[Picture]:
+        """Every picture that `select` takes, valid until the next one, to the end or a fault.
 
         Reading ends with a warning if damage leaves a gap, or if PyAV finds that the picture size
         changes (OpenCV scales such pictures to the first one's size and does not say so).
@@ -97,7 +97,6 @@ class FileReader:
         progress = self.progress
         progress.n_decoded = 0
         self._fault = None
-        self._decoder.keep(n_kept)
         for stamp_s in self._stamps():
             index = progress.n_decoded
             time_s = clock.time(index, stamp_s)

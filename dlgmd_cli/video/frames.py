@@ -13,7 +13,6 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
-    KEPT_PICTURES,
     Picture,
     Progress,
     Select,
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 __all__ = [
     "DECODERS",
     "DEFAULT_DECODER",
-    "KEPT_PICTURES",
     "Frame",
     "InputOptions",
     "Picture",
@@ -208,9 +206,9 @@ class Video:
         """How many frames were decoded so far, the time of the last one, and warnings."""
         return self._reader.progress
 
-    def pictures(self, n_kept: int = 1) -> Iterator[Picture]:
-        """The chosen pictures as decoded; each is valid until `n_kept` more of them."""
-        return self._reader.pictures(self._select(), n_kept)
+    def pictures(self) -> Iterator[Picture]:
+        """The chosen pictures as decoded; each is valid until the next one."""
+        return self._reader.pictures(self._select())
 
     def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
         """What models take of a picture, at the video's `size_wh` unless another is given."""

@@ -133,9 +133,6 @@ class PyAVDecoder:
             return math.nan
         return float((frame.pts - self._start) * frame.time_base)
 
-    def keep(self, n_pictures: int) -> None:
-        """Nothing to do: an image stays for as long as it is held."""
-
     def picture(self) -> Decoded | None:
         """The frame grabbed last, valid for as long as it is held; None if it is damaged."""
         assert self._frame is not None
