@@ -1,6 +1,5 @@
 """From what a user typed to the frames a model takes: opened, chosen by time, grey, reduced."""
 
-import hashlib
 import math
 import numbers
 import os
@@ -17,7 +16,6 @@ from dlgmd_cli.video.base import (
     KEPT_PICTURES,
     Picture,
     Progress,
-    Reader,
     Select,
     Verdict,
     VideoInfo,
@@ -27,6 +25,9 @@ from dlgmd_cli.video.base import (
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
+
+    from dlgmd_cli.video.files import FileReader
+    from dlgmd_cli.video.images import ImageReader
 
 __all__ = [
     "DECODERS",
@@ -191,7 +192,10 @@ class Video:
     """
 
     def __init__(
-        self, reader: Reader, size_wh: tuple[int, int], select: Callable[[], Select]
+        self,
+        reader: "FileReader | ImageReader",
+        size_wh: tuple[int, int],
+        select: Callable[[], Select],
     ) -> None:
         from dlgmd_cli.video.luma import to_grey
 
@@ -289,7 +293,7 @@ def open_video(
         raise
 
 
-def _open_reader(path: str, fps: float | None, decoder: str) -> Reader:
+def _open_reader(path: str, fps: float | None, decoder: str) -> "FileReader | ImageReader":
     """A reader for a video file, a folder of pictures, or a pattern."""
     from dlgmd_cli.video.files import FileReader
     from dlgmd_cli.video.images import ImageReader, in_folder, is_pattern, matching
@@ -419,6 +423,8 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     OSError
         If the files cannot be looked at.
     """
+    import hashlib
+
     from dlgmd_cli.video.images import in_folder, is_pattern, matching
 
     file = Path(path)

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import cv2
 
-from dlgmd_cli.threads import thread_limit
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     READS_PAST_DAMAGE,
     Decoded,
     Grab,
     VideoFacts,
+    decoder_threads,
     plausible_fps,
 )
 from dlgmd_cli.video.luma import Image
@@ -47,8 +47,7 @@ class OpenCVDecoder:
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
         self.is_damaged = False
-        limit = thread_limit()
-        options = [] if limit is None else [cv2.CAP_PROP_N_THREADS, limit]
+        options = [cv2.CAP_PROP_N_THREADS, decoder_threads()]
         with guarded():
             capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
         self._capture = capture
