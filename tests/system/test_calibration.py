@@ -11,6 +11,8 @@ from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
 from dlgmd_cli.parameters import EmdLgmdParameters, LgmdParameters
 
+pytestmark = pytest.mark.slow
+
 SECOND = 30  # frames
 LABEL_ERROR = 2  # frames
 
