@@ -49,4 +49,5 @@ def assert_engines_agree(frames, **changes):
             # A cell at the threshold may fall on either side.
             apart = np.abs(a.layers.g - b.layers.g) > 1e-4 * scale**2
             assert apart.sum() <= 2 and np.all(np.minimum(a.layers.g, b.layers.g)[apart] == 0.0)
-    assert max(a.mp for a in one if a.is_valid) > 0.0 or min(frames[0].shape) == 1
+    # Late kernels may let nothing pass.
+    assert changes or max(a.mp for a in one if a.is_valid) > 0.0 or min(frames[0].shape) == 1
