@@ -90,7 +90,7 @@ def test_run_gives_what_a_plain_loop_gives(clips, scale):
 
 def test_run_keeps_what_came_before_an_error(clips):
     class Breaks(DLGMD):
-        def step(self, luminance, *, layers=False):
+        def step(self, luminance, time_s=None, *, layers=False):
             if len(recording) == 7:
                 raise KeyboardInterrupt
             return super().step(luminance, layers=layers)

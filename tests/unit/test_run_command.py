@@ -455,11 +455,11 @@ def test_an_interrupt_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_pat
     step = DLGMD.step
     seen = []
 
-    def interrupted(self, luminance, **options):
+    def interrupted(self, luminance, *rest, **options):
         seen.append(1)
         if len(seen) == 9:
             raise KeyboardInterrupt
-        return step(self, luminance, **options)
+        return step(self, luminance, *rest, **options)
 
     monkeypatch.setattr(DLGMD, "step", interrupted)
     result = dlgmd("run", clips / "loom.avi")
@@ -491,11 +491,11 @@ def test_a_second_interrupt_loses_nothing(dlgmd, clips, monkeypatch, tmp_path):
     step, write = DLGMD.step, tables.write_tables
     seen = []
 
-    def interrupted(self, luminance, **options):
+    def interrupted(self, luminance, *rest, **options):
         seen.append(1)
         if len(seen) == 9:
             signal.raise_signal(signal.SIGINT)
-        return step(self, luminance, **options)
+        return step(self, luminance, *rest, **options)
 
     def interrupted_too(*arguments):
         signal.raise_signal(signal.SIGINT)
@@ -510,7 +510,7 @@ def test_a_second_interrupt_loses_nothing(dlgmd, clips, monkeypatch, tmp_path):
 
 
 def test_an_interrupt_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch):
-    def interrupted(self, luminance, **options):
+    def interrupted(self, luminance, *rest, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(DLGMD, "step", interrupted)
@@ -519,7 +519,7 @@ def test_an_interrupt_before_the_first_frame_writes_nothing(dlgmd, clips, monkey
 
 
 def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
-    def broken(self, luminance, **options):
+    def broken(self, luminance, *rest, **options):
         raise IndexError("inner secret")
 
     monkeypatch.setattr(DLGMD, "step", broken)
