@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 
+ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
 MAX_CONFIG_BYTES = 100_000
