@@ -11,8 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.models.base import Grey, Model
-from dlgmd_cli.models.photoreceptors import Photoreceptors
+from dlgmd_cli.models.base import Grey, Model, Photoreceptors
 from dlgmd_cli.results.workshop import Workshop
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.video.frames import Frame

@@ -8,7 +8,6 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import (
-    FrameError,
     OutputError,
     OutputExistsError,
     ParameterError,
@@ -31,7 +29,6 @@ from dlgmd_cli.runs import spool as spool_module
 from dlgmd_cli.runs.axis import MAX_POINTS, MAX_VALUES, Axis, Grid
 from dlgmd_cli.runs.spool import Spool
 from dlgmd_cli.runs.sweep import (
-    Attenuation,
     Probe,
     ResponseMeasures,
     engine_for,
@@ -157,7 +154,7 @@ def spooled(spool, clips):
 
 @pytest.mark.parametrize("kind", [DlgmdParameters, LgmdParameters, EmdLgmdParameters])
 def test_a_tape_played_is_the_input_stepped_through(clips, kind):
-    with Spool(keeps_frames=kind is not DlgmdParameters) as spool:
+    with Spool() as spool:
         player = spooled(spool, clips).open()
         for _ in range(2):
             model = create_model(kind(), engine="opencv")
@@ -177,67 +174,18 @@ def test_a_tape_played_is_the_input_stepped_through(clips, kind):
                     assert np.array_equal(found, wanted, equal_nan=True), name
 
 
-def test_attenuation_alone_needs_neither_grouping_nor_rows_at_rest(clips):
-    clips = [[np.pad(f, ((30, 50), (0, 0)), mode="edge") for f in clip] for clip in clips]
-    points = {3: DlgmdParameters(r=3, a=0.5), 8: DlgmdParameters(r=8, a=0.5)}
-    with Spool(keeps_frames=False) as spool:
-        tape = spooled(spool, clips)
-        assert (tape.top, tape.bottom) == changing_rows(clips)
-        probe = Probe.economic(points, tape, Attenuation(), "opencv")
-        assert probe.reach_px == 8
-        found = dict(sweep(points, probe))
-        for point, params in points.items():
-            for clip, (value,) in zip(clips, found[point], strict=True):
-                model = DLGMD(params, engine="opencv")
-                db = np.array([model.step(picture).attenuation_db for picture in clip])
-                assert value == pytest.approx(db[np.isfinite(db)].mean(), rel=1e-12)
-
-
-def changing_rows(clips):
-    changes = [np.any(b != a, axis=1) for clip in clips for a, b in pairwise(clip)]
-    rows = np.flatnonzero(np.any(changes, axis=0))
-    return rows[0], rows[-1] + 1
-
-
-@pytest.mark.parametrize("engine", ["opencv", "numba"])
-def test_a_model_without_grouping_has_no_potential(engine):
-    if engine == "numba":
-        pytest.importorskip("numba", reason="the numba engine needs numba")
-    frames = looming_frames(6)
-    whole, part = (DLGMD(engine=engine, groups=groups) for groups in (True, False))
-    for frame in frames:
-        one, other = whole.step(frame), part.step(frame)
-        assert math.isnan(other.mp)
-        assert other.s_sum == one.s_sum or math.isnan(one.s_sum)
-        assert other.attenuation_db == one.attenuation_db or math.isnan(one.s_sum)
-
-
-def test_attenuation_of_other_models_needs_all(clips):
-    points = {0: LgmdParameters()}
-    with Spool(keeps_frames=True) as spool:
-        probe = Probe.economic(points, spooled(spool, clips), Attenuation(), "opencv")
-        assert probe.reach_px is None
-
-
-def test_frames_that_were_not_kept(clips):
-    with Spool(keeps_frames=False) as spool:
-        player = spooled(spool, clips).open()
-        with pytest.raises(FrameError, match="only its changes are on record"):
-            next(player.play(create_model(LgmdParameters())))
-
-
 def test_a_spool_leaves_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with pytest.raises(ZeroDivisionError), Spool(keeps_frames=True) as spool:
+    with pytest.raises(ZeroDivisionError), Spool() as spool:
         tape = spooled(spool, [looming_frames(5)])
-        assert sorted(os.listdir(tape.folder)) == ["changes", "frames"]
+        assert sorted(os.listdir(tape.folder)) == ["frames"]
         raise ZeroDivisionError
     assert os.listdir(tmp_path) == []
 
 
 def test_a_tape_outlives_its_folder(tmp_path, monkeypatch, clips):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with Spool(keeps_frames=False) as spool:
+    with Spool() as spool:
         player = spooled(spool, clips).open()
         spool.unlink()
         assert os.listdir(tmp_path) == []
@@ -251,12 +199,12 @@ def test_no_room_for_a_spool(monkeypatch):
     monkeypatch.setattr(spool_module.Spool, "_write", full)
     with (
         pytest.raises(OutputError, match=r"cannot be kept there \(No space left on device\)"),
-        Spool(keeps_frames=False) as spool,
+        Spool() as spool,
     ):
         spooled(spool, [looming_frames(5)])
     monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")
     with pytest.raises(OutputError, match="/nonexistent: the decoded frames cannot be kept there"):
-        Spool(keeps_frames=False).__enter__()
+        Spool().__enter__()
 
 
 @pytest.mark.parametrize("params", [DlgmdParameters(r=3), LgmdParameters()])
@@ -266,7 +214,7 @@ def test_values_do_not_depend_on_the_number_of_processes(params):
     grid = Grid(axis(f"{key}=0.2:1:0.2", kind), axis("t_mp=0.2:0.6:0.2", kind))
     points, _ = grid_parameters(grid, params)
     measure = ResponseMeasures(false_positive_frame=3)
-    with Spool(keeps_frames=True) as spool:
+    with Spool() as spool:
         probe = Probe(spooled(spool, [looming_frames(30, 64, 48)]), measure, "opencv")
         alone, shared = (dict(sweep(points, probe, jobs=jobs)) for jobs in (1, 2))
     assert list(alone) == list(range(15)) and set(shared) == set(alone)
@@ -275,7 +223,7 @@ def test_values_do_not_depend_on_the_number_of_processes(params):
 
 
 def test_measures_of_a_response():
-    with Spool(keeps_frames=False) as spool:
+    with Spool() as spool:
         frames = looming_frames(30, 96, 72)
         tape = spooled(spool, [frames[:1] * 12 + frames])
         points = {0: DlgmdParameters(), 1: DlgmdParameters(a=100.0), 2: DlgmdParameters(a=0.0)}
@@ -312,7 +260,7 @@ def test_the_engine_is_that_of_a_run():
 def test_engines_agree_on_several_processes():
     pytest.importorskip("numba", reason="the numba engine needs numba")
     points = {0: DlgmdParameters(), 1: DlgmdParameters(sigma_e=2.5)}
-    with Spool(keeps_frames=False) as spool:
+    with Spool() as spool:
         tape = spooled(spool, [looming_frames(30, 96, 72)])
         opencv, numba = (
             dict(sweep(points, Probe(tape, ResponseMeasures(), engine), jobs=2))

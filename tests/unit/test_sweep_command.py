@@ -207,7 +207,7 @@ def test_the_record_is_a_config(dlgmd, clips):
 def test_a_finished_sweep_is_only_drawn_again(dlgmd, monkeypatch):
     assert dlgmd("sweep", *TINY, "--jobs", 1).exit_code == 0
     before = Path(CUBES, "sweep.csv").read_bytes()
-    monkeypatch.setattr(DLGMD, "respond", None)
+    monkeypatch.setattr(DLGMD, "step", None)
     result = dlgmd("sweep", *TINY[:-1], "--format", "pdf", "--jobs", 1)
     assert result.exit_code == 0, result.output
     assert result.stderr == "6 of 6 points were there already.\n"
@@ -416,25 +416,25 @@ def test_interrupted_before_the_first_point(dlgmd, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(DLGMD, "respond", interrupted)
+    monkeypatch.setattr(DLGMD, "step", interrupted)
     result = dlgmd("sweep", *TINY, "--jobs", 1)
     assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
 
 
 def test_an_internal_error_keeps_the_points(dlgmd, monkeypatch):
-    respond, calls = DLGMD.respond, []
+    respond, calls = DLGMD.step, []
 
-    def failing(self, view, **options):
+    def failing(self, *arguments, **options):
         calls.append(1)
         if len(calls) > 200:
             raise IndexError
-        return respond(self, view, **options)
+        return respond(self, *arguments, **options)
 
-    monkeypatch.setattr(DLGMD, "respond", failing)
+    monkeypatch.setattr(DLGMD, "step", failing)
     result = dlgmd("sweep", *TINY, "--jobs", 1)
     assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
     kept = re.search(r"keeps (\d+) of 6 points", result.stderr)
-    monkeypatch.setattr(DLGMD, "respond", respond)
+    monkeypatch.setattr(DLGMD, "step", respond)
     again = dlgmd("sweep", *TINY)
     assert again.exit_code == 0 and again.stderr == f"{kept[1]} of 6 points were there already.\n"
 
