@@ -176,6 +176,10 @@ class SweepResult:
         columns = {name: np.full(shape, np.nan) for name in names}
         return cls(grid, speeds_px, columns, is_possible, set())
 
+    def has_infinite(self, column: str) -> bool:
+        """Whether there is a column of that name that is infinite anywhere."""
+        return bool(np.isinf(self.columns.get(column, 0.0)).any())
+
     @property
     def header(self) -> list[str]:
         """The columns of `sweep.csv`: x, y, the speed if there are several clips, measures."""
