@@ -192,6 +192,6 @@ def _show(measured: "Measurement", *, as_json: bool) -> None:
     width, height = measured.input_wh
     click.echo(
         f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"per frame ({measured.decoder}). The whole takes, as a multiple of that, with "
-        f"r = {rows[0]['radius']}: {shares}."
+        f"per frame ({measured.decoder}). With r = {rows[0]['radius']}, the whole takes "
+        f"{shares} times as long."
     )
