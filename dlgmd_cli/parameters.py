@@ -486,7 +486,7 @@ def _parse(name: str, text: str) -> Any:
 
 @lru_cache(maxsize=1)
 def _loader() -> Any:
-    """Safe YAML in which a number is what it looks like: 1e-3 is one, 1:30 and 007 are not."""
+    """Safe YAML in which a number is what it looks like: 1e-3 is one, 010 is ten, 1:30 is text."""
     import yaml
 
     class Loader(yaml.SafeLoader):

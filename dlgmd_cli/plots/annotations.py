@@ -141,7 +141,6 @@ class Timeline:
         """Seconds below the panels and, if all results agree on them, frame numbers above."""
         lowest.set_xlim(self.view)
         lowest.set_xlabel("Time (s)")
-        highest.spines["top"].set_visible(False)
         if self.is_shared:
             top = highest.secondary_xaxis("top", functions=(self.frame_of, self.time_of))
             top.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
@@ -157,8 +156,8 @@ def draw_annotations(
     their lines there. Returns the number of rows.
     """
     (first, last), (left, right) = timeline.frames, timeline.view
-    strip.set_axis_off()
-    strip.set_in_layout(False)
+    strip.set_yticks([])
+    strip.spines[["left", "bottom"]].set_visible(False)
     room = strip.figure.bbox.width * _AXES_SHARE / (right - left)
     items = []
     for frame, text, look in annotations.points():
@@ -194,10 +193,8 @@ def draw_annotations(
 def _text(strip: Axes, text: str, color: str) -> Any:
     """A text on a white ground, so that lines pass behind it."""
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-    return strip.text(
-        0.0, 0.0, plain(shortened(text)) + " ",
-        color=color, fontsize=_SIZE_PT, va="center", bbox=ground, zorder=3,
-    )  # fmt: skip
+    look: Any = {"color": color, "fontsize": _SIZE_PT, "va": "center", "bbox": ground, "zorder": 3}
+    return strip.text(0.0, 0.0, f" {plain(shortened(text))} ", in_layout=False, **look)
 
 
 def _agree(one: Result, other: Result) -> bool:

@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 
 from dlgmd_cli.plots.annotations import NONE, ROW_IN, Annotations, Timeline, draw_annotations
 from dlgmd_cli.plots.style import (
-    BLACK,
     BLUE,
     GREEN,
     GREY,
@@ -117,6 +116,7 @@ def plot(
             len(above) + len(draws), sharex=True, squeeze=False, height_ratios=above + heights
         )
         highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
+        highest.spines["top"].set_visible(False)
         entries: Entries = []
         for axes, draw in zip(axes_of, draws, strict=True):
             entries += draw(axes, traces)
@@ -125,8 +125,11 @@ def plot(
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
             above = [max(n_rows, 0.1) * ROW_IN]
             highest.get_gridspec().set_height_ratios(above + heights)
-        for axes in axes_of[1:]:
+        for axes in axes_of:
             axes.spines["top"].set_visible(False)
+        for axes in grid[:-1, 0]:
+            axes.spines["bottom"].set_visible(False)
+            axes.tick_params(axis="x", bottom=False)
         figure.align_ylabels(axes_of)
         figure.set_figheight(sum(above + heights) + _AXES_LABELS_IN)
         add_legend(figure, list({label: (handle, label) for handle, label in entries}.values()))
@@ -267,7 +270,6 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
 
 def _draw_raster(axes: Axes, traces: list[_Trace]) -> Entries:
     """A row of spikes and one of alarms; of several results a row each with both."""
-    axes.spines["bottom"].set_visible(False)
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         result = traces[0].result
@@ -277,16 +279,17 @@ def _draw_raster(axes: Axes, traces: list[_Trace]) -> Entries:
         axes.set_ylim(-0.6, 1.6)
         return []
     for row, trace in enumerate(reversed(traces)):
-        _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), BLUE)
+        look = trace.look
+        _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
         _draw_bars(axes, trace.result, trace.result.alarms, (row - 0.4, row - 0.15), VERMILION)
         # A sample of the line left of the axes says whose row it is.
-        sample = {**trace.look, "marker": "", "clip_on": False}
-        axes.plot([-0.09, -0.02], [row, row], transform=axes.get_yaxis_transform(), **sample)
+        sample = {**look, "clip_on": False, "markevery": [1], "transform": axes.get_yaxis_transform()}
+        axes.plot([-0.1, -0.06, -0.02], [row] * 3, **sample)
     axes.set_yticks([])
     axes.set_ylim(-0.6, len(traces) - 0.4)
     return [
         (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
-        for color, text in ((BLUE, "spikes"), (VERMILION, "alarm"))
+        for color, text in ((GREY, "spikes"), (VERMILION, "alarm"))
     ]
 
 
