@@ -185,7 +185,7 @@ def _show(measured: "Measurement", *, as_json: bool) -> None:
         ],
     )
     shares = ", ".join(
-        f"{row['whole_ms'] / alone_ms:.2f} at {row['width']}x{row['height']}"
+        f"{row['whole_ms'] / alone_ms:.2f} times as long at {row['width']}x{row['height']}"
         for row in rows
         if row["radius"] == rows[0]["radius"]
     )
@@ -193,5 +193,5 @@ def _show(measured: "Measurement", *, as_json: bool) -> None:
     click.echo(
         f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
         f"per frame ({measured.decoder}). With r = {rows[0]['radius']}, the whole takes "
-        f"{shares} times as long."
+        f"{shares}."
     )

@@ -149,7 +149,7 @@ def sweep(
                 n_left_out = f"{len(grid) - n_points} of {len(grid)}"
                 warn(f"{n_left_out} points cannot be computed: {swept.fault.why}")
             for warning in swept.warnings:
-                warn(f"{input_path}: {warning}")
+                warn(f"{input_path or subject.name}: {warning}")
             swept.finish(_figures(swept.result, width, output.formats))
     print_table(("", "least", "at", "greatest", "at"), swept.result.extremes())
     if swept.result.has_infinite("distinguishability"):
