@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
@@ -153,5 +154,8 @@ def test_a_video_by_two_processes(dlgmd, tmp_path, engine):
         options = ["--jobs", jobs, "--out", f"out{jobs}", "--no-plots"]
         result = dlgmd("sweep", "loom.avi", *grid, *options)
         assert result.exit_code == 0, result.output
-    one, two = (Path(f"out{jobs}/sweep-loom/sweep.csv").read_bytes() for jobs in (1, 2))
-    assert one == two
+    one, two = (
+        np.genfromtxt(f"out{jobs}/sweep-loom/sweep.csv", delimiter=",") for jobs in (1, 2)
+    )
+    # The order in which Numba adds up depends on the number of threads.
+    assert np.allclose(one, two, rtol=1e-6 if engine == "numba" else 0.0, equal_nan=True)
