@@ -220,11 +220,11 @@ def _subject(
 
 def _cubes(asked: dict[str, Any], size_wh: tuple[int, int]) -> "Subject":
     """Black cubes over white, each alone in its clip."""
-    from dlgmd_cli.flights.scenes import SCENES
     from dlgmd_cli.runs.sweep import Subject
+    from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
     from dlgmd_cli.video.frames import Frame
 
-    scene, (width, height) = SCENES[SCENE], size_wh
+    scene, (width, height) = Translation(SCENE, "", TranslationOptions()), size_wh
     speeds_px = tuple(dict.fromkeys(asked["speed"])) or DEFAULT_SPEEDS_PX
     side_px = DEFAULT_SIDE_PX if asked["cube_size"] is None else asked["cube_size"]
     flags: dict[str, Any] = {

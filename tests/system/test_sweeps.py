@@ -154,8 +154,6 @@ def test_a_video_by_two_processes(dlgmd, tmp_path, engine):
         options = ["--jobs", jobs, "--out", f"out{jobs}", "--no-plots"]
         result = dlgmd("sweep", "loom.avi", *grid, *options)
         assert result.exit_code == 0, result.output
-    one, two = (
-        np.genfromtxt(f"out{jobs}/sweep-loom/sweep.csv", delimiter=",") for jobs in (1, 2)
-    )
+    one, two = (np.genfromtxt(f"out{jobs}/sweep-loom/sweep.csv", delimiter=",") for jobs in (1, 2))
     # The order in which Numba adds up depends on the number of threads.
     assert np.allclose(one, two, rtol=1e-6 if engine == "numba" else 0.0, equal_nan=True)
