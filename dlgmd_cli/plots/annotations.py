@@ -159,7 +159,7 @@ def draw_annotations(
     strip.set_yticks([])
     strip.spines[["left", "bottom"]].set_visible(False)
     room = strip.figure.bbox.width * _AXES_SHARE / (right - left)
-    items = []
+    items: list[tuple[float, float, tuple[float, float], dict[str, Any] | None, Any]] = []
     for frame, text, look in annotations.points():
         if first <= frame <= last:
             time_s = float(timeline.time_of(frame))

@@ -77,7 +77,7 @@ def run_layers(
     wanted = frozenset(frames)
     rows: array[float] = array("d")
     kept: list[tuple[Frame, Response]] = []
-    ranges = {name: (math.inf, -math.inf) for name in "sg"}
+    ranges = dict.fromkeys("sg", (math.inf, -math.inf))
 
     def visit(frame: Frame, response: Response) -> bool:
         if frame.index in wanted:
@@ -180,7 +180,9 @@ def _sheet(
         np.array([frame.index for frame, _ in kept], dtype=np.int64),
         np.array([frame.time_s for frame, _ in kept], dtype=np.float64),
         np.stack([frame.luminance for frame, _ in kept]),
-        *(stack(name) for name in "psg"),
-        units=units,
-        label=label,
+        stack("p"),
+        stack("s"),
+        stack("g"),
+        units,
+        label,
     )
