@@ -86,7 +86,7 @@ def run_tasks(
         If the user asks to stop; tasks that are being worked on are dropped.
     """
     waiting = iter(tasks)
-    pool = ProcessPool(
+    pool: Any = ProcessPool(
         max_workers=jobs,
         initializer=_begin,
         initargs=(max(1, n_processors() // jobs),),
