@@ -1,32 +1,54 @@
-"""Locust-inspired collision detection on video: the D-LGMD model as a command and a library."""
+"""Locust-inspired collision detection on video: the D-LGMD model as a command and a library.
 
-# Nothing is imported here: a Ctrl-C meanwhile would end the command with a traceback.
-TYPE_CHECKING = False
+>>> import dlgmd_cli
+>>> result = dlgmd_cli.run("flight.mp4", set=9)  # doctest: +SKIP
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
-__all__ = ["DLGMD", "DlgmdError", "DlgmdParameters", "load_set", "open_source"]
-
 if TYPE_CHECKING:
-    from dlgmd_cli.errors import DlgmdError
-    from dlgmd_cli.models.dlgmd import DLGMD
-    from dlgmd_cli.params import DlgmdParameters
-    from dlgmd_cli.presets import load_set
-    from dlgmd_cli.video.open import open_source
+    from dlgmd_cli.errors import DlgmdError as DlgmdError
+    from dlgmd_cli.models.detection import Alarm as Alarm
+    from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
+    from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
+    from dlgmd_cli.models.lgmd import LGMD as LGMD
+    from dlgmd_cli.parameters import DlgmdParameters as DlgmdParameters
+    from dlgmd_cli.parameters import load_config as load_config
+    from dlgmd_cli.parameters import load_set as load_set
+    from dlgmd_cli.results.result import Result as Result
+    from dlgmd_cli.results.result import read_comparison as read_comparison
+    from dlgmd_cli.results.result import read_result as read_result
+    from dlgmd_cli.runs.run import run as run
+    from dlgmd_cli.video.frames import open_video as open_video
 
+# Imported on first use, so that the command line can answer --help without NumPy and OpenCV.
 _HOMES = {
-    "DLGMD": "dlgmd_cli.models.dlgmd",
-    "DlgmdError": "dlgmd_cli.errors",
-    "DlgmdParameters": "dlgmd_cli.params",
-    "load_set": "dlgmd_cli.presets",
-    "open_source": "dlgmd_cli.video.open",
+    "Alarm": "models.detection",
+    "DLGMD": "models.dlgmd",
+    "DlgmdError": "errors",
+    "DlgmdParameters": "parameters",
+    "EmdLGMD": "models.emd_lgmd",
+    "LGMD": "models.lgmd",
+    "Result": "results.result",
+    "load_config": "parameters",
+    "load_set": "parameters",
+    "open_video": "video.frames",
+    "read_comparison": "results.result",
+    "read_result": "results.result",
+    "run": "runs.run",
 }
+
+__all__ = [*_HOMES]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> object:
-    # Late, so that the command line can answer --help without OpenCV.
-    from importlib import import_module
-
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*_HOMES, "__version__"])

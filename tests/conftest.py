@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from dlgmd_cli.results.tables import Result
+from dlgmd_cli.results.result import Result
 
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
@@ -141,7 +141,7 @@ def refuse_folder(monkeypatch):
 @pytest.fixture
 def dlgmd(tmp_path, monkeypatch):
     """Call the command in an empty folder: `dlgmd("run", "x.mp4")` -> click's result."""
-    from dlgmd_cli.app import cli
+    from dlgmd_cli.commands.app import cli
 
     monkeypatch.chdir(tmp_path)
 

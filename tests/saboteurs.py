@@ -6,12 +6,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 
 @dataclass(frozen=True)
-class Sabotaged(InputChoice):
-    """As InputChoice, but for some videos; every process that opens one is written down."""
+class Sabotaged(InputOptions):
+    """As InputOptions, but for some videos; every process that opens one is written down."""
 
     def open(self, path):
         name = Path(path).stem

@@ -11,7 +11,7 @@ from dlgmd_cli.batch.names import result_names
 from dlgmd_cli.batch.remote import find_remote, is_url
 from dlgmd_cli.batch.task import Video
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.fingerprint import fingerprint
+from dlgmd_cli.video.frames import fingerprint
 
 _ENDINGS = """
     264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov

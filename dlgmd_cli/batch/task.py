@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dlgmd_cli.batch.places import Place
-from dlgmd_cli.params import Parameters
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.video.choice import InputChoice
 
 # How a video can end, as summary.csv has it.

@@ -16,7 +16,7 @@ from dlgmd_cli.runs.compare import Entry, compare
 from dlgmd_cli.runs.findings import Asked, Findings, conclude, write_findings
 from dlgmd_cli.runs.serve import note
 from dlgmd_cli.threads import limit_threads
-from dlgmd_cli.video.prepare import Source
+from dlgmd_cli.video.frames import Video
 
 # How often it tells how far it is.
 _NOTE_EVERY_S = 0.25
@@ -69,7 +69,7 @@ def _process(order: Order, task: Task, began: float) -> Outcome:
     return outcome
 
 
-def _feed(source: Source, entries: list[Entry], order: Order) -> None:
+def _feed(source: Video, entries: list[Entry], order: Order) -> None:
     """Decode once, whatever the number of models, and tell how far it is."""
     n_expected, told_s = order.options.n_expected(source.info), 0.0
 
@@ -87,7 +87,7 @@ def _feed(source: Source, entries: list[Entry], order: Order) -> None:
 
 
 def _conclude(
-    source: Source, entry: Entry, order: Order, variant: Variant, task: Task, began: float
+    source: Video, entry: Entry, order: Order, variant: Variant, task: Task, began: float
 ) -> Findings:
     """What `dlgmd run` would find, and how long it took."""
     asked = Asked(variant.params, variant.label, order.options, task.video.identity)

@@ -16,7 +16,7 @@ from dlgmd_cli.commands._model import (
 )
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.parameters import MODELS
 from dlgmd_cli.video.choice import InputChoice
 
 
@@ -108,7 +108,7 @@ batch_model_options = OptionGroup(
         "--model",
         "models",
         multiple=True,
-        type=click.Choice(list(PARAMETERS)),
+        type=click.Choice(list(MODELS)),
         help="The model, with its published values; repeatable.  [default: dlgmd]",
     ),
     param_option,

@@ -14,8 +14,7 @@ from dlgmd_cli.errors import SourceError
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model, Response
     from dlgmd_cli.plots.film import FilmFacts
-    from dlgmd_cli.video.frames import Frame
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Frame, Video
 
 
 @contextmanager
@@ -39,7 +38,7 @@ def reserved(video: Path | None, input_path: str, *, overwrite: bool) -> Iterato
 
 def render_film(
     facts: "FilmFacts",
-    source: "Source",
+    source: "Video",
     model: "Model",
     nominal_fps: float,
     file: Path,
@@ -52,17 +51,18 @@ def render_film(
     """
     from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
     from dlgmd_cli.runs.single import watch
-    from dlgmd_cli.video.count import count_frames
-    from dlgmd_cli.video.writer import best_codec, check_arrived, open_video, playable_fps
+    from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
     film, numbers = Film(facts), facts.result.frame
     fps = playable_fps(nominal_fps)
     if abs(fps / nominal_fps - 1.0) > 0.01:
         warn(f"{video} plays at {fps:g} frames a second, not at {nominal_fps:g}")
-    n_frames, n_rendered = len(numbers), 0
+    n_frames, n_rendered, shape = len(numbers), 0, (HEIGHT, WIDTH)
     with (
         progress(f"{source.info.name} → {video.name}", n_frames) as on_frame,
-        open_video(file, (HEIGHT, WIDTH), fps, codec=best_codec(), is_colour=True) as write,
+        video_writer(
+            file, shape, fps, codec=best_codec(), is_colour=True, target=video, option="--video"
+        ) as write,
     ):
 
         def visit(frame: "Frame", response: "Response") -> bool:
@@ -84,5 +84,4 @@ def render_film(
         if n_rendered == 0:
             raise SourceError(source.info.path, line)
         warn(f"{source.info.path}: {line}; {video} ends there")
-    check_arrived(video, count_frames(file), n_rendered, option="--video")
     return n_rendered

@@ -6,7 +6,7 @@ import click
 
 from dlgmd_cli.commands._types import FiniteRange, OptionGroup, Size, Time
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params.base import shown
+from dlgmd_cli.parameters import shown
 from dlgmd_cli.video.choice import InputChoice
 
 NORMALISATIONS = ("absolute", "sequence")

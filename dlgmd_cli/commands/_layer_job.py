@@ -7,7 +7,7 @@ from dlgmd_cli.commands._interrupts import Interrupts
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.layers import LayerSheet
     from dlgmd_cli.results.tables import Result
     from dlgmd_cli.runs.layers import LayerRecording
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Video
 
 
 class LayerJob:
@@ -35,10 +35,10 @@ class LayerJob:
     def __init__(
         self,
         input_path: str,
-        source: "Source",
+        source: "Video",
         detector: "Model",
         choice: ModelChoice,
-        options: InputChoice,
+        options: InputOptions,
     ) -> None:
         self._name, self._source, self._detector = input_path, source, detector
         self._choice, self._options = choice, options
@@ -127,7 +127,7 @@ class LayerJob:
         )
 
 
-def _absent(recording: "LayerRecording", source: "Source", options: InputChoice) -> list[str]:
+def _absent(recording: "LayerRecording", source: "Video", options: InputOptions) -> list[str]:
     """Why frames that were asked for are not there, a line each reason."""
     shown = {shot.frame for shot in recording.shots}
     missing = sorted(recording.wanted - shown)

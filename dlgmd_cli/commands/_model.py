@@ -8,11 +8,11 @@ import click
 
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters, Parameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
-    from dlgmd_cli.presets import Config
+    from dlgmd_cli.parameters import Config
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
 ENGINES = ("opencv", "numba")
@@ -53,7 +53,7 @@ class ModelChoice:
         formulation: str | None,
         base: "Config | None" = None,
     ) -> None:
-        from dlgmd_cli import presets  # brings in yaml
+        from dlgmd_cli import parameters  # brings in yaml
 
         if set_name is not None and config is not None:
             raise click.UsageError("--set and --config exclude each other. Give one of them.")
@@ -69,11 +69,11 @@ class ModelChoice:
             )
         self.recorded_engine = file.engine
         self.model = model or file.model or DEFAULT_MODEL
-        if self.model not in PARAMETERS:
+        if self.model not in MODELS:
             raise ParameterError(
                 file.name,
                 f"there is no model {self.model[:40]!r}",
-                f"Choose from {', '.join(PARAMETERS)}.",
+                f"Choose from {', '.join(MODELS)}.",
             )
         if config is not None:
             self.label = config.stem
@@ -83,13 +83,13 @@ class ModelChoice:
             self.label = (
                 self.model if self.model != DEFAULT_MODEL else f"set{set_name or DEFAULT_SET}"
             )
-        kind = PARAMETERS[self.model]
-        overrides = presets.parse_overrides(pairs)
+        kind = MODELS[self.model].parameters
+        overrides = parameters.parse_overrides(pairs)
         if formulation is not None:
             if "formulation" not in kind.specs():
                 raise click.UsageError(f"--formulation is of the D-LGMD, not of {self.model}.")
             overrides["formulation"] = formulation
-        self.params: Parameters = presets.merge(kind, file, overrides)
+        self.params: Parameters = parameters.merge(kind, file, overrides)
 
     def create(self, engine: str | None, tell: Callable[[str], None]) -> "Model":
         """The model, computed by `engine` or, unless that is given, as the file's run was."""
@@ -108,16 +108,16 @@ def _file(
     set_name: str | None, config: Path | None, model: str | None, base: "Config | None"
 ) -> "Config":
     """The file that the parameters come from: the user's, or a preset; `base` for the default."""
-    from dlgmd_cli import presets
+    from dlgmd_cli import parameters
 
     if config is not None:
-        return presets.load_config(config)
+        return parameters.load_config(config)
     if model not in (DEFAULT_MODEL, None):
-        return presets.load_model_preset(model)
+        return parameters.load_model_preset(model)
     if base is not None and set_name is None:
         return base
     try:
-        return presets.load_preset(set_name if set_name is not None else DEFAULT_SET)
+        return parameters.load_preset(set_name if set_name is not None else DEFAULT_SET)
     except ParameterError as error:
         mend = f"{error.mend.rstrip('.')}, or give a file with --config."
         raise ParameterError("Invalid value for '--set'", error.why, mend) from None
@@ -145,7 +145,7 @@ MODEL_OPTIONS = (
     param_option,
     click.option(
         "--model",
-        type=click.Choice(list(PARAMETERS)),
+        type=click.Choice(list(MODELS)),
         help=f"The model, with its published values.  [default: {DEFAULT_MODEL}]",
     ),
     formulation_option,

@@ -12,12 +12,12 @@ from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import DlgmdError, ParameterError
 from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.spool import Spool, Tape
     from dlgmd_cli.runs.sweep import Attenuation, ResponseMeasures
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Video as OpenVideo
 
 SCENE = "translating-cubes"
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
@@ -173,7 +173,11 @@ class Video:
     speeds_px: tuple[float, ...] = ()
 
     def __init__(
-        self, path: str, source: "Source", options: InputChoice, false_positive_frame: int | None
+        self,
+        path: str,
+        source: "OpenVideo",
+        options: InputOptions,
+        false_positive_frame: int | None,
     ) -> None:
         self._path, self._source, self._options = path, source, options
         self._false_positive_frame = false_positive_frame
@@ -182,7 +186,7 @@ class Video:
 
     def settings(self) -> dict[str, Any]:
         """Which input, and what is read of it."""
-        from dlgmd_cli.video.fingerprint import fingerprint
+        from dlgmd_cli.video.frames import fingerprint
 
         return {
             "input": {"path": self._source.info.path, **fingerprint(self._path)},
@@ -222,7 +226,7 @@ class Video:
 def _doubts(tape: "Tape", decoder: str) -> list[str]:
     """What looks wrong about the input."""
     from dlgmd_cli.models.base import undefined
-    from dlgmd_cli.params import DlgmdParameters
+    from dlgmd_cli.parameters import DlgmdParameters
     from dlgmd_cli.results.measures import Summary
     from dlgmd_cli.runs.reading import Reading
     from dlgmd_cli.runs.recording import Recording
@@ -256,10 +260,10 @@ class Asked:
             raise click.UsageError(f"--{min(wrong).replace('_', '-')} {why}")
 
     @contextmanager
-    def open(self, recorded: dict[str, Any], origin: str) -> Iterator[tuple[Subject, InputChoice]]:
+    def open(self, recorded: dict[str, Any], origin: str) -> Iterator[tuple[Subject, InputOptions]]:
         """The subject, and what is read of it; `recorded` options are the file `origin`'s."""
         if self.input_path is None:
-            yield Cubes(self.cubes, self.given["size"]), InputChoice()
+            yield Cubes(self.cubes, self.given["size"]), InputOptions()
             return
         options = choose_input(self.given, recorded, origin)
         with options.open(self.input_path) as source:

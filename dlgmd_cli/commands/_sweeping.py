@@ -8,8 +8,8 @@ from dlgmd_cli.commands._console import progress, say
 from dlgmd_cli.commands._model import ModelChoice
 from dlgmd_cli.commands._subjects import Subject
 from dlgmd_cli.commands._types import Output
-from dlgmd_cli.params import Parameters
-from dlgmd_cli.params.axis import Axis, Grid
+from dlgmd_cli.parameters import Parameters
+from dlgmd_cli.runs.axis import Axis, Grid
 from dlgmd_cli.video.choice import InputChoice
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Plan:
         from dlgmd_cli.threads import n_processors
 
         try:
-            with Spool(keeps_frames=self.choice.model != "dlgmd") as spool:
+            with Spool() as spool:
                 facts = self.subject.spool(spool)
                 tape = spool.tape
                 needed = shortest_need(self.points, min(tape.lengths))
@@ -154,12 +154,11 @@ class Plan:
 
     def _probe(self, tape: "Tape") -> "Probe":
         """How points are computed."""
-        from dlgmd_cli.runs.sweep import Attenuation, Probe
+        from dlgmd_cli.runs.sweep import Probe
 
-        measure = self.subject.measure()
-        if isinstance(measure, Attenuation):
-            return Probe.economic(self.points, tape, measure, self.engine)
-        return Probe(tape, measure, self.engine, by_sequence=self.options.by_sequence)
+        return Probe(
+            tape, self.subject.measure(), self.engine, by_sequence=self.options.by_sequence
+        )
 
     def _constant(self) -> dict[str, Any]:
         """The model and those of its parameters that are the same everywhere."""

@@ -10,9 +10,9 @@ from dlgmd_cli.commands._input import choose_input
 from dlgmd_cli.commands._labels import numbered, told_apart
 from dlgmd_cli.commands._model import DEFAULT_SET, ModelChoice
 from dlgmd_cli.commands._types import OptionGroup
-from dlgmd_cli.params import FORMULATIONS, PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters, Parameters
 from dlgmd_cli.results.cells import text_cell
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Variant:
         Its parameters.
     engine : str or None
         The engine of the run that its file records, if it does.
-    size : InputChoice
+    size : InputOptions
         The processed size of that run, if its file records one.
     origin : str
         The file that it is from.
@@ -38,7 +38,7 @@ class Variant:
     label: str
     params: Parameters
     engine: str | None
-    size: InputChoice
+    size: InputOptions
     origin: str
     left_out: tuple[str, ...]
 
@@ -55,7 +55,7 @@ def _variants(
     if not (set_names or configs or models):
         set_names = (DEFAULT_SET,)
         # To what a bare comparison would be with, if there is nothing else.
-        models = () if derives else tuple(PARAMETERS)
+        models = () if derives else tuple(MODELS)
     files = list(dict.fromkeys(configs))
     found = [_variant(_choice(set_name=name)) for name in set_names]
     found += [
@@ -89,7 +89,7 @@ def _file_labels(files: list[Path]) -> list[str]:
 def _variant(choice: ModelChoice, label: str | None = None) -> Variant:
     """A choice as it is, under its label."""
     recorded = choose_input({}, choice.recorded_options, choice.origin)
-    size = InputChoice(scale=recorded.scale, size=recorded.size)
+    size = InputOptions(scale=recorded.scale, size=recorded.size)
     left_out = tuple(key for key in recorded.to_record() if key not in ("scale", "size"))
     label = text_cell(label or choice.label)
     return Variant(label, choice.params, choice.recorded_engine, size, choice.origin, left_out)
@@ -132,7 +132,7 @@ variant_options = OptionGroup(
         "--model",
         "models",
         multiple=True,
-        type=click.Choice(list(PARAMETERS)),
+        type=click.Choice(list(MODELS)),
         help="A model with its published values; repeatable.  [default: all three]",
     ),
     click.option(

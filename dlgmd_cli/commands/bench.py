@@ -4,7 +4,7 @@ import csv
 import math
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,6 @@ from dlgmd_cli.commands._console import (
 from dlgmd_cli.commands._input import decoder_option
 from dlgmd_cli.commands._model import engine_option
 from dlgmd_cli.commands._types import FiniteRange
-from dlgmd_cli.errors import OutputError
 
 if TYPE_CHECKING:
     from dlgmd_cli.paper.speed import Measurement, Timing
@@ -99,7 +98,7 @@ def bench(
     resizing), and the whole, in which both go on at once.
     """
     from dlgmd_cli.paper.speed import RADII, SCALES, measure
-    from dlgmd_cli.presets import load_set
+    from dlgmd_cli.parameters import load_set
 
     chosen_radii = tuple(dict.fromkeys(radii)) or RADII
     chosen_scales = tuple(dict.fromkeys(scales)) or SCALES
@@ -110,10 +109,10 @@ def bench(
                 "bench", repeats * len(chosen_radii) * len(chosen_scales), unit="step"
             ) as on_step,
         ):
-            from dlgmd_cli.video.open import open_source
+            from dlgmd_cli.video.frames import open_video
 
             measured = measure(
-                lambda scale: open_source(
+                lambda scale: open_video(
                     path, scale=scale, max_frames=n_frames, decoder=decoder or "opencv"
                 ),
                 load_set(TABLE_IV_SET),
@@ -156,22 +155,13 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
         return
     from dlgmd_cli.paper.speed import PAPER_SIZE_WH
     from dlgmd_cli.stimuli.pan import pan_frames
-    from dlgmd_cli.video.count import count_frames
-    from dlgmd_cli.video.writer import encode
+    from dlgmd_cli.video.writer import write_video
 
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
         shape = PAPER_SIZE_WH[1], PAPER_SIZE_WH[0]
         say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
-        with suppress(OSError):  # the count tells
-            encode(path, pan_frames(shape, n_frames), shape, 30.0)
-        n_written = count_frames(path)
-        if n_written != n_frames:
-            raise OutputError(
-                folder,
-                f"only {n_written} of the clip's {n_frames} frames arrived on the disk",
-                "Free some space there, or give a clip.",
-            )
+        write_video(path, pan_frames(shape, n_frames), shape, 30.0)
         yield str(path)
 
 

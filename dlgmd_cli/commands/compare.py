@@ -1,38 +1,111 @@
 """`dlgmd compare`: one video through many models, decoded once."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._ahead import import_ahead
-from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._compared import show_comparison
-from dlgmd_cli.commands._console import Command, progress, say, warn
-from dlgmd_cli.commands._figures import save_plots
-from dlgmd_cli.commands._input import choose_input, input_options
-from dlgmd_cli.commands._interrupts import Interrupts
-from dlgmd_cli.commands._model import engine_option
-from dlgmd_cli.commands._types import Output, output_options, width_option
-from dlgmd_cli.commands._variants import Variant, variant_options
-from dlgmd_cli.params import DlgmdParameters
-from dlgmd_cli.runs.facts import facts, too_short
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.commands.console import (
+    Command,
+    end_if_interrupted,
+    print_json,
+    print_path,
+    print_table,
+    say,
+    warn,
+)
+from dlgmd_cli.commands.options import (
+    Output,
+    engine_option,
+    input_options,
+    json_option,
+    labelled,
+    output_options,
+    setup_options,
+    told_apart,
+    width_option,
+)
+from dlgmd_cli.commands.plot import annotation_options
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import printable
+from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
 
 if TYPE_CHECKING:
-    from dlgmd_cli.models.base import Model
-    from dlgmd_cli.plots.style import Width
-    from dlgmd_cli.results.annotations import Annotations
-    from dlgmd_cli.results.tables import Result
-    from dlgmd_cli.runs.compare import Entry
-    from dlgmd_cli.runs.recording import Recording
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.plots.traces import Annotations
+    from dlgmd_cli.results.result import Result
+    from dlgmd_cli.results.store import Write
+    from dlgmd_cli.runs.run import Setup
 
-_NEEDED_LATER = ("dlgmd_cli.models.tiled", "dlgmd_cli.runs.compare", "rich.table")
-_NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_agg")
+_INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
+
+
+def _setups(
+    set_names: tuple[str, ...],
+    configs: tuple[Path, ...],
+    models: tuple[str, ...],
+    formulations: tuple[str, ...],
+    no_ffi_gd: bool,
+    engine: str | None,
+) -> "list[Setup]":
+    """Every model that the options ask for, each once, under labels that differ."""
+    from dlgmd_cli.runs.run import DEFAULT_SET, choose
+
+    derives = bool(formulations) or no_ffi_gd
+    if not (set_names or configs or models):
+        set_names = (DEFAULT_SET,)
+        # To what a bare comparison would be with, if there is nothing else.
+        models = () if derives else tuple(MODELS)
+    found = [choose(set=name) for name in dict.fromkeys(set_names)]
+    files = list(dict.fromkeys(configs))
+    for path, label in zip(
+        files, told_apart([path.with_suffix("") for path in files]), strict=True
+    ):
+        found.append(replace(_sized(choose(config=path)), label=printable(label)))
+    found += [choose(model=name) for name in dict.fromkeys(models)]
+    if not any(isinstance(one.params, DlgmdParameters) for one in found):
+        for option, is_given in (
+            ("--formulation", formulations),
+            ("--no-ffi-gd", no_ffi_gd),
+            ("--engine", engine),
+        ):
+            if is_given:
+                raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set.")
+    every: dict[tuple[Any, ...], Setup] = {}
+    for one in found:
+        for each in _derived(one, formulations, no_ffi_gd):
+            if engine and isinstance(each.params, DlgmdParameters):
+                each = replace(each, engine=engine)
+            every.setdefault((each.params, each.size, each.label), each)
+    return labelled(list(every.values()))
+
+
+def _sized(setup: "Setup") -> "Setup":
+    """A setup with the processed size that its file records, if it does."""
+    from dlgmd_cli.runs.run import input_options as recorded
+
+    options = recorded(setup, {})
+    size = type(options)(scale=options.scale, size=options.size)
+    return replace(setup, size=size)
+
+
+def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
+    """A setup, and if it is a D-LGMD also its other formulations and without FFI-GD."""
+    yield one
+    if not isinstance(one.params, DlgmdParameters):
+        return
+    kin = {one.label: one.params}
+    for formulation in formulations:
+        if formulation != one.params.formulation:
+            kin[f"{one.label}/{formulation}"] = replace(one.params, formulation=formulation)
+    if no_ffi_gd and one.params.ffi_gd:
+        for label, params in list(kin.items()):
+            kin[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
+    for label, params in list(kin.items())[1:]:
+        yield replace(one, label=label, params=params)
 
 
 @click.command(
@@ -40,20 +113,30 @@ _NEEDED_FOR_PLOTS = ("dlgmd_cli.plots.overlays", "matplotlib.backends.backend_ag
     epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
 )
 @click.argument("input_path", metavar="INPUT")
-@variant_options
-@engine_option
+@setup_options(
+    _setups,
+    "all three",
+    click.option(
+        "--formulation",
+        "formulations",
+        multiple=True,
+        type=click.Choice(FORMULATIONS),
+        help="Add every D-LGMD in this formulation; repeatable.",
+    ),
+    click.option("--no-ffi-gd", is_flag=True, help="Add every D-LGMD without the threshold of G."),
+    engine_option,
+)
 @input_options
 @annotation_options
 @width_option
 @output_options
-@click.option("--json", "as_json", is_flag=True, help="Print the summaries as one JSON object.")
+@json_option
 def compare(
     input_path: str,
-    variants: list[Variant],
-    engine: str | None,
+    setups: "list[Setup]",
     given: dict[str, Any],
     annotations: "Annotations",
-    width: "Width",
+    width: Any,
     output: Output,
     as_json: bool,
 ) -> None:
@@ -64,211 +147,149 @@ def compare(
 
     Writes OUT/NAME/compare.csv, a figure of the membrane potentials, each normalised by its own
     sequence unless --normalise says otherwise, one of the attenuations, and compare.yaml. Spikes
-    and collisions in the summary are those of 'dlgmd run'.
+    and alarms in the summary are those of 'dlgmd run'.
     """
-    options = choose_input(given, {}, "")
-    models = _create(variants, engine)
-    import_ahead(_NEEDED_LATER + (_NEEDED_FOR_PLOTS if output.formats else ()))
-    from dlgmd_cli.results.folder import COMPARISON, ResultFolder
+    from dlgmd_cli.results import store
+    from dlgmd_cli.runs import run as runs
+    from dlgmd_cli.video.frames import InputOptions
 
-    with (
-        Interrupts() as interrupts,
-        options.open(input_path) as source,
-        ResultFolder(
-            output.out, source.info.name, COMPARISON, overwrite=output.overwrite
-        ) as folder,
-    ):
-        from dlgmd_cli.runs.compare import Entry
-        from dlgmd_cli.runs.compare import compare as feed
-
-        entries = [
-            Entry(model, _size(variant, options, source))
-            for variant, model in zip(variants, models, strict=True)
-        ]
-        recording = entries[0].recording
-        with progress(source.info.name, options.n_expected(source.info)) as on_frame:
-            complete = interrupts.ends(
-                lambda: feed(source, entries, on_frame), lambda: len(recording)
-            )
-        interrupts.hold()
-        if not complete:
-            say("Interrupted; writing what was computed.")
-        for warning in (*_left_out(variants), *source.progress.warnings):
-            warn(f"{input_path}: {warning}")
-        if complete:
-            _require_an_answer(input_path, source, variants, entries, options)
-        results = _read(variants, entries, by_sequence=options.by_sequence)
-        doubts = [
-            *_doubts(results, source.info.decoder),
-            *_unanswered(variants, entries),
-            *annotations.outside(*_ends(recording)),
-        ]
-        for doubt in doubts:
-            warn(f"{input_path}: {doubt}")
-        record = {
-            "input": facts(source, len(recording))["input"],
-            "models": [
-                _described(variant, entry, results[variant.label], annotations)
-                for variant, entry in zip(variants, entries, strict=True)
-            ],
-            "options": options.to_record(),
-            "warnings": [*_left_out(variants), *source.progress.warnings, *doubts],
-            "complete": complete,
-        }
-        column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
-        plots = _plots(results, annotations, column, width) if output.formats else {}
-        folder.save(partial(_write, results, record, plots, output.formats, interrupts))
-    show_comparison(record, folder.target, as_json=as_json)
-    interrupts.conclude(folder.target, len(recording), complete=complete)
+    options = InputOptions(**given)
+    with options.open(input_path) as video:
+        folder = store.result_folder(output.out, video.info.name)
+        identity = runs.input_identity(video.info, input_path)
+        is_new = store.check(folder, store.COMPARISON, identity, overwrite=output.overwrite)
+        with store.locked(folder):
+            with progress(video.info.name, options.n_expected(video.info)) as on_frame:
+                found = runs.run_models(
+                    video, setups, options, identity=identity, on_frame=on_frame, tell=say
+                )
+            results = {one.label: result for one, result in zip(setups, found, strict=True)}
+            runs.require_an_answer(input_path, video, setups, found, options)
+            warnings = _warnings(setups, results)
+            warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
+            for warning in warnings:
+                warn(f"{input_path}: {warning}")
+            record = _record(results, warnings, annotations)
+            column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
+            files = _files(results, record, output, partial(_figure, annotations, column, width))
+            store.commit(folder, store.COMPARISON, files, is_new_input=is_new)
+    _show(record, folder, as_json)
+    end_if_interrupted(folder, len(found[0]), complete=record["complete"])
 
 
-def _create(variants: list[Variant], engine: str | None) -> "list[Model]":
-    """The models; an engine is for those that have several."""
-    from dlgmd_cli.models.base import create_model
-
-    if engine and not any(isinstance(one.params, DlgmdParameters) for one in variants):
-        raise click.UsageError("--engine is of the D-LGMD, and none is compared. Add --set.")
-    models = []
-    for variant in variants:
-        is_dlgmd = isinstance(variant.params, DlgmdParameters)
-        wanted = engine or variant.engine or "auto"
-        model = create_model(variant.params, engine=wanted if is_dlgmd else "auto", tell=say)
-        models.append(model)
-    return models
-
-
-def _size(variant: Variant, options: InputChoice, source: "Source") -> tuple[int, int]:
-    """At which size a variant sees the input: as asked for, else as its file records it."""
-    from dlgmd_cli.video.prepare import processed_size
-
-    own = variant.size
-    if (options.scale or options.size or own.scale or own.size) is None:
-        return source.size_wh
-    chosen = own if (options.scale or options.size) is None else options
-    info = source.info
-    return processed_size(info.width, info.height, scale=chosen.scale, size_wh=chosen.size)
-
-
-def _require_an_answer(
-    name: str,
-    source: "Source",
-    variants: list[Variant],
-    entries: "list[Entry]",
-    options: InputChoice,
-) -> None:
-    """Raise SourceError if the input ends before the first model can answer."""
-    if any(entry.recording.n_valid for entry in entries):
-        return
-    needs = [entry.model.first_valid_frame for entry in entries]
-    least = min(needs)
-    raise too_short(name, source, variants[needs.index(least)].label, options, least)
-
-
-def _read(
-    variants: list[Variant], entries: "list[Entry]", *, by_sequence: bool
-) -> "dict[str, Result]":
-    """Everything that follows from the recordings, by label."""
-    from dlgmd_cli.runs.reading import Reading
-
-    return {
-        variant.label: Reading(
-            entry.recording, entry.size_wh, variant.params, by_sequence=by_sequence
-        ).whole()
-        for variant, entry in zip(variants, entries, strict=True)
-    }
-
-
-def _left_out(variants: list[Variant]) -> list[str]:
-    """Which recorded options of which file are not the comparison's, a line a file."""
-    return [
-        f"of {one.origin} the recorded {', '.join(one.left_out)} {verb} not taken over; give "
-        "such options here"
-        for one in {one.origin: one for one in variants if one.left_out}.values()
-        for verb in ["is" if len(one.left_out) == 1 else "are"]
-    ]
-
-
-def _unanswered(variants: list[Variant], entries: "list[Entry]") -> list[str]:
-    """Which models never had a full history, a line each."""
-    return [
-        f"{variant.label} needs at least {entry.model.first_valid_frame + 1} frames, and gives "
-        "no answer"
-        for variant, entry in zip(variants, entries, strict=True)
-        if entry.recording.n_valid == 0
-    ]
-
-
-def _ends(recording: "Recording") -> tuple[int, int]:
-    """Numbers of the first and the last frame."""
-    frames = recording.columns()[0]
-    return int(frames[0]), int(frames[-1])
-
-
-def _doubts(results: "Mapping[str, Result]", decoder: str) -> list[str]:
-    """What looks wrong, a line each; with the label where it is not so of every result."""
-    from dlgmd_cli.results.measures import doubts
-
-    of_each = {label: doubts(result, decoder) for label, result in results.items()}
+def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> list[str]:
+    """What is doubtful, a line each; with the label where it is not so of every result."""
     lines = []
-    for label, found in of_each.items():
-        for line in found:
-            is_common = all(line in others for others in of_each.values())
+    for one in setups:
+        left_out = [key for key in one.options if key not in ("scale", "size")]
+        if left_out:
+            lines.append(
+                f"{one.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
+                "them on the command line"
+            )
+    for label, result in results.items():
+        for line in result.warnings:
+            is_common = all(line in other.warnings for other in results.values())
             lines.append(line if is_common else f"{label}: {line}")
+        if not result.n_valid:
+            lines.append(f"{label}: too few frames for an answer")
     return list(dict.fromkeys(lines))
 
 
-def _described(
-    variant: Variant, entry: "Entry", result: "Result", annotations: "Annotations"
+def _record(
+    results: "Mapping[str, Result]", warnings: list[str], annotations: "Annotations"
 ) -> dict[str, Any]:
-    """What compare.yaml says of one model."""
-    from dlgmd_cli.results.measures import distinguishability, sharpness, summarise
-
-    summary = {**summarise(result), "sharpness": _number(sharpness(result))}
-    if annotations.false_positive_frame is not None:
-        ratio = distinguishability(result, annotations.false_positive_frame)
-        summary["distinguishability"] = _number(ratio)
+    """What compare.yaml says, less the versions."""
+    first = next(iter(results.values())).record
+    models = []
+    for label, result in results.items():
+        summary = {**result.summary, "sharpness": _defined(result.sharpness)}
+        if annotations.false_positive_frame is not None:
+            ratio = result.distinguishability(annotations.false_positive_frame)
+            summary["distinguishability"] = _defined(ratio)
+        models.append(
+            {
+                "label": label,
+                "model": result.record["model"],
+                "engine": result.record["engine"],
+                "width": result.record["processed"]["width"],
+                "height": result.record["processed"]["height"],
+                **result.params.to_dict(),
+                "summary": summary,
+            }
+        )
     return {
-        "label": variant.label,
-        "model": entry.model.name,
-        "engine": entry.model.engine_name,
-        "width": entry.size_wh[0],
-        "height": entry.size_wh[1],
-        **variant.params.to_dict(),
-        "summary": summary,
+        "input": first["input"],
+        "models": models,
+        "options": first["options"],
+        "warnings": warnings,
+        "complete": first["complete"],
     }
 
 
-def _number(value: float) -> float | None:
+def _defined(value: float) -> float | None:
     """None for what is undefined."""
     return None if math.isnan(value) else value
 
 
-def _plots(
-    results: "Mapping[str, Result]", annotations: "Annotations", column: str, width: "Width"
-) -> dict[str, Callable[[], Any]]:
-    """The figures, not drawn yet."""
-    from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp
+def _figure(
+    annotations: "Annotations", column: str, width: Any, kind: str, results: "Mapping[str, Result]"
+) -> Any:
+    from dlgmd_cli.plots.traces import plot
 
-    return {
-        "compare-mp": partial(overlay_mp, results, annotations, column=column, width=width),
-        "compare-attenuation": partial(overlay_attenuation, results, annotations, width=width),
+    return plot(kind, results, annotations, column=column, width=width)
+
+
+def _files(
+    results: "Mapping[str, Result]", record: dict[str, Any], output: Output, figure: Any
+) -> "dict[str, Write]":
+    """What writes each file of a comparison, by its name."""
+    from dlgmd_cli.results import csv, store
+    from dlgmd_cli.results.record import record_text
+
+    files: dict[str, Write] = {"compare.csv": partial(csv.write_comparison, results=results)}
+    if output.formats:
+        from dlgmd_cli.plots.style import figure_files
+
+        kinds = ("mp", "attenuation")
+        figures = {f"compare-{kind}": partial(figure, kind, results) for kind in kinds}
+        files |= figure_files(figures, output.formats)
+    text = record_text(record, [one["engine"] for one in record["models"]])
+    files[store.COMPARISON] = lambda path: path.write_text(text, encoding="utf-8")
+    return files
+
+
+def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
+    """The summaries on stdout, as a table or as JSON."""
+    infinite = [
+        one for one in record["models"] if one["summary"].get("distinguishability") == math.inf
+    ]
+    if as_json:
+        for one in infinite:  # JSON has no number for it
+            one["summary"]["distinguishability"] = "inf"
+        summaries = {one["label"]: one["summary"] for one in record["models"]}
+        print_json({"result": str(folder), "complete": record["complete"], "models": summaries})
+        return
+    columns = {
+        "mp_max_frame": ("peak frame", "{}"),
+        "first_spike_time_s": ("first spike", "{:.3f} s"),
+        "first_alarm_frame": ("first alarm", "frame {}"),
+        "sharpness": ("sharpness", "{:.3f}"),
+        "distinguishability": ("distinguishability", "{:.4g}"),
     }
-
-
-def _write(
-    results: "Mapping[str, Result]",
-    record: dict[str, Any],
-    plots: dict[str, Callable[[], Any]],
-    formats: tuple[str, ...],
-    interrupts: Interrupts,
-    folder: Path,
-) -> None:
-    """Fill `folder` with the files of a comparison; a Ctrl-C meanwhile only spares the plots."""
-    from dlgmd_cli.results.comparison import write_comparison
-    from dlgmd_cli.results.folder import COMPARISON
-    from dlgmd_cli.results.record import write_record
-
-    write_comparison(folder / "compare.csv", results)
-    if plots:
-        save_plots(folder, plots, formats, interrupts)
-    write_record(folder, record, COMPARISON, engines=[one["engine"] for one in record["models"]])
+    if "distinguishability" not in record["models"][0]["summary"]:
+        del columns["distinguishability"]
+    rows = []
+    for one in record["models"]:
+        summary = dict(one["summary"])
+        if not summary["mp_max"]:  # the first of frames that are all alike is no peak
+            summary["mp_max_frame"] = None
+        cells = [
+            "–" if summary.get(key) is None else shape.format(summary[key])
+            for key, (_, shape) in columns.items()
+        ]
+        rows.append((one["label"], *cells))
+    print_table(("model", *(title for title, _ in columns.values())), rows)
+    if infinite:
+        print_table(("",), [(_INFINITE,)])
+    print_path(folder)

@@ -24,10 +24,10 @@ def kernels(choice: ModelChoice, output: Output) -> None:
     in frames, and its strengths.
     """
     params = choice.dlgmd_params()
-    from dlgmd_cli.models.dlgmd import connections_of
+    from dlgmd_cli.models.kernels import connect
     from dlgmd_cli.results.files import appearing, fitting, refuse_existing
 
-    connections = connections_of(params)
+    connections = connect(params)
     stem = f"kernels-{fitting(choice.label)}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"

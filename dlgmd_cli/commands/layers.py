@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MAX_FRAMES = 12
 
 _NEEDED_LATER = (
-    "dlgmd_cli.models.tiled",
+    "dlgmd_cli.models.engines.opencv",
     "dlgmd_cli.runs.layers",
     "dlgmd_cli.results.folder",
     "dlgmd_cli.plots.layers",

@@ -2,8 +2,8 @@
 
 import click
 
-from dlgmd_cli.commands._console import Command, print_table
-from dlgmd_cli.params import PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.commands.console import Command, print_table
+from dlgmd_cli.parameters import MODELS, DlgmdParameters, Parameters
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -14,7 +14,7 @@ def sets(ctx: click.Context) -> None:
     """List the paper's parameter sets (Table II)."""
     if ctx.invoked_subcommand is not None:
         return
-    from dlgmd_cli.presets import load_set, preset_names
+    from dlgmd_cli.parameters import load_set, preset_names
 
     specs = DlgmdParameters.specs()
     header = ("set", *(specs[key].symbol for key in _SHOWN))
@@ -25,7 +25,7 @@ def sets(ctx: click.Context) -> None:
     print_table(header, rows)
     keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
     click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
-    others = [name for name in PARAMETERS if name != DlgmdParameters.model]
+    others = [name for name in MODELS if name != DlgmdParameters.model]
     click.echo(f"Other models: {', '.join(others)}; 'dlgmd sets show {others[0]}' has its values.")
 
 
@@ -38,11 +38,11 @@ def show(name: str) -> None:
     """Print set NAME, 1 to 9, or another model's values, as YAML that --config takes."""
     import yaml
 
-    from dlgmd_cli.presets import load_model_preset, load_set, merge
+    from dlgmd_cli.parameters import load_model_preset, load_set, merge
 
     params: Parameters
-    if name in PARAMETERS and name != DlgmdParameters.model:
-        kind = PARAMETERS[name]
+    if name in MODELS and name != DlgmdParameters.model:
+        kind = MODELS[name].parameters
         params = merge(kind, load_model_preset(name), {})
         click.echo(f"# {kind.source}, and defaults.")
         click.echo(f"model: {name}")

@@ -20,13 +20,12 @@ from dlgmd_cli.commands._subjects import Asked, cube_options
 from dlgmd_cli.commands._sweeping import Plan
 from dlgmd_cli.commands._types import OptionGroup, Output, output_options, width_option
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import PARAMETERS
-from dlgmd_cli.params.axis import Axis, Grid, expand
+from dlgmd_cli.parameters import MODELS
+from dlgmd_cli.runs.axis import Axis, Grid, expand
 
 if TYPE_CHECKING:
-    from dlgmd_cli.params import Parameters
+    from dlgmd_cli.parameters import Config, Parameters
     from dlgmd_cli.plots.style import Width
-    from dlgmd_cli.presets import Config
     from dlgmd_cli.results.journal import Journal
     from dlgmd_cli.results.sweeps import SweepResult
 
@@ -139,19 +138,19 @@ def sweep(
 
 def _fig_11() -> "Config":
     """The parameters of the paper's Fig. 11, less those that it shows."""
-    from dlgmd_cli.presets import Config
+    from dlgmd_cli.parameters import Config
 
     return Config("fig11", values={"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4})
 
 
 def _grid(x_text: str, y_text: str, choice: ModelChoice, asked: dict[str, Any]) -> Grid:
     """Both axes, blaming whichever is at fault."""
-    from dlgmd_cli.presets import parse_overrides
+    from dlgmd_cli.parameters import parse_overrides
 
     axes = []
     for option, text in (("--x", x_text), ("--y", y_text)):
         try:
-            axes.append(Axis.parse(text, PARAMETERS[choice.model]))
+            axes.append(Axis.parse(text, MODELS[choice.model].parameters))
         except ParameterError as error:
             raise ParameterError(f"Invalid value for '{option}'", error.why, error.mend) from None
     for axis in axes:

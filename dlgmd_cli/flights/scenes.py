@@ -17,7 +17,7 @@ from dlgmd_cli.flights.stages.misses import (
     turn_at_wall,
 )
 from dlgmd_cli.flights.stages.random_flight import random_flight
-from dlgmd_cli.params import nearest
+from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stimuli.base import Scene
 from dlgmd_cli.stimuli.flat.approach import Approach, ApproachOptions, Ball, Cube
 from dlgmd_cli.stimuli.flat.translation import Translation, TranslationOptions

@@ -1,21 +1,23 @@
-"""What every model looks like from outside, and where to find one by name."""
+"""What every model looks like from outside, and the photoreceptors that each has of its own."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import Parameters
-
-if TYPE_CHECKING:
-    from dlgmd_cli.models.photoreceptors import View
+from dlgmd_cli.errors import FrameError, ParameterError
+from dlgmd_cli.parameters import MODELS, Parameters
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
+
+CACHE_LINE = 64
+_TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 
 @dataclass(frozen=True)
@@ -76,52 +78,70 @@ def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response
 
 
 class Model(Protocol):
-    """A looming detector that is fed one frame at a time and keeps constant memory."""
+    """A looming detector that is fed one frame at a time and keeps constant memory.
+
+    Attributes
+    ----------
+    name : str
+        The name behind `--model`.
+    layer_units : (str, str, str)
+        Units of the layers P, S and G, in words.
+    params : Parameters
+        What it was made with.
+    engine_name : str
+        What computes the layers; before the first frame, what was asked for.
+    first_valid_frame : int
+        Index of the first frame with a full history, counting from 0 at `reset`.
+    """
 
     @property
-    def name(self) -> str:
-        """The name behind `--model`."""
-        ...
+    def name(self) -> str: ...
 
     @property
-    def layer_units(self) -> tuple[str, str, str]:
-        """Units of the layers P, S and G, in words."""
-        ...
+    def layer_units(self) -> tuple[str, str, str]: ...
 
     @property
-    def engine_name(self) -> str:
-        """What computes the layers; before the first frame, what was asked for."""
-        ...
+    def params(self) -> Parameters: ...
 
     @property
-    def look_back(self) -> int:
-        """How many P of the past, with the newest, `respond` needs a view to hold."""
-        ...
+    def engine_name(self) -> str: ...
 
     @property
-    def first_valid_frame(self) -> int:
-        """Index of the first frame with a full history, counting from 0 at `reset`."""
-        ...
+    def first_valid_frame(self) -> int: ...
 
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
         ...
 
-    def step(self, luminance: Grey, *, layers: bool = False) -> Response:
-        """Take the next frame, (H, W) float32 in 0..1 or uint8 in 0..255, and answer to it."""
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Take the next frame and answer to it.
+
+        Parameters
+        ----------
+        luminance : ndarray, shape (H, W), float32 or uint8
+            Luminance in 0..1, or grey levels in 0..255 that stand for it. The array may be reused
+            by the caller afterwards.
+        time_s : float, optional
+            When the frame was taken. The models so far count frames, and do not look at it.
+        layers : bool
+            Return copies of P, S and G as well.
+
+        Returns
+        -------
+        Response
+            NaN before `first_valid_frame` for all but `p_sum`, and for `p_sum` at the first frame.
+
+        Raises
+        ------
+        FrameError
+            If the frame is neither a float32 nor a uint8 image, or not of the same size and type
+            as the one before.
+        MissingExtraError
+            If the engine asked for needs a package that is not installed.
+        """
         ...
-
-    def respond(self, view: "View", *, layers: bool = False) -> Response:
-        """Answer to the newest frame of a view that others may share; once a frame, in order."""
-        ...
-
-
-# Imported on first use: OpenCV takes a tenth of a second.
-MODELS = {
-    "dlgmd": ("dlgmd_cli.models.dlgmd", "DLGMD"),
-    "lgmd": ("dlgmd_cli.models.lgmd", "LGMD"),
-    "emd-lgmd": ("dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
-}
 
 
 def create_model(params: Parameters, **options: Any) -> Model:
@@ -132,7 +152,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     params : Parameters
         Of one of the `MODELS`.
     options
-        Handed to the model: `engine` and `tell`, see `DLGMD`.
+        Passed to the model: `engine` and `tell`, see `DLGMD`.
 
     Raises
     ------
@@ -143,6 +163,105 @@ def create_model(params: Parameters, **options: Any) -> Model:
     """
     if params.model not in MODELS:
         raise ParameterError("", f"no model takes {type(params).__name__}")
-    module, attribute = MODELS[params.model]
-    model: Model = getattr(import_module(module), attribute)(params, **options)
+    entry = MODELS[params.model]
+    model: Model = getattr(import_module(entry.module), entry.attribute)(params, **options)
     return model
+
+
+def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Grey:
+    """An uninitialised array whose memory starts at a cache line.
+
+    OpenCV adds up in an order that depends on alignment: without it the last bit of a sum would
+    change from run to run.
+    """
+    n_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
+    start = -memory.ctypes.data % CACHE_LINE
+    return memory[start : start + n_bytes].view(dtype).reshape(shape)
+
+
+class Photoreceptors:
+    """P(t) = |L(t) - L(t-1)|, [Zhao2023] Eq. (1), of as many frames as a model looks back.
+
+    Parameters
+    ----------
+    depth : int
+        How many P to keep; 0 for a model that looks at the frames alone.
+
+    Attributes
+    ----------
+    frame : int
+        Number of the newest frame, counting from 0 at the beginning; -1 before it.
+    current, previous : ndarray, shape (H, W), uint8 or float32
+        The newest frame and the one before it; `previous` from frame 1 on.
+    stack : ndarray, shape (depth, H, W), of the frames' type
+        The P, in levels of 0..255 or of 0..1; the newest takes the place of the oldest.
+    """
+
+    current: Grey
+    previous: Grey
+    stack: Grey
+
+    def __init__(self, depth: int) -> None:
+        self._depth = depth
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        self.frame = -1
+        self._newest = 0
+        self._p_sums: deque[float] = deque(maxlen=self._depth)
+
+    def take(self, luminance: Grey) -> None:
+        """Look at the next frame; raises FrameError as `Model.step` does."""
+        self._check(luminance)
+        if self.frame < 0:
+            shape, dtype = luminance.shape, luminance.dtype
+            self.current, self.previous = aligned(shape, dtype), aligned(shape, dtype)
+            self.stack = aligned((self._depth, *shape), dtype)
+        self.current, self.previous = self.previous, self.current
+        np.copyto(self.current, luminance)
+        self.frame += 1
+        if self.frame > 0 and self._depth > 0:
+            self._newest = (self._newest + 1) % self._depth
+            p = cv2.absdiff(self.current, self.previous, dst=self.p(0))
+            self._p_sums.appendleft(cv2.sumElems(p)[0] * self.unit)
+
+    @property
+    def unit(self) -> float:
+        """What one level counts in luminance."""
+        return 1.0 / 255.0 if self.current.dtype == np.uint8 else 1.0
+
+    def position(self, delay: int) -> int:
+        """Index into `stack` of P(t - delay)."""
+        return (self._newest - delay) % self._depth
+
+    def p(self, delay: int) -> Grey:
+        """P(t - delay), shape (H, W), in levels; not a copy."""
+        return self.stack[self.position(delay)]
+
+    def p_sum(self, delay: int) -> float:
+        """ΣP(t - delay) in units of luminance, NaN where it is not defined."""
+        return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
+
+    def _check(self, luminance: Grey) -> None:
+        """Raise FrameError unless this can be the next frame."""
+        if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
+            raise FrameError(
+                "frame",
+                f"{luminance.dtype} of shape {luminance.shape} is not a float32 or uint8 image "
+                "(H, W)",
+                "Give luminance in 0..1, for example gray.astype(np.float32) / 255.",
+            )
+        if self.frame < 0:
+            return
+        for name, given, before in (
+            ("shape", luminance.shape, self.current.shape),
+            ("type", luminance.dtype, self.current.dtype),
+        ):
+            if given != before:
+                raise FrameError(
+                    "frame",
+                    f"its {name} {given} is not that of the frames before, {before}",
+                    "Call reset() between videos.",
+                )

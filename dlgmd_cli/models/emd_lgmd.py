@@ -7,14 +7,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.base import FloatImage, Layers, Response, undefined
-from dlgmd_cli.models.detector import Detector
+from dlgmd_cli.models.base import FloatImage, Grey, Layers, Photoreceptors, Response, undefined
 from dlgmd_cli.models.engines import AUTO, require_opencv
-from dlgmd_cli.models.photoreceptors import View
-from dlgmd_cli.params import EmdLgmdParameters
+from dlgmd_cli.parameters import EmdLgmdParameters
 
 
-class EmdLGMD(Detector):
+class EmdLGMD:
     """LGMD on correlators that answer to expansion, after [Bermudez2007].
 
     With luminance L in 0..1, and Z[·] a field expanded about its centre by 1 + delta:
@@ -39,6 +37,7 @@ class EmdLGMD(Detector):
 
     name = "emd-lgmd"
     layer_units = ("luminance", "luminance²", "luminance²")
+    first_valid_frame = 2
 
     def __init__(
         self,
@@ -53,15 +52,23 @@ class EmdLGMD(Detector):
             for tau in (self.params.tau_high, self.params.tau_low)
         )
         self._rest = np.float32(math.exp(-1.0 / self.params.tau_high))
-        super().__init__(look_back=2)
+        self._receptors = Photoreceptors(0)
 
-    def respond(self, view: View, *, layers: bool = False) -> Response:
-        """Answer to the newest frame of `view`; to be called once for every frame, in order."""
-        luminance = np.multiply(view.current, np.float32(view.history.unit), dtype=np.float32)
-        if view.frame == 0:
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        self._receptors.reset()
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Take the next frame and answer to it, see `Model.step`."""
+        receptors = self._receptors
+        receptors.take(luminance)
+        luminance = np.multiply(receptors.current, np.float32(receptors.unit), dtype=np.float32)
+        if receptors.frame == 0:
             self._mean = luminance
             self._delayed = np.zeros_like(luminance)
-            self._expand = Expansion(luminance.shape, self.params.delta)
+            self._places = [_places(side, self.params.delta) for side in luminance.shape]
             return undefined(layers=Layers() if layers else None)
         change = luminance - self._mean
         self._mean += self._slow * change
@@ -70,7 +77,7 @@ class EmdLGMD(Detector):
         change *= self._rest
         self._delayed += self._fast * (change - self._delayed)
         p_sum = cv2.norm(change, cv2.NORM_L1)
-        if view.frame < self.first_valid_frame:
+        if receptors.frame < self.first_valid_frame:
             return undefined(p_sum, Layers(change) if layers else None)
         motion = self._expand(self._delayed) * change
         motion -= self._delayed * self._expand(change)
@@ -82,25 +89,9 @@ class EmdLGMD(Detector):
         shown = Layers(change, motion, motion * np.float32(gain)) if layers else None
         return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown)
 
-
-class Expansion:
-    """Z[·]: a field expanded about its centre by 1 + delta, bilinear.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        H and W.
-    delta : float
-        Not negative, so that no cell looks outside the field.
-    """
-
-    def __init__(self, shape: tuple[int, ...], delta: float) -> None:
-        self._rows, self._columns = (_places(side, delta) for side in shape)
-        self._shape = shape
-
-    def __call__(self, field: FloatImage) -> FloatImage:
-        """The expanded field, (H, W) float32, newly allocated."""
-        (row, share_y), (column, share_x) = self._rows, self._columns
+    def _expand(self, field: FloatImage) -> FloatImage:
+        """Z[·] of a field, newly allocated; no cell looks outside it, since delta >= 0."""
+        (row, share_y), (column, share_x) = self._places
         wide = _between(field, row, share_y[:, None], axis=0)
         return _between(wide, column, share_x, axis=1)
 

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import DlgmdParameters
 
 FloatKernel = npt.NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
 
 @dataclass(frozen=True)
 class Connections:
-    """Everything that reaches one cell of the S layer.
+    """Everything that reaches one cell of the S layer; kernels are (2r + 1, 2r + 1) float64.
 
     Attributes
     ----------
@@ -93,11 +94,19 @@ class Connections:
         K_E, from P(t).
     inhibition : dict of int to ndarray
         Delay d in frames -> K_d, from P(t - d), for the delays that occur in the latency map.
+    gaussians : tuple of ndarray
+        The separable kernels that the others were cut from.
     """
 
     latency: FloatKernel
     excitation: FloatKernel
     inhibition: dict[int, FloatKernel]
+    gaussians: tuple[FloatKernel, ...]
+
+    @property
+    def radius_px(self) -> int:
+        """The kernels' radius r."""
+        return self.latency.shape[0] // 2
 
     @property
     def max_delay_frames(self) -> int:
@@ -111,41 +120,21 @@ class Connections:
         return by_delay
 
 
-def connect(
-    *,
-    radius_px: int,
-    sigma_e_px: float,
-    sigma_i_px: float,
-    strength: float,
-    alpha: float,
-    beta: float,
-    lam: float,
-    interpolate: bool,
-) -> Connections:
+def connect(params: DlgmdParameters) -> Connections:
     """Derive the kernels of every delay, [Zhao2023] Eqs. (2) to (7).
 
     Parameters
     ----------
-    radius_px, sigma_e_px, sigma_i_px : int, float, float
-        Radius and widths of the Gaussians.
-    strength : float
-        Strength a of inhibition.
-    alpha, beta, lam : float
-        Shape of the latency, see `latency_map`.
-    interpolate : bool
-        True takes the printed equations literally: excitation everywhere, and inhibition at a
-        fractional latency from the two neighbouring frames. False follows the authors' released
-        code: latency in three bands, excitation only where inhibition does not come first.
-
-    Raises
-    ------
-    ParameterError
-        As `gaussian` and `latency_map` do.
+    params : DlgmdParameters
+        With the formulation `equations`, the printed equations are taken literally: excitation
+        everywhere, and inhibition at a fractional latency from the two neighbouring frames. The
+        others follow the authors' released code: latency in three bands, excitation only where
+        inhibition does not come first.
     """
-    excite = gaussian(radius_px, sigma_e_px)
-    inhibit = strength * gaussian(radius_px, sigma_i_px)
-    latency = latency_map(radius_px, alpha, beta, lam)
-    if interpolate:
+    wide, narrow = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
+    excite, inhibit = narrow, params.a * wide
+    latency = latency_map(params.r, params.alpha, params.beta, params.lam)
+    if params.formulation == "equations":
         oldest = int(np.ceil(latency.max()))
         weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in range(oldest + 1)}
     else:
@@ -155,4 +144,4 @@ def connect(
         excite[latency > near] = 0.0
         weights = {1: (latency >= near) & (latency < far), 2: latency >= far}
     inhibition = {delay: inhibit * weight for delay, weight in weights.items() if weight.any()}
-    return Connections(latency, excite, inhibition)
+    return Connections(latency, excite, inhibition, (wide, narrow))

@@ -5,19 +5,16 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import FloatImage, Layers, Response, undefined
-from dlgmd_cli.models.detector import Detector
+from dlgmd_cli.models.base import FloatImage, Grey, Layers, Photoreceptors, Response, undefined
 from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
-from dlgmd_cli.models.filters import BORDER
-from dlgmd_cli.models.photoreceptors import View
-from dlgmd_cli.params import LgmdParameters
+from dlgmd_cli.parameters import LgmdParameters
 
 # What the neighbours of a cell inhibit it with, one frame later.
 INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]])
 WHITE = 255.0
 
 
-class LGMD(Detector):
+class LGMD:
     """LGMD of [Zhao2018] after [Yue2006]: signed, with inhibition from the nearest neighbours.
 
     With luminance L in grey levels, 0..255, everything outside the frame zero:
@@ -40,6 +37,7 @@ class LGMD(Detector):
 
     name = "lgmd"
     layer_units = ("grey levels", "grey levels", "grey levels")
+    first_valid_frame = 2
 
     def __init__(
         self,
@@ -51,19 +49,26 @@ class LGMD(Detector):
         self.engine_name = require_opencv(engine, self.name)
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []
-        super().__init__(look_back=2)
+        self._receptors = Photoreceptors(0)
 
-    def respond(self, view: View, *, layers: bool = False) -> Response:
-        """Answer to the newest frame of `view`; to be called once for every frame, in order."""
-        if view.frame == 0:
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        self._receptors.reset()
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Take the next frame and answer to it, see `Model.step`."""
+        self._receptors.take(luminance)
+        if self._receptors.frame == 0:
             self._p = []
             return undefined(layers=Layers() if layers else None)
-        p = self._photoreceptors(view)
+        p = self._change()
         self._p = [p, *self._p[:1]]
         p_sum = cv2.norm(p, cv2.NORM_L1)
-        if view.frame < self.first_valid_frame:
+        if self._receptors.frame < self.first_valid_frame:
             return undefined(p_sum, Layers(p.copy()) if layers else None)
-        s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=BORDER)
+        s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=cv2.BORDER_CONSTANT)
         g = self._group(s)
         ffi = cv2.norm(self._p[1], cv2.NORM_L1) / p.size
         if ffi > self.params.t_ffi:
@@ -72,10 +77,11 @@ class LGMD(Detector):
         shown = Layers(p.copy(), s, g) if layers else None
         return Response(p_sum, cv2.norm(s, cv2.NORM_L1), mp, ffi, self._threshold, shown)
 
-    def _photoreceptors(self, view: View) -> FloatImage:
+    def _change(self) -> FloatImage:
         """P(t), signed, in grey levels."""
-        p = cv2.subtract(view.current, view.previous, dtype=cv2.CV_32F)
-        if view.history.unit == 1.0:
+        receptors = self._receptors
+        p = cv2.subtract(receptors.current, receptors.previous, dtype=cv2.CV_32F)
+        if receptors.unit == 1.0:
             p *= np.float32(WHITE)
         for weight, earlier in zip((self.params.p1, self.params.p2), self._p, strict=False):
             if weight:
@@ -89,7 +95,7 @@ class LGMD(Detector):
 
     def _group(self, s: FloatImage) -> FloatImage:
         """G̃ of S."""
-        ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=BORDER)
+        ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)
         omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega
         g = cv2.multiply(s, ce, dst=ce, scale=1.0 / omega)
         cv2.threshold(g, just_below(self._threshold), 0.0, cv2.THRESH_TOZERO, dst=g)

@@ -10,11 +10,11 @@ from statistics import median
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.base import Grey, Model, create_model
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import run
+from dlgmd_cli.video.frames import Video
 from dlgmd_cli.video.prefetch import opencv_threads
-from dlgmd_cli.video.prepare import Source
 
 RADII = (6, 4, 3, 2)
 SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)
@@ -92,7 +92,7 @@ class _Cell:
 
     params: DlgmdParameters
     scale: float
-    source: Source
+    source: Video
     core_ms: list[float] = field(default_factory=list)
     whole_ms: list[float] = field(default_factory=list)
     engine: str = ""
@@ -115,7 +115,7 @@ class _Cell:
 
 
 def measure(
-    open_at: Callable[[float], Source],
+    open_at: Callable[[float], Video],
     params: DlgmdParameters,
     *,
     radii: Sequence[int] = RADII,
@@ -195,7 +195,7 @@ def _timing(cell: _Cell, decode_ms: list[float]) -> Timing:
     )
 
 
-def _ms_a_frame(source: Source, act: Callable[[], None]) -> float:
+def _ms_a_frame(source: Video, act: Callable[[], None]) -> float:
     """What `act`, which goes through all of `source`, takes for a frame."""
     start = time.perf_counter()
     act()

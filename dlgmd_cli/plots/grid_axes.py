@@ -5,8 +5,8 @@ from matplotlib.axis import Axis as PlotAxis
 from matplotlib.axis import XAxis
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.params.axis import Axis
 from dlgmd_cli.results.tables import Series
+from dlgmd_cli.runs.axis import Axis
 
 _FEW = 3
 # From this ratio of the greatest to the least value on, even ratios make a logarithmic axis.

@@ -9,12 +9,15 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ResultError, printable
+
+if TYPE_CHECKING:
+    from dlgmd_cli.results.result import Result
 
 Series = npt.NDArray[np.float64]
 
@@ -75,6 +78,18 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
     write_rows(path, list(columns), zip(*cells, strict=True))
 
 
+def write_comparison(path: Path, results: "Mapping[str, Result]") -> None:
+    """Write compare.csv: every frame of every result, label by label; OSError passes through."""
+
+    def rows() -> Iterator[list[str]]:
+        for label, result in results.items():
+            columns = result.columns(COMPARISON[1:]).values()
+            for values in zip(*(column.tolist() for column in columns), strict=True):
+                yield [text_cell(label), *map(cell, values)]
+
+    write_rows(path, COMPARISON, rows())
+
+
 def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
     """The columns of a CSV of numbers, shape (n,) with n of at least 1, NaN where empty.
 
@@ -98,7 +113,8 @@ def _rows(path: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]
     """Number and cells of every line below the header."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.reader(iter(lambda: file.readline(_MAX_LINE), ""))
+            lines = iter(lambda: file.readline(_MAX_LINE), "")
+            rows = csv.reader(lines)
             if tuple(next(rows, ())) != header:
                 raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
             for row in rows:

@@ -18,7 +18,6 @@ from dlgmd_cli.results.record import read_record
 if TYPE_CHECKING:
     from upath import UPath
 
-Place = "Path | UPath"
 Write = Callable[[Path], object]
 
 PLOT_FORMATS = ("png", "pdf", "svg")
@@ -84,8 +83,8 @@ def result_folder(out: Path, name: str) -> Path:
 
 def check(
     folder: "Path | UPath", record: str, identity: Mapping[str, Any], *, overwrite: bool
-) -> None:
-    """Raise OutputExistsError if a result may not be written into `folder`.
+) -> bool:
+    """Whether the results in `folder` are of another input, and may be replaced.
 
     Parameters
     ----------
@@ -97,10 +96,15 @@ def check(
         What tells the input from others: `path`, and what `fingerprint` says.
     overwrite : bool
         Whether results that stand there may be replaced.
+
+    Raises
+    ------
+    OutputExistsError
+        If a result stands there that may not be replaced, or files that are no result.
     """
     try:
         if not folder.exists():
-            return
+            return False
         if not folder.is_dir():
             raise OutputExistsError(str(folder), "it is not a folder", "Choose another --out.")
         names = {path.name for path in folder.iterdir()}
@@ -113,15 +117,16 @@ def check(
         raise OutputExistsError(
             str(folder), f"it holds other files, such as {strays[0]}", "Choose another --out."
         )
-    if overwrite:
-        return
     mend = "Add --overwrite to replace it, or choose another --out."
-    if record in records:
+    if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", mend)
-    for name in sorted(records):
-        if not is_same_input(read_record(folder / name), identity):
-            why = f"it holds the result of another input ({name})"
-            raise OutputExistsError(str(folder), why, mend)
+    others = [
+        name for name in sorted(records) if not is_same_input(read_record(folder / name), identity)
+    ]
+    if others and not overwrite:
+        why = f"it holds the result of another input ({others[0]})"
+        raise OutputExistsError(str(folder), why, mend)
+    return bool(others)
 
 
 def is_same_input(record: Mapping[str, Any], identity: Mapping[str, Any]) -> bool:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.params.axis import Grid
 from dlgmd_cli.results.cells import cell
 from dlgmd_cli.results.folder import PLOT_FORMATS
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.tables import Flags, Series
+from dlgmd_cli.runs.axis import Grid
 
 JOURNAL, TABLE, RECORD, FIGURE = "sweep.jsonl", "sweep.csv", "sweep.yaml", "sweep"
 PRODUCTS = frozenset({TABLE, RECORD, *(f"{FIGURE}.{suffix}" for suffix in PLOT_FORMATS)})

@@ -1,14 +1,12 @@
-"""One input through many models: decoded once, and P computed once for each size."""
+"""One input through many models, decoded once."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from dlgmd_cli.models.base import Model
-from dlgmd_cli.models.ensemble import Ensemble
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.video.frames import Frame
+from dlgmd_cli.video.frames import Frame, Video
 from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
-from dlgmd_cli.video.prepare import Source
 
 
 @dataclass
@@ -24,7 +22,7 @@ class Entry:
 
 
 def compare(
-    source: Source,
+    source: Video,
     entries: Sequence[Entry],
     on_frame: Callable[[int], None] = lambda n_decoded: None,
 ) -> None:
@@ -32,7 +30,7 @@ def compare(
 
     Parameters
     ----------
-    source : Source
+    source : Video
         Where the frames come from; its own size does not matter.
     entries : sequence of Entry
         At least one. Whatever ends the comparison, their recordings hold what was computed, the
@@ -41,21 +39,19 @@ def compare(
         Called after each frame with the number of frames of the input that are done.
     """
     sizes = list(dict.fromkeys(entry.size_wh for entry in entries))
-    groups = [[entry for entry in entries if entry.size_wh == size] for size in sizes]
-    ensembles = [Ensemble([entry.model for entry in group]) for group in groups]
 
-    def frames() -> Iterator[list[Frame]]:
+    def frames() -> Iterator[dict[tuple[int, int], Frame]]:
         # Many models keep this thread's counterpart busy, so that frames are made here.
         for picture in source.pictures():
-            yield [source.frame(picture, size) for size in sizes]
+            yield {size: source.frame(picture, size) for size in sizes}
 
     try:
         with opencv_threads(1), ReadAhead(frames()) as ahead:
             for of_each_size in ahead:
-                for group, ensemble, frame in zip(groups, ensembles, of_each_size, strict=True):
-                    for entry, response in zip(group, ensemble.step(frame.grey), strict=True):
-                        entry.recording.append(frame, response)
-                on_frame(of_each_size[0].index + 1)
+                for entry in entries:
+                    frame = of_each_size[entry.size_wh]
+                    entry.recording.append(frame, entry.model.step(frame.grey, frame.time_s))
+                on_frame(of_each_size[sizes[0]].index + 1)
     finally:
         n_frames = min(len(entry.recording) for entry in entries)
         for entry in entries:

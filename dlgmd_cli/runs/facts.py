@@ -3,15 +3,14 @@
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
-    from dlgmd_cli.video.frames import Frame
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Frame, Video
 
 
 def too_short(
-    name: str, source: "Source", label: str, options: InputChoice, first_valid: int
+    name: str, source: "Video", label: str, options: InputOptions, first_valid: int
 ) -> SourceError:
     """The error for an input that ends before the model can answer."""
     n_read = source.progress.n_decoded
@@ -29,7 +28,7 @@ def too_short(
     )
 
 
-def facts(source: "Source", n_processed: int, last: "Frame | None" = None) -> dict[str, Any]:
+def facts(source: "Video", n_processed: int, last: "Frame | None" = None) -> dict[str, Any]:
     """What a record says of the input and of what was made of it.
 
     `last` is the frame that the reading was stopped at, if it was: decoding may be ahead of it.

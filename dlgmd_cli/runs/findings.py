@@ -5,18 +5,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.params import Parameters
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.measures import Summary
 from dlgmd_cli.results.record import write_record
 from dlgmd_cli.results.tables import Result, write_tables
 from dlgmd_cli.runs.compare import Entry
 from dlgmd_cli.runs.facts import facts, too_short
 from dlgmd_cli.runs.reading import Reading
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import SourceError
-    from dlgmd_cli.video.prepare import Source
+    from dlgmd_cli.video.frames import Video
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Asked:
         The model's.
     label : str
         What messages call the model.
-    options : InputChoice
+    options : InputOptions
         What is read of the input.
     identity : dict
         What tells the input from another of its name, see `fingerprint`; for the record.
@@ -37,7 +37,7 @@ class Asked:
 
     params: Parameters
     label: str
-    options: InputChoice
+    options: InputOptions
     identity: dict[str, Any]
 
 
@@ -64,16 +64,14 @@ class Findings:
         return self.reading.whole()
 
 
-def conclude(
-    name: str, source: "Source", entry: Entry, asked: Asked, *, complete: bool
-) -> Findings:
+def conclude(name: str, source: "Video", entry: Entry, asked: Asked, *, complete: bool) -> Findings:
     """Everything that follows from what was computed.
 
     Parameters
     ----------
     name : str
         What errors call the input.
-    source : Source
+    source : Video
         It was read as far as the recording goes.
     entry : Entry
         The model and its recording, of at least one frame.

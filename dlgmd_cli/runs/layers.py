@@ -7,8 +7,7 @@ from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import Shot
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import watch
-from dlgmd_cli.video.frames import Frame
-from dlgmd_cli.video.prepare import Source
+from dlgmd_cli.video.frames import Frame, Video
 
 LAYERS = ("p", "s", "g")
 
@@ -76,7 +75,7 @@ class LayerRecording:
 
 
 def run_layers(
-    source: Source,
+    source: Video,
     model: Model,
     recording: LayerRecording,
     on_frame: Callable[[int], None] = lambda n_decoded: None,
@@ -85,7 +84,7 @@ def run_layers(
 
     Parameters
     ----------
-    source : Source
+    source : Video
         Where the frames come from. All before the last one wanted are processed, for the model
         lives on its history.
     model : Model

@@ -5,8 +5,8 @@ from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from dlgmd_cli.models.readout import extremes, read_out
-from dlgmd_cli.params import Parameters
+from dlgmd_cli.models.detection import absolute, detect, sequence
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.tables import Result
 from dlgmd_cli.runs.recording import PIECE_FRAMES, Recording
 
@@ -45,20 +45,14 @@ class Reading:
 
     def _pieces(self, n_frames: int) -> Iterator[Result]:
         """The result in pieces of at most so many frames, each entry as it is in the whole."""
-        ends = extremes(columns[-1] for columns in self.recording.pieces(n_frames))
-        n_before = 0
-        for frame, time_s, p_sum, s_sum, attenuation_db, mp in self.recording.pieces(n_frames):
-            readout = read_out(
-                mp,
-                self.size_wh[0] * self.size_wh[1],
-                kappa=self.params.kappa,
-                threshold=self.params.t_mp,
-                n_sp=self.params.n_sp,
-                by_sequence=self.by_sequence,
-                ends=ends,
-                n_before=n_before,
-            )
-            n_before = int(readout.in_a_row[-1])
+        whole = self.recording.columns()
+        mp_abs = absolute(whole[-1], self.size_wh[0] * self.size_wh[1], self.params.kappa)
+        mp_seq = sequence(whole[-1])
+        level = mp_seq if self.by_sequence else mp_abs
+        spike, alarm = detect(level, self.params.t_mp, self.params.n_sp)
+        for first in range(0, len(mp_abs), n_frames):
+            part = slice(first, first + n_frames)
+            frame, time_s, p_sum, s_sum, attenuation_db, mp = whole[:, part]
             yield Result(
                 frame=frame.astype(np.int64),
                 time_s=time_s,
@@ -66,10 +60,10 @@ class Reading:
                 s_sum=s_sum,
                 attenuation_db=attenuation_db,
                 mp=mp,
-                mp_abs=readout.mp_abs,
-                mp_seq=readout.mp_seq,
-                level=readout.level,
+                mp_abs=mp_abs[part],
+                mp_seq=mp_seq[part],
+                level=level[part],
                 threshold=np.full_like(mp, self.params.t_mp),
-                spike=readout.spike,
-                collision=readout.collision,
+                spike=spike[part],
+                collision=alarm[part],
             )

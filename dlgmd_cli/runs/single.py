@@ -5,13 +5,12 @@ from contextlib import contextmanager
 
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.runs.recording import Recording
-from dlgmd_cli.video.frames import KEPT_PICTURES, Frame
+from dlgmd_cli.video.frames import KEPT_PICTURES, Frame, Video
 from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
-from dlgmd_cli.video.prepare import Source
 
 
 def run(
-    source: Source,
+    source: Video,
     model: Model,
     recording: Recording,
     on_frame: Callable[[int], None] = lambda n_decoded: None,
@@ -20,7 +19,7 @@ def run(
 
     Parameters
     ----------
-    source : Source
+    source : Video
         Where the frames come from.
     model : Model
         Reset before the first frame.
@@ -39,7 +38,7 @@ def run(
 
 
 def watch(
-    source: Source,
+    source: Video,
     model: Model,
     visit: Callable[[Frame, Response], bool],
     wants_layers: Callable[[int], bool] = lambda index: True,
@@ -48,7 +47,7 @@ def watch(
 
     Parameters
     ----------
-    source : Source
+    source : Video
         Where the frames come from.
     model : Model
         Reset before the first frame.
@@ -61,12 +60,14 @@ def watch(
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), frames_ahead(source) as frames:
         for frame in frames:
-            if not visit(frame, model.step(frame.grey, layers=wants_layers(frame.index))):
+            if not visit(
+                frame, model.step(frame.grey, frame.time_s, layers=wants_layers(frame.index))
+            ):
                 return
 
 
 @contextmanager
-def frames_ahead(source: Source) -> Iterator[Iterable[Frame]]:
+def frames_ahead(source: Video) -> Iterator[Iterable[Frame]]:
     """The frames, with the work of making them where there is time for it.
 
     On frames that are not reduced the model takes longer than the decoder, otherwise the decoder,

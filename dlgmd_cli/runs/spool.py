@@ -13,12 +13,11 @@ import numpy as np
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.models.base import Grey, Model
 from dlgmd_cli.models.photoreceptors import Photoreceptors
-from dlgmd_cli.models.replay import Replay
 from dlgmd_cli.results.workshop import Workshop
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.video.frames import Frame
 
-_FRAMES, _CHANGES = "frames", "changes"
+_FRAMES = "frames"
 # What a frame of a tape has in place of its picture.
 _NO_PICTURE = np.empty((0, 0), np.uint8)
 
@@ -35,78 +34,51 @@ class Tape:
         Height and width of the frames, in px.
     dtype : str
         Type of their levels.
-    has_frames : bool
-        Whether the frames themselves are there, beside their changes.
     lengths : list of int
         Number of frames of each clip.
     frames : list of Frame
         Numbers and times of the frames of all clips, without the pictures.
     p_sums : array of float
         ΣP of each, in units of luminance.
-    top, bottom : int
-        The first row that ever changes, and the first after it that no longer does.
     """
 
     folder: Path
     shape: tuple[int, int] = (0, 0)
     dtype: str = "uint8"
-    has_frames: bool = False
     lengths: list[int] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     p_sums: "array[float]" = field(default_factory=lambda: array("d"))
-    top: int = 0
-    bottom: int = 0
 
-    def open(self, margin_px: int | None = None) -> "Player":
-        """Ready to be played, any number of times; constant memory.
-
-        Parameters
-        ----------
-        margin_px : int, optional
-            Leave out the rows that are farther from any change. Sums over S are the same without
-            them if no kernel of the D-LGMD reaches so far, but means over cells are not.
-        """
-        frames = self._map(_FRAMES) if self.has_frames else None
-        changes = self._map(_CHANGES)
-        if margin_px is not None and self.bottom > 0:
-            changes = changes[:, max(0, self.top - margin_px) : self.bottom + margin_px]
-        return Player(self, Replay(frames, changes, self.p_sums))
-
-    def _map(self, name: str) -> Grey:
-        """One of the files as an array, (n, H, W)."""
+    def open(self) -> "Player":
+        """Ready to be played, any number of times; constant memory."""
         # Never written to, but Numba would compile all again for an array that cannot be.
-        mapped = np.memmap(
-            self.folder / name, self.dtype, mode="c", shape=(len(self.frames), *self.shape)
-        )
-        return mapped.view(np.ndarray)
+        shape = (len(self.frames), *self.shape)
+        mapped = np.memmap(self.folder / _FRAMES, self.dtype, mode="c", shape=shape)
+        return Player(self, mapped.view(np.ndarray))
 
 
 class Player:
-    """Feeds models with the clips of a tape, whose P is known."""
+    """Feeds models with the clips of a tape."""
 
-    def __init__(self, tape: Tape, replay: Replay) -> None:
-        self._tape, self._replay = tape, replay
+    def __init__(self, tape: Tape, pictures: Grey) -> None:
+        self._tape, self._pictures = tape, pictures
 
     def play(self, model: Model, max_frames: int | None = None) -> Iterator[Recording]:
         """What the model answers to each clip, or to so many frames of it at most."""
         first = 0
         for length in self._tape.lengths:
             recording = Recording()
-            self._replay.rewind(first)
-            for frame in self._tape.frames[first : first + length][:max_frames]:
-                self._replay.advance()
-                recording.append(frame, model.respond(self._replay))
+            model.reset()
+            n_frames = length if max_frames is None else min(length, max_frames)
+            for place in range(first, first + n_frames):
+                frame = self._tape.frames[place]
+                recording.append(frame, model.step(self._pictures[place], frame.time_s))
             first += length
             yield recording
 
 
 class Spool:
     """Context manager that takes clips down in a temporary folder, and removes it afterwards.
-
-    Parameters
-    ----------
-    keeps_frames : bool
-        Keep the frames, too; the D-LGMD needs only their changes.
 
     Attributes
     ----------
@@ -119,8 +91,7 @@ class Spool:
         If there is no room for it.
     """
 
-    def __init__(self, *, keeps_frames: bool) -> None:
-        self._keeps_frames = keeps_frames
+    def __init__(self) -> None:
         self._files: dict[str, BinaryIO] = {}
 
     def __enter__(self) -> "Spool":
@@ -129,7 +100,6 @@ class Spool:
             self.tape = Tape(self._workshop.__enter__().path)
         except OSError as error:
             raise _no_room(error) from None
-        self.tape.has_frames = self._keeps_frames
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -154,22 +124,10 @@ class Spool:
         try:
             for frame in frames:
                 receptors.take(frame.grey)
-                is_first = receptors.frame == 0
                 if not tape.frames:
                     height, width = frame.grey.shape
-                    tape.shape, tape.dtype, tape.top = (
-                        (height, width),
-                        frame.grey.dtype.name,
-                        height,
-                    )
-                change = np.zeros_like(frame.grey) if is_first else receptors.history[0]
-                rows = np.flatnonzero(change.any(axis=1))
-                if rows.size:
-                    tape.top = min(tape.top, int(rows[0]))
-                    tape.bottom = max(tape.bottom, int(rows[-1]) + 1)
-                self._write(_CHANGES, change)
-                if self._keeps_frames:
-                    self._write(_FRAMES, frame.grey)
+                    tape.shape, tape.dtype = (height, width), frame.grey.dtype.name
+                self._write(_FRAMES, frame.grey)
                 tape.frames.append(Frame(frame.index, frame.time_s, _NO_PICTURE))
                 tape.p_sums.append(receptors.p_sum(0))
                 on_frame(frame.index + 1)

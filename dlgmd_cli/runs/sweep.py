@@ -12,10 +12,10 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
-from dlgmd_cli.params import DlgmdParameters, Parameters
-from dlgmd_cli.params.axis import Grid
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.measures import distinguishability, sharpness, summarise
 from dlgmd_cli.results.tables import Result
+from dlgmd_cli.runs.axis import Grid
 from dlgmd_cli.runs.reading import Reading
 from dlgmd_cli.runs.spool import Player, Tape
 from dlgmd_cli.runs.workers import Workers, here
@@ -84,37 +84,21 @@ class Probe:
         What computes the model, not `auto`.
     by_sequence : bool
         Collisions follow the potential normalised by its own sequence, not the absolute one.
-    reach_px : int or None
-        Where ΣS is all that is measured, how far the kernels reach: the membrane potential is not
-        computed then, nor what lies farther from any change. None to compute everything.
     """
 
     tape: Tape
     measure: Attenuation | ResponseMeasures
     engine: str
     by_sequence: bool = False
-    reach_px: int | None = None
-
-    @classmethod
-    def economic(
-        cls, points: Mapping[int, Parameters], tape: Tape, measure: Attenuation, engine: str
-    ) -> "Probe":
-        """A probe that computes no more than these points' attenuation needs."""
-        radii = [params.r for params in points.values() if isinstance(params, DlgmdParameters)]
-        reach_px = max(radii) if len(radii) == len(points) else None
-        return cls(tape, measure, engine, reach_px=reach_px)
 
     def __call__(self) -> Callable[[tuple[int, Parameters]], Values]:
         """What turns a point of the grid, its number and parameters, into values."""
-        # For rows of a larger image, Numba would compile all again.
-        is_cut = self.reach_px is not None and self.engine == "opencv"
-        return partial(self._answer, self.tape.open(self.reach_px if is_cut else None))
+        return partial(self._answer, self.tape.open())
 
     def _answer(self, player: Player, task: tuple[int, Parameters]) -> Values:
         _, params = task
         height, width = self.tape.shape
-        options = {} if self.reach_px is None else {"groups": False}
-        model = create_model(params, engine=self.engine, **options)
+        model = create_model(params, engine=self.engine)
         return tuple(
             self.measure(
                 Reading(recording, (width, height), params, by_sequence=self.by_sequence).whole()

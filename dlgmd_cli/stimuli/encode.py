@@ -14,8 +14,6 @@ from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.stimuli.base import GreyImage, OptionsT, Scene
 from dlgmd_cli.stimuli.form import Form
 from dlgmd_cli.stimuli.stills import Stills
-from dlgmd_cli.video.count import count_frames
-from dlgmd_cli.video.writer import check_arrived
 
 # Writes a contact sheet to a file whose name ends in .png.
 DrawSheet = Callable[[ClipSheet, Path], None]
@@ -97,9 +95,7 @@ def write_clip(
         images, rows = stills.seen(images), stills.known(rows)
     refuse_standing(paths, form, overwrite=overwrite)
     with appearing(*paths) as (frames, truth, *others):
-        form.write(frames, _counted(images, on_frame), n_frames, options)
-        if form.is_video:
-            check_arrived(paths[0], count_frames(frames), n_frames)
+        form.write(frames, _counted(images, on_frame), n_frames, options, target=paths[0])
         write_truth(truth, scene.truth_type, rows)
         if scene.has_record:
             facts = scene.record(options)

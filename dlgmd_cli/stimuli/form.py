@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 
 from dlgmd_cli.stimuli.base import ClipOptions, GreyImage, invalid
-from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encode
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
 
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
 # The least number of digits in a name that counts.
@@ -84,14 +84,21 @@ class Form:
             )
 
     def write(
-        self, path: Path, frames: Iterable[GreyImage], n_frames: int, options: ClipOptions
+        self,
+        path: Path,
+        frames: Iterable[GreyImage],
+        n_frames: int,
+        options: ClipOptions,
+        *,
+        target: Path | None = None,
     ) -> None:
-        """Keep `n_frames` frames, (H, W) uint8 each; OSError passes through.
+        """Keep `n_frames` frames, (H, W) uint8 each; an error names `target` if it is given.
 
-        A video may hold fewer when the disk is full; see `results.video.check_arrived`.
+        Raises OutputError, or OSError for pictures, if they cannot be written.
         """
         if self.is_video:
-            encode(path, frames, options.shape, options.fps, codec=self.codec)
+            shape, fps = options.shape, options.fps
+            write_video(path, frames, shape, fps, codec=self.codec, target=target)
             return
         path.mkdir()
         digits = n_digits(n_frames)

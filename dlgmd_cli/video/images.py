@@ -1,4 +1,4 @@
-"""Sequences of pictures: a folder, a printf pattern, a glob."""
+"""Sequences of pictures: a folder, a printf pattern, or a glob."""
 
 import glob
 import re
@@ -9,15 +9,8 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.frames import (
-    FALLBACK_FPS,
-    Image,
-    Picture,
-    Progress,
-    Select,
-    SourceInfo,
-    Verdict,
-)
+from dlgmd_cli.video.base import FALLBACK_FPS, Picture, Progress, Select, Verdict, VideoInfo
+from dlgmd_cli.video.luma import Image
 
 SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
@@ -27,18 +20,18 @@ _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
 class ImageReader:
-    """Pictures from files, in the order given, at a rate that the files do not say.
+    """Pictures from files, in the order given.
 
     Parameters
     ----------
     paths : list of Path
         At least one file.
     origin : Path
-        The folder or pattern they were found by, for messages and for the name of results.
+        The folder or pattern they were found by.
     name : str
         What the results are called.
     fps : float, optional
-        Frames per second of the sequence; 30 unless given, which is said in a warning.
+        Frames per second of the sequence; 30 with a warning unless given.
 
     Raises
     ------
@@ -57,7 +50,7 @@ class ImageReader:
                 "Remove it from the sequence or convert it to PNG.",
             )
         height, width = first.shape[:2]
-        self.info = SourceInfo(str(origin), name, width, height, rate, len(paths))
+        self.info = VideoInfo(str(origin), name, width, height, rate, len(paths))
         self.progress = Progress()
         if fps is None:
             self.progress.warnings.append(
@@ -73,20 +66,18 @@ class ImageReader:
             if verdict is Verdict.STOP:
                 return
             image = read_image(path) if verdict is Verdict.TAKE else None
-            fault = self._fault(image) if verdict is Verdict.TAKE else None
-            if fault:
+            if verdict is Verdict.TAKE and (fault := self._fault(image)):
                 self.progress.warnings.append(
-                    f"{path.name} {fault}; the {index} of {len(self._paths)} pictures before it "
-                    "were used"
+                    f"{path.name} {fault}; "
+                    f"used the {index} of {len(self._paths)} pictures before it"
                 )
                 return
-            self.progress.n_decoded = index + 1
-            self.progress.last_time_s = time_s
+            self.progress.n_decoded, self.progress.last_time_s = index + 1, time_s
             if image is not None:
                 yield Picture(index, time_s, image)
 
     def _fault(self, image: Image | None) -> str | None:
-        """Why `image` cannot go on with the sequence, if it cannot."""
+        """Why `image` cannot continue the sequence, if it cannot."""
         if image is None:
             return "cannot be read as a picture"
         height, width = image.shape[:2]
@@ -95,11 +86,11 @@ class ImageReader:
         return None
 
     def close(self) -> None:
-        """Nothing is held open between pictures."""
+        """Do nothing: no file stays open between pictures."""
 
 
 def read_image(path: Path) -> Image | None:
-    """The picture at `path` as uint8 or uint16, grey or BGR, upright; None if it is none."""
+    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
     try:
         # Not imread: it cannot open every file name.
         data = np.frombuffer(path.read_bytes(), np.uint8)
@@ -116,7 +107,7 @@ def natural_key(path: Path) -> list[tuple[int, int, str]]:
 
 
 def in_folder(folder: Path) -> list[Path]:
-    """The pictures in `folder` in natural order, hidden files left out.
+    """The pictures in `folder` in natural order, without hidden files.
 
     Raises
     ------
@@ -142,7 +133,7 @@ def in_folder(folder: Path) -> list[Path]:
 
 
 def is_pattern(text: str) -> bool:
-    """Whether `text` asks for several files: a glob, or one %d as printf has it."""
+    """Whether `text` names several files: a glob, or a printf pattern with one %d."""
     return glob.has_magic(text) or _PRINTF.search(Path(text).name) is not None
 
 

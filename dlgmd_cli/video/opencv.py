@@ -1,23 +1,28 @@
-"""Video files decoded by OpenCV's FFmpeg backend."""
+"""Video files decoded by OpenCV's FFmpeg backend, as BGR pictures."""
 
 import math
+import os
+import threading
 from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 
 from dlgmd_cli.threads import thread_limit
-from dlgmd_cli.video.ffmpeg import guarded
-from dlgmd_cli.video.frames import (
-    GRABS_PAST_DAMAGE,
+from dlgmd_cli.video.base import (
+    FFMPEG_OPTIONS,
+    READS_PAST_DAMAGE,
     Decoded,
     Grab,
-    Image,
     VideoFacts,
     plausible_fps,
 )
-from dlgmd_cli.video.watch import ResolutionWatch
+from dlgmd_cli.video.luma import Image
+
+_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_lock = threading.Lock()
 
 
 class OpenCVDecoder:
@@ -27,27 +32,28 @@ class OpenCVDecoder:
     ----------
     name : str
         The file; valid UTF-8 and no pattern.
+
+    Notes
+    -----
+    OpenCV scales every frame to the size of the first one, and does not tell when the size changes.
     """
 
     def __init__(self, name: str) -> None:
         self.is_damaged = False
         self._name = name
-        self._n_grabbed = 0
         self._capture: cv2.VideoCapture | None = None
-        self._watch: ResolutionWatch | None = None
         self._images: deque[Image | None] = deque([None])
 
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
-        self.is_damaged, self._n_grabbed = False, 0
+        self.is_damaged = False
         limit = thread_limit()
         options = [] if limit is None else [cv2.CAP_PROP_N_THREADS, limit]
         with guarded():
             capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
         self._capture = capture
-        self._watch = ResolutionWatch(self._name)
         if capture.isOpened():
-            for _ in range(GRABS_PAST_DAMAGE):
+            for _ in range(READS_PAST_DAMAGE):
                 first = self.picture() if capture.grab() else None
                 if first is not None:
                     return self._facts(capture, first.image)
@@ -70,30 +76,29 @@ class OpenCVDecoder:
         file = Path(self._name)
         with file.open("rb") as start:
             is_mp4 = start.read(8)[4:] == b"ftyp"
-        # FFmpeg has the bit rate of an MP4 from its size and the length that it shows.
+        # FFmpeg derives the bit rate of an MP4 from its size and the length that it shows.
         if not is_mp4 or kbit_per_s <= 0.0:
             return math.inf
         return 8e-3 * file.stat().st_size / kbit_per_s
 
     def grabs(self) -> Iterator[Grab]:
         """Every frame from the first on; once after each `open`."""
-        capture, watch = self._capture, self._watch
-        assert capture is not None and watch is not None
-        is_grabbed = True  # by opening
+        capture = self._capture
+        assert capture is not None
+        is_grabbed = is_first = True  # by opening
         while True:
-            is_damaged = not (is_grabbed or capture.grab())
-            is_grabbed = False
-            if is_damaged and not any(capture.grab() for _ in range(GRABS_PAST_DAMAGE)):
-                return
-            self.is_damaged = self.is_damaged or is_damaged
+            if not is_grabbed:
+                if not any(capture.grab() for _ in range(READS_PAST_DAMAGE)):
+                    return
+                self.is_damaged = True
             stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-            if stamp_s == 0.0 and self._n_grabbed > 0:  # as OpenCV says that there is none
-                stamp_s = math.nan
-            self._n_grabbed += 1
-            yield Grab(stamp_s, watch.size_of_next(stamp_s))
+            # OpenCV says 0 where there is no timestamp.
+            yield Grab(math.nan if stamp_s == 0.0 and not is_first else stamp_s)
+            is_first = False
+            is_grabbed = capture.grab()
 
     def keep(self, n_pictures: int) -> None:
-        """From now on, leave an image as it is until so many more were asked for."""
+        """From now on, leave an image unchanged until so many more were asked for."""
         self._images = deque([None] * n_pictures)
 
     def picture(self) -> Decoded | None:
@@ -105,7 +110,7 @@ class OpenCVDecoder:
             return None
         if not is_there or image is None or image.size == 0:
             return None
-        # Memory that was used before spares the system to clear new pages.
+        # Reused memory is faster: the system need not clear new pages.
         self._images[0] = image
         self._images.rotate()
         return Decoded(image)
@@ -115,6 +120,23 @@ class OpenCVDecoder:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-        if self._watch is not None:
-            self._watch.close()
-            self._watch = None
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """While it lasts, OpenCV opens videos with `FFMPEG_OPTIONS` besides those the user has set.
+
+    The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
+    opens a camera by itself.
+    """
+    with _lock:
+        before = os.environ.get(_VARIABLE)
+        ours = "|".join(f"{key};{value}" for key, value in FFMPEG_OPTIONS.items())
+        os.environ[_VARIABLE] = f"{before}|{ours}" if before else ours
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[_VARIABLE]
+            else:
+                os.environ[_VARIABLE] = before

@@ -1,4 +1,4 @@
-"""Reading ahead: the next frames are decoded in a thread while the model works on this one."""
+"""Reading ahead: a thread decodes the next frames while the model works on this one."""
 
 import queue
 import threading
@@ -8,29 +8,28 @@ from typing import Generic, TypeVar
 
 import cv2
 
-from dlgmd_cli.video.frames import KEPT_PICTURES
+from dlgmd_cli.video.base import KEPT_PICTURES
 
 ItemT = TypeVar("ItemT")
 
-# One picture waits to be put, and one is worked on while the next is asked for.
+# One picture waits for room, one is being processed, and one is being asked for.
 DEPTH = KEPT_PICTURES - 3
-# How long a decoder may take over one frame before a stop no longer waits for it.
+# How long leaving the context waits for a decoder to finish its frame.
 PATIENCE_S = 10.0
 
 
 class ReadAhead(Generic[ItemT]):
     """The items of an iterable, in order, taken from it by a thread of its own.
 
-    A context manager. The thread is never more than `depth` items ahead. What the iterable raises
-    is raised here, after the items before it. Leaving the context, for whatever reason, stops the
-    thread.
+    A context manager. The thread is at most `depth` items ahead. An exception of the iterable is
+    raised here, after the items before it. Leaving the context stops the thread.
 
     Parameters
     ----------
     items : iterable
-        Iterated in the thread, and in no other meanwhile.
+        Iterated in that thread only.
     depth : int
-        Items that wait at most.
+        The greatest number of items that wait.
     """
 
     def __init__(self, items: Iterable[ItemT], depth: int = DEPTH) -> None:
@@ -41,13 +40,13 @@ class ReadAhead(Generic[ItemT]):
         self._thread = threading.Thread(target=self._fill, name="dlgmd-decode", daemon=True)
 
     def _fill(self) -> None:
-        """Put every item, then the end or the error, unless told to stop."""
+        """Put every item, then the end or the error, until told to stop."""
         error: BaseException | None = None
         try:
             for item in self._items:
                 if not self._put((item, None)):
                     return
-        except BaseException as caught:  # handed to the other thread, whatever it is
+        except BaseException as caught:  # the other thread raises it, whatever it is
             error = caught
         self._put((None, error))
 
@@ -81,7 +80,7 @@ class ReadAhead(Generic[ItemT]):
 
 @contextmanager
 def opencv_threads(count: int) -> Iterator[None]:
-    """OpenCV's own threads for as long as a run takes; then the host's number again."""
+    """While it lasts, OpenCV uses `count` threads of its own; then as many as before."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(count)
     try:

@@ -1,4 +1,4 @@
-"""Video files decoded by PyAV, which hands out the luma plane as it is."""
+"""Video files decoded by PyAV, which gives access to the luma plane as it is."""
 
 import itertools
 import math
@@ -11,16 +11,15 @@ import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.threads import thread_limit
-from dlgmd_cli.video.ffmpeg import OPTIONS
-from dlgmd_cli.video.frames import Decoded, Grab, Image, VideoFacts, plausible_fps
-from dlgmd_cli.video.luma import levels_of, luma_of
+from dlgmd_cli.video.base import FFMPEG_OPTIONS, Decoded, Grab, VideoFacts, plausible_fps
+from dlgmd_cli.video.luma import Image, levels_of, luma_of
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-# As many as OpenCV puts up with. Streams cut out of others begin with many that make no picture.
+# As many as OpenCV accepts. A stream cut out of another begins with many that give no picture.
 _MAX_BAD_PACKETS = 4096
 _COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
 _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
@@ -36,11 +35,9 @@ class PyAVDecoder:
 
     Notes
     -----
-    Messages of FFmpeg are dropped by PyAV before they reach Python, unless the host program asked
-    for them. That is left as it is: a callback into Python from FFmpeg's threads can deadlock.
-
-    In damaged H.264, FFmpeg's threads race for the frames that they call corrupt: reading it again
-    may end some frames earlier or later.
+    FFmpeg's messages are dropped, which is PyAV's default: a callback into Python from FFmpeg's
+    threads can deadlock. In damaged H.264 it depends on the timing of FFmpeg's threads which frames
+    count as corrupt: reading it again may end some frames earlier or later.
     """
 
     def __init__(self, name: str) -> None:
@@ -67,15 +64,15 @@ class PyAVDecoder:
             self._container = container = av.open(
                 f"file:{self._name}",
                 metadata_errors="replace",
-                container_options=dict(OPTIONS),
+                container_options=dict(FFMPEG_OPTIONS),
             )
         except (av.FFmpegError, ValueError):
             return None
         stream = _pictures_of(container)
         if stream is None:
             return None
-        # By frames where the codec allows it, else by slices, in one thread more than there are
-        # cores. PyAV alone would go by slices, which most videos do not have.
+        # Threads by frames if the codec allows it, else by slices. PyAV's default are slices, which
+        # most videos do not have.
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = thread_limit() or 0
         self._start = stream.start_time or 0
@@ -83,7 +80,7 @@ class PyAVDecoder:
         self._frame = next(self._frames, None)
         if self._frame is None:
             return None
-        self.is_damaged = False  # what comes before the first frame is no damage
+        self.is_damaged = False  # a stream may begin with what gives no frame
         self._size = _shown_size(self._frame)
         return _facts(container, stream, self._size)
 
@@ -99,7 +96,7 @@ class PyAVDecoder:
                 if packet is None:
                     return
                 frames = stream.decode(packet)
-            except EOFError:  # an error came while the last frames were fetched
+            except EOFError:  # an error while the last frames were fetched
                 return
             except IndexError:  # PyAV no longer finds the stream among those of the container
                 self.is_damaged = True
@@ -107,7 +104,7 @@ class PyAVDecoder:
             except av.FFmpegError:
                 self.is_damaged = True
                 n_bad += 1
-                packets = container.demux(stream)  # an error in the container ended the other
+                packets = container.demux(stream)  # the error has ended the other iterator
                 continue
             for frame in frames:
                 if frame.is_corrupt:
@@ -140,7 +137,7 @@ class PyAVDecoder:
 
     def close(self) -> None:
         """Free the file, so that it can be opened again; may be called twice."""
-        # First what still reads from the container: closed under its feet, it would crash.
+        # What still reads from the container has to end first, or it would crash.
         if self._frames is not None:
             self._frames.close()
         self._frames = self._frame = None
@@ -169,19 +166,20 @@ def picture_of(frame: "VideoFrame") -> Decoded | None:
             return Decoded(_turned(frame, frame.to_ndarray(format="bgr24")))
         except (ValueError, OSError):  # no conversion from this format
             return None
+    n_bytes = 1 if luma.n_bits == 8 else 2
     # A view: it keeps the frame alive, and the frame its memory.
     image: Image = np.ndarray(
         (frame.height, frame.width),
-        np.uint8 if luma.n_bytes == 1 else np.uint16,
+        np.uint8 if n_bytes == 1 else np.uint16,
         buffer=memoryview(plane),
-        strides=(plane.line_size, luma.n_bytes),
+        strides=(plane.line_size, n_bytes),
     )
     levels = levels_of(pixel_format, luma, int(frame.color_range))
     return Decoded(_turned(frame, image), levels)
 
 
 def _import_av() -> Any:
-    """PyAV, or an error that says how to get it."""
+    """PyAV, or an error that says how to install it."""
     try:
         import av
     except ModuleNotFoundError:
@@ -224,13 +222,13 @@ def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
 
 
 def _turn(frame: "VideoFrame") -> int | None:
-    """How to turn the frame for showing it, as OpenCV has it; None for not at all."""
-    # Rounded, because PyAV cuts off what comes after the point; other angles are not honoured.
+    """OpenCV's code for turning the frame upright; None if it is."""
+    # Rounded, because PyAV cuts off the decimals; angles between are not honoured.
     return _TURNS.get(round(frame.rotation, -1) % 360)
 
 
 def _turned(frame: "VideoFrame", image: Image) -> Image:
-    """The frame's image as it is to be shown."""
+    """The frame's image, upright."""
     turn = _turn(frame)
     return image if turn is None else cv2.rotate(image, turn)
 

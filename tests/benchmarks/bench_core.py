@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import DLGMD, load_set
-from dlgmd_cli.models.dlgmd import connections_of
+from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.stimuli.pan import pan_frames
 
 SIZES = [(1080, 1920), (540, 960), (270, 480), (108, 192), (22, 38)]
@@ -25,7 +25,7 @@ class FullKernels:
     """The model with one `filter2D` a delay, all else as plain as it can be."""
 
     def __init__(self, shape):
-        signed = connections_of(PARAMS).signed()
+        signed = connect(PARAMS).signed()
         self.kernels = {delay: kernel.astype(np.float32) for delay, kernel in signed.items()}
         self.history = [np.zeros(shape, np.float32) for _ in range(max(signed) + 1)]
         self.previous = np.zeros(shape, np.float32)

@@ -26,7 +26,7 @@ from dlgmd_cli.batch.places import Folder
 from dlgmd_cli.batch.resume import plan
 from dlgmd_cli.batch.task import Order, Task, Variant, Video
 from dlgmd_cli.errors import ParameterError, WorkerError
-from dlgmd_cli.presets import load_set
+from dlgmd_cli.parameters import load_set
 from tests.conftest import looming_frames, write_video
 from tests.saboteurs import Sabotaged
 

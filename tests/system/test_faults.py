@@ -53,11 +53,11 @@ PROGRAMS = {
 @pytest.mark.parametrize(("program", "ending"), [("dies", CRASHED), ("hangs", HUNG)])
 def test_a_death_is_laid_at_the_right_door(tmp_path, clips, monkeypatch, program, ending):
     (tmp_path / "sitecustomize.py").write_text(
-        "import dlgmd_cli.video.open as module\n"
-        "def opened(path, *more, open_reader=module.open_reader):\n"
+        "import dlgmd_cli.video.frames as module\n"
+        "def opened(path, *more, open_reader=module._open_reader):\n"
         f"    if 'bad' in str(path):\n        {PROGRAMS[program]}\n"
         "    return open_reader(path, *more)\n"
-        "module.open_reader = opened\n"
+        "module._open_reader = opened\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     good, bad = clips / "loom.avi", tmp_path / "bad.avi"

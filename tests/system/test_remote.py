@@ -20,7 +20,7 @@ from dlgmd_cli.batch.remote import at_hand, find_remote, is_url, reason, tidy_sc
 from dlgmd_cli.batch.remote_place import Bucket, place_at
 from dlgmd_cli.batch.task import Order, Task, Variant, Video
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
-from dlgmd_cli.presets import load_set
+from dlgmd_cli.parameters import load_set
 from tests.saboteurs import Sabotaged
 
 pytest.importorskip("fsspec", reason="fsspec is not installed")

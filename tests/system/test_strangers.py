@@ -20,14 +20,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import SourceError, printable
-from dlgmd_cli.presets import MAX_CONFIG_BYTES
+from dlgmd_cli.parameters import MAX_CONFIG_BYTES
 from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
 from dlgmd_cli.results.comparison import write_comparison
 from dlgmd_cli.results.files import fitting
 from dlgmd_cli.results.read import read_comparison
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.video.ffmpeg import OPTIONS, guarded
-from dlgmd_cli.video.open import open_source
+from dlgmd_cli.video.base import FFMPEG_OPTIONS
+from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.opencv import guarded
 from tests.conftest import result_of_level
 
 # A title for the window, a C1 control, text that runs backwards, two ends of a line, no UTF-8.
@@ -318,7 +319,7 @@ def test_a_fitting_name_is_a_beginning_and_short(name, n_bytes):
 )
 def test_an_address_is_no_file(clips, decoder, name):
     with pytest.raises(SourceError, match="there is no such file"):
-        open_source(name.format(*[clips / "loom.avi"] * 2), decoder=decoder)
+        open_video(name.format(*[clips / "loom.avi"] * 2), decoder=decoder)
 
 
 def with_reference(movie: bytes, name: str) -> bytes:
@@ -385,24 +386,24 @@ def test_what_a_file_names_is_not_opened(tmp_path, clips, decoder, listener, nam
     for start in ("", "\n"):
         (tmp_path / name).write_text(start + text)
         with pytest.raises(SourceError):
-            open_source(tmp_path / name, decoder=decoder)
+            open_video(tmp_path / name, decoder=decoder)
 
 
 def test_a_list_is_called_one(dlgmd, tmp_path):
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.mp4\n")
     result = dlgmd("run", "x.mp4")
-    why = "it is a list of other files, no video. Give a video that it names."
+    why = "it is a list of other files, not a video. Give one of the videos it names."
     assert result.exit_code == 1 and result.stderr == f"Error: x.mp4: {why}\n"
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
-    monkeypatch.setattr("dlgmd_cli.video.reader._LISTS", ())
+    monkeypatch.setattr("dlgmd_cli.video.files._LISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
     unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)
     assert unguarded.grab()  # else this test proves nothing
     with pytest.raises(SourceError, match="no frame could be decoded"):
-        open_source(tmp_path / "x.mp4", decoder=decoder)
+        open_video(tmp_path / "x.mp4", decoder=decoder)
 
 
 def test_pictures_elsewhere_are_not_fetched(tmp_path, clips, decoder):
@@ -410,7 +411,7 @@ def test_pictures_elsewhere_are_not_fetched(tmp_path, clips, decoder):
     (tmp_path / "victim.mp4").write_bytes(movie)
     (tmp_path / "x.mp4").write_bytes(with_reference(movie, "victim.mp4"))
     with pytest.raises(SourceError):
-        open_source(tmp_path / "x.mp4", decoder=decoder)
+        open_video(tmp_path / "x.mp4", decoder=decoder)
     if decoder == "pyav":  # as it would be if FFmpeg were let: else this test proves nothing
         import av
 
@@ -427,7 +428,7 @@ def test_the_environment_is_as_it_was(monkeypatch, before):
         monkeypatch.setenv(variable, before)
     with pytest.raises(KeyError), guarded():
         options = os.environ[variable].split("|")
-        assert options[-2:] == [f"{key};{value}" for key, value in OPTIONS.items()]
+        assert options[-2:] == [f"{key};{value}" for key, value in FFMPEG_OPTIONS.items()]
         assert options[:-2] == ([before] if before else [])
         raise KeyError
     assert os.environ.get(variable) == before

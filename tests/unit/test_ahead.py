@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli import DLGMD, open_source
+from dlgmd_cli import DLGMD, open_video
 from dlgmd_cli.runs.recording import Recording
 from dlgmd_cli.runs.single import run
 from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
@@ -78,11 +78,11 @@ def test_leaving_without_reading():
 @pytest.mark.parametrize("scale", [1.0, 0.5])  # prepared on either side of the queue
 def test_run_gives_what_a_plain_loop_gives(clips, scale):
     model, plain, ahead = DLGMD(), Recording(), Recording()
-    with open_source(clips / "loom.avi", scale=scale) as source:
+    with open_video(clips / "loom.avi", scale=scale) as source:
         for frame in source:
             plain.append(frame, model.step(frame.grey))
     counts = []
-    with open_source(clips / "loom.avi", scale=scale) as source:
+    with open_video(clips / "loom.avi", scale=scale) as source:
         run(source, model, ahead, counts.append)
     assert np.array_equal(plain.columns(), ahead.columns(), equal_nan=True)
     assert len(counts) == len(ahead) and counts == sorted(counts)
@@ -96,7 +96,7 @@ def test_run_keeps_what_came_before_an_error(clips):
             return super().step(luminance, layers=layers)
 
     recording = Recording()
-    with open_source(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
+    with open_video(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
         run(source, Breaks(), recording)
     assert len(recording) == 7
 

@@ -25,7 +25,7 @@ from dlgmd_cli.batch.task import Order, Task, Variant, Video
 from dlgmd_cli.batch.work import prepare as prepare_work
 from dlgmd_cli.batch.work import process
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.video.choice import InputChoice
 
 COLUMNS = [

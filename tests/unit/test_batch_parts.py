@@ -29,10 +29,10 @@ from dlgmd_cli.batch.summary import COLUMNS, Summary
 from dlgmd_cli.batch.task import DONE, FAILED, TIMEOUT, Ending, Order, Task, Variant, Video
 from dlgmd_cli.commands._batch_view import Tally, failures
 from dlgmd_cli.errors import OutputExistsError, SourceError, WorkerError
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.record import parse_record, yaml_text
 from dlgmd_cli.runs.worker import Worker
-from dlgmd_cli.video.choice import InputChoice
+from dlgmd_cli.video.frames import InputOptions
 
 
 def tree(folder, *names):
@@ -385,7 +385,7 @@ def test_as_many_workers_as_there_can_be(clips, tmp_path, monkeypatch, n_possibl
     for number in range(5):
         shutil.copy(clips / "loom.avi", tmp_path / f"{number}.avi")
     variant = Variant("set9", DlgmdParameters(), "auto", Folder.named(str(tmp_path / "out")))
-    order = Order((variant,), InputChoice(), ())
+    order = Order((variant,), InputOptions(), ())
     videos = find_videos([("", str(tmp_path))]).videos
     made = plan(videos, order, force=False, overwrite=False)
     if n_possible:
@@ -417,7 +417,7 @@ def faulty_prepare_none():
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGSTOP")
 def test_a_process_that_stops_before_it_begins_is_overdue_all_the_same():
     inbox = SimpleQueue()
-    attendant = Attendant(Order((), InputChoice(), ()), inbox, timeout_s=0.3)
+    attendant = Attendant(Order((), InputOptions(), ()), inbox, timeout_s=0.3)
     assert attendant.hear(inbox.get(timeout=30)) is None  # it is ready
     os.kill(attendant.worker.pid, signal.SIGSTOP)
     attendant.give(task("one"))
@@ -429,7 +429,7 @@ def test_a_process_that_stops_before_it_begins_is_overdue_all_the_same():
 
 
 def test_what_a_process_takes_to_start_is_not_the_videos():
-    attendant = Attendant(Order((), InputChoice(), ()), SimpleQueue(), timeout_s=1e-9)
+    attendant = Attendant(Order((), InputOptions(), ()), SimpleQueue(), timeout_s=1e-9)
     attendant.give(task("one"))
     time.sleep(0.01)
     assert attendant.overdue() is None

@@ -99,10 +99,10 @@ def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, cli
 
 
 def test_a_clip_that_finds_no_room(dlgmd, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.video.count.count_frames", lambda path: 7)
+    monkeypatch.setattr("dlgmd_cli.video.writer.count_frames", lambda path: 7)
     result = dlgmd("bench", *ONE_CELL, "--frames", 12)
     assert result.exit_code == 1
-    assert "only 7 of the clip's 12 frames arrived on the disk" in result.stderr
+    assert "only 7 of 12 frames arrived on the disk" in result.stderr
 
 
 def test_warnings_about_the_input(dlgmd, clips, tmp_path):

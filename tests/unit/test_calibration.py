@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from reference_data import reference_dir
 
-from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
-from dlgmd_cli.params import EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters import EmdLgmdParameters, LgmdParameters
 
 SECOND = 30  # frames
 LABEL_ERROR = 2  # frames
@@ -23,7 +23,7 @@ def clips():
         labels = [(row["video"], row["collision_frame"]) for row in csv.DictReader(file)]
     found = []
     for video, contact in labels:
-        with open_source(folder / video) as source:
+        with open_video(folder / video) as source:
             frames = [frame.luminance for frame in source]
         found.append((frames, int(contact) if contact else None))
     return found

@@ -11,8 +11,7 @@ import yaml
 
 from dlgmd_cli import __version__, load_set
 from dlgmd_cli.app import COMMANDS, cli
-from dlgmd_cli.params import PARAMETERS
-from dlgmd_cli.presets import load_config
+from dlgmd_cli.parameters import MODELS, load_config
 
 
 def test_every_command_has_help_with_an_example(dlgmd):
@@ -127,7 +126,7 @@ def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
     assert result.exit_code == 0
     (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
     config = load_config(tmp_path / "my.yaml")
-    assert config.model == model and config.values == PARAMETERS[model]().to_dict()
+    assert config.model == model and config.values == MODELS[model].parameters().to_dict()
 
 
 @pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
+from dlgmd_cli.models.photoreceptors import Photoreceptors
 
 from dlgmd_cli.commands._variants import _variants
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.photoreceptors import Photoreceptors
-from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.parameters import MODELS
 from dlgmd_cli.plots import overlays
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.runs.compare import Entry, compare
-from dlgmd_cli.video.open import open_source
+from dlgmd_cli.video.frames import open_video
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
 COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
@@ -315,7 +315,9 @@ def test_ctrl_c_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
 
 
 def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
-    entries = [Entry(create_model(PARAMETERS[name]()), (32, 24)) for name in ("dlgmd", "lgmd")]
+    entries = [
+        Entry(create_model(MODELS[name].parameters()), (32, 24)) for name in ("dlgmd", "lgmd")
+    ]
     append = entries[1].recording.append
 
     def failing(frame, response):
@@ -324,7 +326,7 @@ def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
         append(frame, response)
 
     entries[1].recording.append = failing
-    with open_source(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
+    with open_video(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
         compare(source, entries)
     assert [len(entry.recording) for entry in entries] == [7, 7]
 

@@ -11,10 +11,8 @@ import pytest
 from conftest import looming_frames, write_video
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.frames import Frame
-from dlgmd_cli.video.luma import Luma, levels_of, luma_of
-from dlgmd_cli.video.open import open_source
-from dlgmd_cli.video.prepare import to_grey
+from dlgmd_cli.video.frames import Frame, open_video
+from dlgmd_cli.video.luma import Luma, levels_of, luma_of, to_grey
 from dlgmd_cli.video.pyav import PyAVDecoder, picture_of
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -60,7 +58,7 @@ def encode(path, frames, codec="ffv1", colour_range=UNSPECIFIED, stamps=None, op
 
 def read(path, decoder="pyav", **options):
     """All frames and warnings."""
-    with open_source(path, decoder=decoder, **options) as source:
+    with open_video(path, decoder=decoder, **options) as source:
         return list(source), source.progress.warnings
 
 
@@ -220,7 +218,7 @@ def test_pictures_before_damage_are_whole(tmp_path, fill, capfd):
     middle = len(data) // 2
     data[middle : middle + 400] = fill * 400
     path.write_bytes(data)
-    with open_source(path, decoder="pyav") as source:
+    with open_video(path, decoder="pyav") as source:
         frames, again = list(source), list(source)
         warnings = source.progress.warnings
     assert 5 < len(frames) < 35 and len(again) == len(frames)
@@ -256,7 +254,7 @@ def test_sound_that_goes_on_is_no_damage(tmp_path):
             silence.sample_rate = 8000
             container.mux(sound.encode(silence))
         container.mux(video.encode(None))
-    with open_source(path, decoder="pyav") as source:
+    with open_video(path, decoder="pyav") as source:
         assert source.info.n_frames == len(list(source)) == 20
         assert source.progress.warnings == []
 
@@ -268,7 +266,7 @@ def test_sound_alone(tmp_path, decoder):
         sound.setframerate(8000)
         sound.writeframes(bytes(8000))
     with pytest.raises(SourceError, match="no frame could be decoded"):
-        open_source(tmp_path / "x.wav", decoder=decoder)
+        open_video(tmp_path / "x.wav", decoder=decoder)
 
 
 def test_a_cover_is_no_video(tmp_path):
@@ -281,7 +279,7 @@ def test_a_cover_is_no_video(tmp_path):
     with av.open(str(tmp_path / "x.mp3")) as container:
         assert len(container.streams.video) == 1
     with pytest.raises(SourceError, match="no frame could be decoded"):
-        open_source(tmp_path / "x.mp3", decoder="pyav")
+        open_video(tmp_path / "x.mp3", decoder="pyav")
 
 
 def test_a_playlist_does_not_reach_the_network(tmp_path):
@@ -291,7 +289,7 @@ def test_a_playlist_does_not_reach_the_network(tmp_path):
         text = f"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\nhttp://127.0.0.1:{port}/a.ts\n"
         (tmp_path / "x.m3u8").write_text(text + "#EXT-X-ENDLIST\n")
         with pytest.raises(SourceError):
-            open_source(tmp_path / "x.m3u8", decoder="pyav")
+            open_video(tmp_path / "x.m3u8", decoder="pyav")
         with pytest.raises(BlockingIOError):
             server.accept()
 

@@ -11,7 +11,7 @@ from reference import clips, slow
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 

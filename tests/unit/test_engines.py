@@ -9,15 +9,15 @@ from pickle import UnpicklingError
 
 import numpy as np
 import pytest
+from dlgmd_cli.models.history import CACHE_LINE, History, aligned
+from dlgmd_cli.models.tiled import TILE_HW, tiles
 from reference import slow
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models import engines
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import just_below
-from dlgmd_cli.models.history import CACHE_LINE, History, aligned
-from dlgmd_cli.models.tiled import TILE_HW, tiles
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 # Around the sides of OpenCV's tiles and of the compiled engine's strips and blocks.
@@ -186,9 +186,8 @@ def test_an_unknown_engine_is_refused():
 
 
 def test_compilation_is_announced_once(numba):
-    from numba.core.event import end_event, install_listener, start_event
-
     from dlgmd_cli.models.fused import Announcement
+    from numba.core.event import end_event, install_listener, start_event
 
     told = []
     with install_listener("numba:compile", Announcement(told.append)):

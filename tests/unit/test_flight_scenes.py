@@ -22,8 +22,8 @@ from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES
 from dlgmd_cli.stimuli.encode import write_clip, write_truth
 from dlgmd_cli.stimuli.form import Form, n_digits
-from dlgmd_cli.video.open import open_source
-from dlgmd_cli.video.writer import best_codec, encode
+from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.writer import best_codec, write_video
 
 PNG = Form.choose(png=True)
 needs_pyav = pytest.mark.skipif(best_codec() != "h264", reason="H.264 needs PyAV")
@@ -265,7 +265,7 @@ def test_pictures_are_exact(scene, tmp_path):
     assert names(frames) == [f"{index:04d}.png" for index in range(18)]
     made = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted(frames.iterdir())]
     np.testing.assert_array_equal(made, list(scene.frames(options)))
-    with open_source(frames, scale=1.0) as source:
+    with open_video(frames, scale=1.0) as source:
         assert sum(1 for _ in source) == 18
 
 
@@ -362,8 +362,8 @@ def waves(n_frames=12, shape=(64, 128)):
 @needs_pyav
 def test_h264_keeps_grey_levels(tmp_path, decoder):
     path = tmp_path / "x.mp4"
-    encode(path, waves(), (64, 128), 30.0, codec="h264")
-    with open_source(path, scale=1.0, decoder=decoder) as source:
+    write_video(path, waves(), (64, 128), 30.0, codec="h264")
+    with open_video(path, scale=1.0, decoder=decoder) as source:
         read = [frame.grey.astype(float) for frame in source]
     errors = np.array(read) - np.array(list(waves()), float)
     assert len(read) == 12
@@ -377,7 +377,7 @@ def test_h264_keeps_grey_levels(tmp_path, decoder):
 @pytest.mark.parametrize("fps", [1.0, 23.976, 29.97, 119.999, 600.0])
 def test_h264_keeps_times(tmp_path, fps):
     path = tmp_path / "x.mp4"
-    encode(path, waves(8), (64, 128), fps, codec="h264")
+    write_video(path, waves(8), (64, 128), fps, codec="h264")
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     for index in range(8):
         assert capture.grab()
@@ -393,7 +393,7 @@ def test_the_same_frames_make_the_same_file(tmp_path, threads, codec):
     for n_threads in (1, 4):
         threads(n_threads)
         path = tmp_path / f"{n_threads}.{suffix}"
-        encode(path, waves(30), (64, 128), 30.0, codec=codec)
+        write_video(path, waves(30), (64, 128), 30.0, codec=codec)
         made.append(path.read_bytes())
     assert made[0] == made[1]
     if codec == "h264":  # what would make another file now and then

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from reference import slow
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.dlgmd import connections_of
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 SETS = sorted(slow.TABLE_2)
 RADIAL_SETS = [4, 5, 6, 7, 8, 9]
@@ -25,7 +24,7 @@ SHAPES = {
 
 
 def connections(number, **changes):
-    return connections_of(DlgmdParameters(**slow.table_2(number, **changes)))
+    return connect(DlgmdParameters(**slow.table_2(number, **changes)))
 
 
 def as_array(weights, r):

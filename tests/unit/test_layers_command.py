@@ -12,9 +12,9 @@ import pytest
 import yaml
 from conftest import FPS, N_FRAMES, WIDTH, looming_frames, read_video, write_video
 
-from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.params import PARAMETERS
+from dlgmd_cli.parameters import MODELS
 from dlgmd_cli.plots.film import Film
 from dlgmd_cli.runs import single
 from dlgmd_cli.runs.layers import LayerRecording, run_layers
@@ -59,7 +59,7 @@ def test_arrays_are_the_library_s(dlgmd, tmp_path):
     assert dlgmd("layers", "looms.avi", *arguments).exit_code == 0
     assert set(os.listdir("dlgmd-out/looms")) == {"layers.yaml", "layers.npz"}
     model, expected = DLGMD(load_set(7)), {}
-    with open_source("looms.avi") as source:
+    with open_video("looms.avi") as source:
         for frame in source:
             response = model.step(frame.grey, layers=True)
             expected[frame.index] = frame, response.layers
@@ -82,9 +82,9 @@ def test_arrays_are_the_library_s(dlgmd, tmp_path):
 @pytest.mark.parametrize("model", ["dlgmd", "lgmd"])
 def test_scales_hold_the_layers_of_every_frame(tmp_path, model):
     write_video(tmp_path / "looms.avi", looming_frames(30, 96, 54))
-    detector = create_model(PARAMETERS[model]())
+    detector = create_model(MODELS[model].parameters())
     recording, seen = LayerRecording((), whole=True), {name: [] for name in "psg"}
-    with open_source(tmp_path / "looms.avi") as source:
+    with open_video(tmp_path / "looms.avi") as source:
         run_layers(source, detector, recording)
         detector.reset()
         for frame in source:
@@ -297,7 +297,7 @@ def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypa
 
 
 def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.video.count.count_frames", lambda path: 7)
+    monkeypatch.setattr("dlgmd_cli.video.writer.count_frames", lambda path: 7)
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4", "--frames", "3")
     assert result.exit_code == 1
     assert "film.mp4: only 7 of 20 frames arrived on the disk." in result.stderr

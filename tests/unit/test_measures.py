@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from reference_data import reference_frames
 
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.presets import load_set
+from dlgmd_cli.parameters import load_set
 from dlgmd_cli.results.measures import distinguishability, sharpness
 from dlgmd_cli.results.tables import Result
 

@@ -7,14 +7,14 @@ import tracemalloc
 import cv2
 import numpy as np
 import pytest
+from dlgmd_cli.models.ensemble import Ensemble
+from dlgmd_cli.models.replay import Replay
 from reference import clips, slow
 
 from dlgmd_cli.errors import FrameError, ParameterError
-from dlgmd_cli.models.base import MODELS, Layers, Response, create_model
+from dlgmd_cli.models.base import Layers, Response, create_model
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.ensemble import Ensemble
-from dlgmd_cli.models.replay import Replay
-from dlgmd_cli.params import PARAMETERS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import MODELS, DlgmdParameters, Parameters
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 
@@ -36,7 +36,7 @@ EVEN_CASES = [case for case, (name, _) in CASES.items() if name not in DIRECTION
 
 def create(case):
     name, values = CASES[case]
-    return create_model(PARAMETERS[name].from_mapping(values))
+    return create_model(MODELS[name].parameters.from_mapping(values))
 
 
 def moving(height=24, width=30, n_frames=N_FRAMES, seed=11):
@@ -422,7 +422,7 @@ def test_the_default_model_is_set_9():
 
 
 def test_every_model_has_parameters():
-    assert list(MODELS) == list(PARAMETERS)
+    assert list(MODELS) == list(MODELS)
 
 
 def test_parameters_of_no_model_are_refused():

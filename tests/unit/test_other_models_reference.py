@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from dlgmd_cli.models.readout import normalise_sigmoid
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from reference import clips, slow_emd, slow_lgmd
@@ -11,8 +12,7 @@ from reference import clips, slow_emd, slow_lgmd
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
-from dlgmd_cli.models.readout import normalise_sigmoid
-from dlgmd_cli.params import EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters import EmdLgmdParameters, LgmdParameters
 
 CLIPS = {
     "drifting 9x12": clips.drifting(9, 12, 8, seed=1),

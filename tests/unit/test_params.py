@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from reference import slow
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import FORMULATIONS, DlgmdParameters, nearest
+from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters, nearest
 
 # key -> lowest, whether that is excluded, highest
 BOUNDS = {

@@ -3,16 +3,15 @@
 import cv2
 import numpy as np
 import pytest
+from dlgmd_cli.models.filters import Separable, Taps, sum_4x4
+from dlgmd_cli.models.plan import decompose, plan
 from draws import connections
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import slow
 
-from dlgmd_cli.models.dlgmd import connections_of
-from dlgmd_cli.models.filters import Separable, Taps, sum_4x4
-from dlgmd_cli.models.kernels import gaussian
-from dlgmd_cli.models.plan import decompose, plan
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.models.kernels import connect, gaussian
+from dlgmd_cli.parameters import DlgmdParameters
 
 SETS = sorted(slow.TABLE_2)
 # Kernels below this vanish in float32, and need not come back.
@@ -61,7 +60,7 @@ def check(kernels, gaussians):
 
 
 def kernels_of(params):
-    found = connections_of(params)
+    found = connect(params)
     bases = [gaussian(params.r, sigma) for sigma in (params.sigma_i, params.sigma_e)]
     return found.signed(), bases
 

@@ -11,11 +11,11 @@ import pytest
 from conftest import result_of_level
 from matplotlib.collections import PolyCollection
 
-from dlgmd_cli.models.dlgmd import connections_of
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters import load_set
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.plots.traces import PLOTS, plot_attenuation, plot_mp, plot_spikes
-from dlgmd_cli.presets import load_set
 from dlgmd_cli.results.tables import Result
 
 NAN = np.nan
@@ -310,7 +310,7 @@ def test_the_legend_fits(result):
 
 
 def kernels_figure(number, formulation="default", **overrides):
-    connections = connections_of(load_set(number, formulation=formulation, **overrides))
+    connections = connect(load_set(number, formulation=formulation, **overrides))
     figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
     figure.draw_without_rendering()
     return figure

@@ -6,8 +6,9 @@ import pytest
 import yaml
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params import PARAMETERS, DlgmdParameters
-from dlgmd_cli.presets import (
+from dlgmd_cli.parameters import (
+    MODELS,
+    DlgmdParameters,
     load_config,
     load_model_preset,
     load_preset,
@@ -41,7 +42,7 @@ def test_sets_are_table_two(number):
 
 def test_every_config_loads_and_is_listed():
     sets = [f"set{name}.yaml" for name in preset_names()]
-    others = [f"{name}.yaml" for name in PARAMETERS if name != "dlgmd"]
+    others = [f"{name}.yaml" for name in MODELS if name != "dlgmd"]
     assert sorted(path.name for path in presets_dir().glob("*.yaml")) == sorted(sets + others)
     assert preset_names() == [str(n) for n in TABLE_II]
     for name in sets:
@@ -53,8 +54,8 @@ def test_every_config_loads_and_is_listed():
 def test_presets_of_the_other_models_are_their_defaults(model):
     config = load_model_preset(model)
     assert config.model == model
-    assert merge(PARAMETERS[model], config, {}) == PARAMETERS[model]()
-    assert set(config.values) < set(PARAMETERS[model].specs())
+    assert merge(MODELS[model].parameters, config, {}) == MODELS[model].parameters()
+    assert set(config.values) < set(MODELS[model].parameters.specs())
 
 
 def test_defaults_are_set_nine():

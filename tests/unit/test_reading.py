@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.models.base import Response
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.measures import Summary, doubts, summarise
 from dlgmd_cli.results.tables import TABLES, Result, write_tables
 from dlgmd_cli.runs.reading import Reading

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dlgmd_cli.app import COMMANDS
-from dlgmd_cli.params import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -1,10 +1,6 @@
 """Normalisation, spikes and collisions."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-
 from dlgmd_cli.models.readout import (
     in_a_row,
     normalise_absolute,
@@ -12,6 +8,9 @@ from dlgmd_cli.models.readout import (
     read_out,
     spikes,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 NAN = np.nan
 potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))

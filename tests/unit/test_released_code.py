@@ -8,7 +8,7 @@ from reference import slow
 from reference_data import SEQUENCES, reference_dir, reference_frames, released_rows
 
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 

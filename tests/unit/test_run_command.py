@@ -14,12 +14,12 @@ import pytest
 import yaml
 from conftest import FPS, N_FRAMES, looming_frames, write_video
 
-from dlgmd_cli import DLGMD, load_set, open_source
+from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.commands import _input
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.plots.traces import PLOTS as PLOTS_BY_NAME
 from dlgmd_cli.results import tables
-from dlgmd_cli.video.reader import DECODERS
+from dlgmd_cli.video.frames import DECODERS
 
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
@@ -59,7 +59,7 @@ def test_files_and_columns(dlgmd, clips, tmp_path):
 def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
     dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots")
     model = DLGMD(load_set(7))
-    with open_source(clips / "loom.avi") as source:
+    with open_video(clips / "loom.avi") as source:
         responses = [model.step(frame.grey) for frame in source]
     folder = tmp_path / "dlgmd-out/loom"
     for name, attribute, file in [
@@ -377,7 +377,7 @@ def test_a_decoder_that_is_not_installed(dlgmd, clips, monkeypatch):
 
 def test_an_unknown_decoder(clips):
     with pytest.raises(ParameterError, match="no decoder 'vlc'"):
-        open_source(clips / "loom.mp4", decoder="vlc")
+        open_video(clips / "loom.mp4", decoder="vlc")
     assert _input.DECODERS == DECODERS  # which help cannot import, it would bring in OpenCV
 
 

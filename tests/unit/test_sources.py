@@ -15,10 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.video.frames import KEPT_PICTURES, Frame, Verdict
-from dlgmd_cli.video.open import open_source
-from dlgmd_cli.video.prepare import Selection, processed_size, to_grey
-from dlgmd_cli.video.times import FrameClock, HoleWatch
+from dlgmd_cli.video.frames import (
+    KEPT_PICTURES,
+    Frame,
+    selection,
+    open_video,
+    processed_size,
+
+)
+from dlgmd_cli.video.base import Verdict
+from dlgmd_cli.video.luma import resized, to_grey
+from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
 
 NAN = math.nan
 
@@ -40,7 +47,7 @@ def any_input(request, clips, pictures):
 
 
 def test_contract_frames(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         frames = list(source)
         assert (source.info.width, source.info.height) == source.size_wh == (WIDTH, HEIGHT)
         assert [f.index for f in frames] == list(range(len(frames)))
@@ -61,20 +68,20 @@ def test_contract_frames(any_input, decoder):
 
 
 def test_contract_twice_the_same(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         first, second = list(source), list(source)
     assert [f.time_s for f in first] == [f.time_s for f in second]
     assert all(np.array_equal(a.luminance, b.luminance) for a, b in zip(first, second, strict=True))
 
 
 def test_contract_frames_do_not_change_later(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         kept = [(f.luminance, f.luminance.copy()) for f in source]
     assert all(np.array_equal(a, b) for a, b in kept)
 
 
 def test_contract_pictures_stay_while_a_few_more_are_taken(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         kept = deque(maxlen=KEPT_PICTURES)
         for picture in source.pictures(KEPT_PICTURES):
             kept.append((picture, picture.image.copy()))
@@ -86,7 +93,7 @@ def test_contract_pictures_stay_while_a_few_more_are_taken(any_input, decoder):
 
 
 def test_contract_closing_early(any_input, decoder):
-    source = open_source(any_input, decoder=decoder)
+    source = open_video(any_input, decoder=decoder)
     next(iter(source))
     source.close()
     source.close()
@@ -94,7 +101,7 @@ def test_contract_closing_early(any_input, decoder):
 
 @pytest.mark.parametrize("kind", ["avi", "mp4"])
 def test_closing_ends_an_iteration(clips, kind, decoder):
-    source = open_source(clips / f"loom.{kind}", decoder=decoder)
+    source = open_video(clips / f"loom.{kind}", decoder=decoder)
     frames = iter(source)
     next(frames)
     source.close()
@@ -104,44 +111,44 @@ def test_closing_ends_an_iteration(clips, kind, decoder):
 
 
 def test_contract_size(any_input, decoder):
-    with open_source(any_input, decoder=decoder, size_wh=(15, 11)) as source:
+    with open_video(any_input, decoder=decoder, size_wh=(15, 11)) as source:
         assert next(iter(source)).luminance.shape == (11, 15)
-    with open_source(any_input, decoder=decoder, scale=0.5) as source:
+    with open_video(any_input, decoder=decoder, scale=0.5) as source:
         assert next(iter(source)).luminance.shape == (HEIGHT // 2, WIDTH // 2)
 
 
 def test_contract_span(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         fps = source.info.fps
-    with open_source(
+    with open_video(
         any_input, decoder=decoder, start_s=3 / fps - 0.001, end_s=7 / fps - 0.001
     ) as source:
         assert [f.index for f in source] == [3, 4, 5, 6]
 
 
 def test_contract_number_of_frames(any_input, decoder):
-    with open_source(any_input, max_frames=5, decoder=decoder) as source:
+    with open_video(any_input, max_frames=5, decoder=decoder) as source:
         for _ in range(2):
             assert [f.index for f in source] == [0, 1, 2, 3, 4]
             assert source.progress.n_decoded == 5
         fps = source.info.fps
-    with open_source(any_input, max_frames=3, max_fps=fps / 2, decoder=decoder) as source:
+    with open_video(any_input, max_frames=3, max_fps=fps / 2, decoder=decoder) as source:
         assert [f.index for f in source] == [0, 2, 4]
 
 
 def test_contract_rate(any_input, decoder):
-    with open_source(any_input, decoder=decoder) as source:
+    with open_video(any_input, decoder=decoder) as source:
         fps = source.info.fps
-    with open_source(any_input, decoder=decoder, max_fps=fps / 3) as source:
+    with open_video(any_input, decoder=decoder, max_fps=fps / 3) as source:
         frames = list(source)
         assert [f.index for f in frames] == list(range(0, source.progress.n_decoded, 3))
         assert [f.time_s for f in frames] == pytest.approx([f.index / fps for f in frames])
-    with open_source(any_input, decoder=decoder, max_fps=fps * 2) as source:
+    with open_video(any_input, decoder=decoder, max_fps=fps * 2) as source:
         assert len(list(source)) == source.progress.n_decoded
 
 
 def test_a_rate_that_does_not_divide():
-    select = Selection(max_fps=10.0).begin()
+    select = selection(max_fps=10.0)()
     taken = [i for i in range(30) if select(i / 25.0) is Verdict.TAKE]
     assert taken == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23, 25, 28]
 
@@ -149,7 +156,7 @@ def test_a_rate_that_does_not_divide():
 @given(st.lists(st.floats(0.001, 5), min_size=1, max_size=60), st.floats(0.1, 200))
 def test_no_more_frames_than_asked_for(intervals, rate):
     times = np.cumsum(intervals)
-    select = Selection(max_fps=rate).begin()
+    select = selection(max_fps=rate)()
     taken = [t for t in times if select(t) is Verdict.TAKE]
     assert len(taken) <= math.floor((times[-1] - times[0] + 1e-3) * rate) + 1
     assert taken[0] == times[0]
@@ -160,7 +167,7 @@ def test_no_more_frames_than_asked_for(intervals, rate):
 )
 def test_bad_selection(options):
     with pytest.raises(ParameterError):
-        Selection(**options)
+        selection(**options)
 
 
 def test_default_size_is_at_most_480_wide():
@@ -316,7 +323,7 @@ def test_times_of_a_variable_frame_rate(tmp_path, decoder):
     assert (n_entries, n_frames) == (1, N_FRAMES)
     path = tmp_path / "vfr.mp4"
     path.write_bytes(with_durations(data, [(8, unit), (4, 3 * unit), (8, 2 * unit)]))
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         times = [f.time_s for f in source]
         assert source.progress.warnings == []
     steps = [1] * 8 + [3] * 4 + [2] * 7
@@ -330,7 +337,7 @@ def test_frames_that_an_edit_list_hides_are_not_missed(tmp_path, decoder):
     duration = struct.unpack(">I", data[at : at + 4])[0]
     data[at : at + 4] = struct.pack(">I", duration // 2)
     path.write_bytes(data)
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         n_frames = len(list(source))
         assert source.progress.warnings == []
         assert abs(n_frames - N_FRAMES // 2) <= 1 and source.info.n_frames == N_FRAMES
@@ -347,7 +354,7 @@ def test_rotation_is_honoured(tmp_path, decoder):
     assert struct.unpack(">9i", data[matrix : matrix + 36])[:5] == (one, 0, 0, 0, one)
     data[matrix : matrix + 36] = struct.pack(">9i", 0, one, 0, -one, 0, 0, 0, 0, 1 << 30)
     path.write_bytes(data)
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         picture = next(iter(source)).luminance
         assert (source.info.width, source.info.height) == (HEIGHT, WIDTH)
     assert picture.shape == (WIDTH, HEIGHT)
@@ -362,7 +369,7 @@ def test_a_wrong_frame_count_is_only_a_hint(tmp_path, clips, stated, decoder):
     data[stream + 40 : stream + 44] = struct.pack("<I", stated)
     path = tmp_path / "lies.avi"
     path.write_bytes(data)
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         assert source.info.n_frames == stated
         assert len(list(source)) == N_FRAMES
 
@@ -376,7 +383,7 @@ def test_a_change_of_size_ends_the_reading(tmp_path, decoder):
     small = [jpeg(frame) for frame in looming_frames(7)]
     large = [jpeg(frame) for frame in looming_frames(5, 48, 40)]
     path.write_bytes(b"".join(small + large))
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         frames = list(source)
         (warning,) = [line for line in source.progress.warnings if "size" in line]
     assert len(frames) == 7
@@ -391,7 +398,7 @@ def test_a_truncated_file_gives_what_it_holds(tmp_path, share, decoder):
     path = tmp_path / "part.avi"
     data = whole.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         n_frames = len(list(source))
         warnings = source.progress.warnings
     assert abs(n_frames - 40 * share) <= 3
@@ -408,7 +415,7 @@ def test_damage_in_the_middle_keeps_what_came_before(tmp_path, decoder):
     for frame in range(20, 26):  # six pictures that are none
         data[starts[frame] : starts[frame] + 600] = bytes(600)
     path.write_bytes(data)
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         n_frames = len(list(source))
         warnings = source.progress.warnings
     assert n_frames == 20
@@ -438,7 +445,7 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
     monkeypatch.chdir(tmp_path)
     for path in (name, tmp_path / name):
-        with open_source(path, decoder=decoder) as source:
+        with open_video(path, decoder=decoder) as source:
             assert len(list(source)) == N_FRAMES
 
 
@@ -447,7 +454,7 @@ def test_a_file_name_that_is_no_text_works(tmp_path, clips, decoder):
     path = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff.avi")
     with open(path, "wb") as file:
         file.write((clips / "loom.avi").read_bytes())
-    with open_source(path, decoder=decoder) as source:
+    with open_video(path, decoder=decoder) as source:
         assert len(list(source)) == N_FRAMES
 
 
@@ -463,38 +470,38 @@ def test_a_file_name_that_is_no_text_works(tmp_path, clips, decoder):
 def test_what_is_no_video(tmp_path, name, content, why, decoder):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SourceError, match=why):
-        open_source(tmp_path / name, decoder=decoder)
+        open_video(tmp_path / name, decoder=decoder)
 
 
 def test_what_is_not_there(tmp_path):
     with pytest.raises(SourceError, match="no such file"):
-        open_source(tmp_path / "none.mp4")
+        open_video(tmp_path / "none.mp4")
     with pytest.raises(SourceError):
-        open_source("x" * 5000)
+        open_video("x" * 5000)
     with pytest.raises(SourceError):
-        open_source("nul\0.mp4")
+        open_video("nul\0.mp4")
     with pytest.raises(SourceError, match="no picture in this folder"):
-        open_source(tmp_path)
+        open_video(tmp_path)
     with pytest.raises(SourceError, match="no file matches"):
-        open_source(tmp_path / "%03d.png")
+        open_video(tmp_path / "%03d.png")
     with pytest.raises(SourceError, match="no file matches"):
-        open_source(tmp_path / "*.png")
+        open_video(tmp_path / "*.png")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFO here")
 def test_a_fifo_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "pipe.mp4")
     with pytest.raises(SourceError, match="neither a file nor a folder"):
-        open_source(tmp_path / "pipe.mp4")
+        open_video(tmp_path / "pipe.mp4")
 
 
 def test_a_name_for_the_results(tmp_path, monkeypatch, clips, pictures, decoder):
     monkeypatch.chdir(pictures)
     expected = pictures.name
     for path in (".", pictures, "%d.png", "*.png", pictures / "?.png"):
-        with open_source(path, decoder=decoder) as source:
+        with open_video(path, decoder=decoder) as source:
             assert source.info.name == expected
-    with open_source(clips / "loom.avi", decoder=decoder) as source:
+    with open_video(clips / "loom.avi", decoder=decoder) as source:
         assert source.info.name == "loom"
 
 
@@ -507,16 +514,16 @@ def test_natural_order_and_what_is_left_out(tmp_path):
     cv2.imwrite(str(tmp_path / ".f5.png"), np.full((4, 4), 5, np.uint8))
     (tmp_path / "notes.txt").write_text("no picture")
     for path in (tmp_path, tmp_path / "f%d.png", tmp_path / "f*.png"):
-        with open_source(path) as source:
+        with open_video(path) as source:
             values = [round(float(f.luminance[0, 0]) * 255) for f in source]
         assert values == [1, 9, 10, 100]
 
 
 def test_rate_of_pictures(pictures):
-    with open_source(pictures) as source:
+    with open_video(pictures) as source:
         assert next(iter(source)).time_s == 0.0 and source.info.fps == 30.0
         assert any("taken as 30 fps" in line for line in source.progress.warnings)
-    with open_source(pictures, input_fps=8.0) as source:
+    with open_video(pictures, input_fps=8.0) as source:
         assert [f.time_s for f in source][:3] == [0.0, 0.125, 0.25]
         assert source.progress.warnings == []
 
@@ -526,7 +533,7 @@ def test_rate_of_pictures(pictures):
 def test_pictures_of_every_kind(tmp_path, channels, depth):
     shape = (6, 8) if channels is None else (6, 8, channels)
     cv2.imwrite(str(tmp_path / "1.png"), np.full(shape, np.iinfo(depth).max // 2, depth))
-    with open_source(tmp_path) as source:
+    with open_video(tmp_path) as source:
         assert next(iter(source)).luminance == pytest.approx(0.5, abs=0.01)
 
 
@@ -534,7 +541,7 @@ def test_a_damaged_picture_ends_the_sequence(tmp_path):
     for number, frame in enumerate(looming_frames(6)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
     (tmp_path / "4.png").write_bytes(b"no picture")
-    with open_source(tmp_path, input_fps=30) as source:
+    with open_video(tmp_path, input_fps=30) as source:
         assert len(list(source)) == 4
         assert "4.png cannot be read" in source.progress.warnings[0]
         assert "the 4 of 6 pictures" in source.progress.warnings[0]
@@ -544,7 +551,7 @@ def test_a_picture_of_another_size_ends_the_sequence(tmp_path):
     for number in range(5):
         size = (6, 8) if number < 3 else (8, 6)
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros(size, np.uint8))
-    with open_source(tmp_path, input_fps=30) as source:
+    with open_video(tmp_path, input_fps=30) as source:
         assert len(list(source)) == 3
         assert "3.png is 6x8, not 8x6" in source.progress.warnings[0]
 
@@ -552,4 +559,4 @@ def test_a_picture_of_another_size_ends_the_sequence(tmp_path):
 def test_a_first_picture_that_is_none(tmp_path):
     (tmp_path / "1.png").write_bytes(b"no picture")
     with pytest.raises(SourceError, match="cannot be read as a picture"):
-        open_source(tmp_path)
+        open_video(tmp_path)

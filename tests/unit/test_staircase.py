@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from dlgmd_cli.models.staircase import fuse
 from draws import connections
 from hypothesis import given, settings
 from reference import slow
 
 from dlgmd_cli.models.dlgmd import connections_of
 from dlgmd_cli.models.kernels import gaussian
-from dlgmd_cli.models.staircase import fuse
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 SETS = sorted(slow.TABLE_2)
 

@@ -25,10 +25,10 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.params import DlgmdParameters, EmdLgmdParameters, LgmdParameters
-from dlgmd_cli.params.axis import MAX_POINTS, MAX_VALUES, Axis, Grid
+from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 from dlgmd_cli.results.journal import Journal
 from dlgmd_cli.runs import spool as spool_module
+from dlgmd_cli.runs.axis import MAX_POINTS, MAX_VALUES, Axis, Grid
 from dlgmd_cli.runs.spool import Spool
 from dlgmd_cli.runs.sweep import (
     Attenuation,

@@ -19,7 +19,7 @@ from conftest import N_FRAMES, looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.params import DlgmdParameters
+from dlgmd_cli.parameters import DlgmdParameters
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
 FILES = {"sweep.csv", "sweep.jsonl", "sweep.yaml"}

@@ -6,13 +6,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import LogNorm, TwoSlopeNorm
 
-from dlgmd_cli.params import DlgmdParameters
-from dlgmd_cli.params.axis import Axis, Grid
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.plots.grid_axes import edges, name
 from dlgmd_cli.plots.shades import IMPOSSIBLE, INFINITE, MINUS_INFINITE, UNDEFINED
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.results.sweeps import SweepResult, extremes
+from dlgmd_cli.runs.axis import Axis, Grid
 
 NAN, INF = np.nan, np.inf
 

@@ -55,7 +55,7 @@ with appearing(Path(sys.argv[1]) / "a.csv", Path(sys.argv[1]) / "b.png") as file
 """
 IN_SPOOL = f"""
 from dlgmd_cli.runs.spool import Spool
-with Spool(keeps_frames=False) as spool:
+with Spool() as spool:
     {KILL}
 """
 # The second renaming is that which puts the new result in its place.
@@ -103,7 +103,7 @@ def test_a_spool_of_the_dead_is_swept(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     die(IN_SPOOL)
     assert len(os.listdir(tmp_path)) == 1
-    with Spool(keeps_frames=False) as spool:
+    with Spool() as spool:
         assert os.listdir(tmp_path) == [spool.tape.folder.name]
     assert os.listdir(tmp_path) == []
 

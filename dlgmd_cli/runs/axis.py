@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.params.base import Parameters, Spec, nearest
+from dlgmd_cli.parameters import Parameters, Spec
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # A range ends at TO if a whole number of steps leads there but for this share of one.
@@ -53,20 +53,14 @@ class Axis:
 
         Examples
         --------
-        >>> from dlgmd_cli.params import DlgmdParameters
+        >>> from dlgmd_cli.parameters import DlgmdParameters
         >>> Axis.parse("sigma_e=0.2:0.5:0.1", DlgmdParameters).values
         (0.2, 0.3, 0.4, 0.5)
         """
         key, words = expand(text)
         specs = kind.specs()
         if key not in specs:
-            near = nearest(key[:100], specs)
-            hint = f"Did you mean '{near}'? " if near else ""
-            raise ParameterError(
-                "",
-                f"unknown parameter {key[:100]!r}",
-                f"{hint}See 'dlgmd sets show {kind.preset}'.",
-            )
+            raise kind.unknown(key)
         default = kind.defaults()[key]
         values = [_typed(key, word, default, specs[key]) for word in words]
         if len(set(values)) < len(values):

@@ -1,16 +1,16 @@
-"""Times of frames: made to increase, and searched for holes."""
+"""Timestamps of frames: repaired so that they increase, and searched for missing frames."""
 
 import math
 
-from dlgmd_cli.video.frames import MAX_PLAUSIBLE_TIME_S
-
+# Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
+MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
 
 
 class HoleWatch:
-    """Finds holes in a stream that is otherwise steady: frames that a demuxer passed over.
+    """Finds frames that are missing in a stream of constant rate: a demuxer skipped them.
 
-    A stream of variable rate has odd intervals everywhere, and is left in peace.
+    Streams of variable rate have odd intervals everywhere; nothing is reported for them.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ class HoleWatch:
         self._hole_ends = -HOLE_EDGE_FRAMES
 
     def add(self, index: int, time_s: float) -> None:
-        """Look at the next frame's time."""
+        """Take the next frame's time."""
         intervals = (time_s - self._last_s) * self._fps  # NaN at the first frame
         if abs(intervals - 1.0) < 0.25 + 2e-3 * self._fps:
             self._n_steady += 1
         elif intervals > 1.0:
-            # The edges of a hole are ragged: several long intervals, close to each other.
+            # The edges of a hole are ragged: several long intervals close together.
             if index - self._hole_ends > HOLE_EDGE_FRAMES:
                 self._n_holes += 1
                 self._n_long = 0
@@ -49,7 +49,7 @@ class HoleWatch:
     def report(self) -> str | None:
         """One line on the holes, or None."""
         is_steady = self._n_odd == 0 and self._n_steady >= 20 * self._n_holes
-        # Cutting a video can leave a ragged end.
+        # A video that was cut can have a ragged end.
         is_end = self._n_holes == 1 and self._n_frames - self._hole_ends <= HOLE_EDGE_FRAMES
         if self._first is None or is_end or not is_steady or self._n_missing < 2 * self._n_holes:
             return None
@@ -62,7 +62,7 @@ class HoleWatch:
 
 
 class FrameClock:
-    """Strictly increasing times out of a decoder's timestamps, however poor.
+    """Strictly increasing times from a decoder's timestamps, however poor these are.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class FrameClock:
             return stamp_s
         self.n_repaired += 1
         self._stale += 1
-        if self.n_stamped == 0:  # nothing but the first frame ever had one
+        if self.n_stamped == 0:  # no frame after the first one ever had one
             time_s = index * self._interval
         else:  # half an interval at first, so that the next good stamp is still ahead
             time_s = self._last_good + (self._stale - 0.5) * self._interval

@@ -1,43 +1,41 @@
-"""Video files, read so that a damaged or unusual one still gives what it holds."""
+"""Video files: checked, opened safely, and read so that a damaged one still gives what it holds."""
 
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.frames import (
+from dlgmd_cli.video.base import (
+    DEFAULT_DECODER,
     FALLBACK_FPS,
     Decoder,
     Picture,
     Progress,
     Select,
-    SourceInfo,
     Verdict,
     VideoFacts,
+    VideoInfo,
 )
-from dlgmd_cli.video.times import FrameClock, HoleWatch
-from dlgmd_cli.video.watch import count_packets
-
-DECODERS = ("opencv", "pyav")
-DEFAULT_DECODER = "opencv"
+from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
 
 _DAMAGED = "the file is damaged"
-# FFmpeg is kept from them anyhow; this says why, in place of "damaged".
+# FFmpeg is kept from reading them anyway; this gives a better reason than "damaged".
 _LISTS = (b"#EXTM3U", b"ffconcat")
 
 
-class VideoReader:
+class FileReader:
     """Pictures of a video file.
 
     Parameters
     ----------
     path : Path
-        A file. Its name may hold anything: FFmpeg never gets to read it as a pattern or an URL.
+        A file. Its name may hold anything: FFmpeg never takes it for a pattern or a URL.
     fps : float, optional
-        Frames per second where the file does not say; 30 unless given.
-    decoder : str
-        One of `DECODERS`.
+        Frames per second if the file does not state it; 30 unless given.
+    decoder : {"opencv", "pyav"}
+        What decodes it.
 
     Raises
     ------
@@ -46,9 +44,6 @@ class VideoReader:
     MissingExtraError
         If the decoder's package is not installed.
     """
-
-    info: SourceInfo
-    progress: Progress
 
     def __init__(
         self, path: Path, fps: float | None = None, decoder: str = DEFAULT_DECODER
@@ -59,15 +54,14 @@ class VideoReader:
         self._link_folder: tempfile.TemporaryDirectory[str] | None = None
         _check_readable(path)
         self._path = path
-        self._name = self._openable(path.absolute())
-        self._decoder = _create_decoder(decoder, self._name)
+        self._decoder = _create_decoder(decoder, self._openable(path.absolute()))
         try:
             facts = self._open()
         except BaseException:
             self.close()
             raise
         self._shown_s = facts.shown_s
-        self.info = SourceInfo(
+        self.info = VideoInfo(
             os.path.abspath(path),
             path.stem or path.name,
             facts.width,
@@ -80,12 +74,10 @@ class VideoReader:
     def _openable(self, path: Path) -> str:
         """A name for `path` that a decoder opens as it is: no pattern, and valid UTF-8."""
         name = str(path)
-        try:
+        with suppress(UnicodeEncodeError):
             name.encode("utf-8")
             if "%" not in name:
                 return name
-        except UnicodeEncodeError:
-            pass
         self._link_folder = tempfile.TemporaryDirectory(prefix="dlgmd-")
         # The suffix helps FFmpeg to recognise raw streams; an odd one may be part of the trouble.
         suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
@@ -110,15 +102,16 @@ class VideoReader:
     def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
         """Every picture that `select` takes, until the stream ends or breaks.
 
-        The reading ends with a warning where the picture size changes and where damage leaves a
-        gap; the pictures before it are whole.
+        Reading ends with a warning if damage leaves a gap, or if PyAV finds that the picture size
+        changes (OpenCV scales such pictures to the first one's size and does not say so).
         """
         clock, holes = FrameClock(self.info.fps), HoleWatch(self.info.fps)
-        self.progress.n_decoded = 0
+        progress = self.progress
+        progress.n_decoded = 0
         self._fault = None
         self._decoder.keep(n_kept)
         for stamp_s in self._stamps():
-            index = self.progress.n_decoded
+            index = progress.n_decoded
             time_s = clock.time(index, stamp_s)
             holes.add(index, time_s)
             verdict = select(time_s)
@@ -128,17 +121,17 @@ class VideoReader:
             if verdict is Verdict.TAKE and decoded is None:
                 self._fault = _DAMAGED
                 break
-            self.progress.n_decoded, self.progress.last_time_s = index + 1, time_s
+            progress.n_decoded, progress.last_time_s = index + 1, time_s
             if decoded is not None:
                 yield Picture(index, time_s, decoded.image, decoded.levels)
         else:
             self._fault = self._fault or self._shortfall()
         reports = (clock.report(), holes.report(), self._fault_line())
-        self.progress.warnings += [line for line in reports if line]
+        progress.warnings += [line for line in reports if line]
         self._decoder.close()
 
     def _stamps(self) -> Iterator[float]:
-        """The timestamp of frame after frame in seconds, NaN for none, up to a fault."""
+        """The timestamp of each frame in seconds, NaN for none, up to a fault."""
         if not self._is_at_start:
             self._decoder.close()
             self._open()
@@ -155,21 +148,15 @@ class VideoReader:
 
     def _shortfall(self) -> str | None:
         """What is missing at the end of the stream, if anything."""
-        damage = _DAMAGED if self._decoder.is_damaged else None
         n_frames, stated, fps = self.progress.n_decoded, self.info.n_frames, self.info.fps
-        if stated is None or n_frames >= stated:  # the stated count often lies
-            return damage
-        end_s = stated / fps
-        if self.progress.last_time_s + 1.5 / fps < min(end_s, self._shown_s):
-            # Some containers, AVI for one, number their frames anew behind a hole.
-            return "frames are missing, the file is cut off or damaged on the way"
-        if self._shown_s + 1.5 / fps < end_s:
-            return damage
-        lost = (count_packets(self._name) or 0) - n_frames
-        return f"{lost} frames could not be decoded, damaged file" if lost > 0 else damage
+        if stated is not None and n_frames < stated:  # the count alone is often wrong
+            end_s = min(stated / fps, self._shown_s)
+            if self.progress.last_time_s + 1.5 / fps < end_s:
+                return "frames are missing, the file is cut off or damaged"
+        return _DAMAGED if self._decoder.is_damaged else None
 
     def _fault_line(self) -> str | None:
-        """The warning for a reading that did not go as it should."""
+        """The warning for a reading that ended early."""
         if self._fault is None:
             return None
         n_frames, stated = self.progress.n_decoded, self.info.n_frames
@@ -185,9 +172,22 @@ class VideoReader:
             self._link_folder = None
 
 
+def count_frames(path: Path) -> int:
+    """The number of frames that can be decoded from a video file; 0 if there is none."""
+    with suppress(SourceError):
+        reader = FileReader(path)
+        try:
+            for _ in reader.pictures(lambda time_s: Verdict.SKIP):
+                pass
+        finally:
+            reader.close()
+        return reader.progress.n_decoded
+    return 0
+
+
 def _create_decoder(decoder: str, name: str) -> Decoder:
     """The decoder of that name, for a file that FFmpeg finds under `name`."""
-    # Late: only what is asked for has to be there.
+    # Imported late: only the requested decoder has to be installed.
     if decoder == "pyav":
         from dlgmd_cli.video.pyav import PyAVDecoder
 
@@ -198,7 +198,7 @@ def _create_decoder(decoder: str, name: str) -> Decoder:
 
 
 def _check_readable(path: Path) -> None:
-    """Say what FFmpeg would not: why a file cannot be opened."""
+    """Raise SourceError with the reason why a file cannot be opened, which FFmpeg does not give."""
     name = str(path)
     if not path.exists():
         raise SourceError(name, "there is no such file or folder", "Check the path.")
@@ -213,5 +213,5 @@ def _check_readable(path: Path) -> None:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(_LISTS):
         raise SourceError(
-            name, "it is a list of other files, no video", "Give a video that it names."
+            name, "it is a list of other files, not a video", "Give one of the videos it names."
         )

@@ -9,30 +9,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError
-from dlgmd_cli.models.base import FloatImage
-from dlgmd_cli.models.history import History
-from dlgmd_cli.models.kernels import FloatKernel
+from dlgmd_cli.models.base import FloatImage, Photoreceptors
+from dlgmd_cli.models.kernels import Connections
 
 # Imported on first use: Numba takes a fifth of a second.
 _HOMES = {
-    "opencv": ("dlgmd_cli.models.tiled", "TiledEngine"),
-    "numba": ("dlgmd_cli.models.fused", "FusedEngine"),
+    "opencv": ("dlgmd_cli.models.engines.opencv", "OpencvEngine"),
+    "numba": ("dlgmd_cli.models.engines.numba", "NumbaEngine"),
 }
 ENGINES = tuple(_HOMES)
 AUTO = "auto"
 # Below this, Numba's start takes longer than it saves in a few hundred frames.
 WORTH_COMPILING_PX = 500_000
-
-
-class Wiring(NamedTuple):
-    """What an engine is made for.
-
-    `kernels` has the signed kernel of every delay in frames, (2r + 1, 2r + 1) float64 each, and
-    `gaussians` separable ones of the same shape that they were cut from.
-    """
-
-    kernels: dict[int, FloatKernel]
-    gaussians: list[FloatKernel]
 
 
 class Grouping(NamedTuple):
@@ -43,18 +31,14 @@ class Grouping(NamedTuple):
     cap: float
 
 
-class Grouped(NamedTuple):
-    """Room for the layers S and G, (H, W) float32 each."""
-
-    s: FloatImage
-    g: FloatImage
-
-
 class Engine(Protocol):
-    """Made for one wiring and for images of one size and type."""
+    """Made for one set of connections, and for frames of one size and type."""
 
     def respond(
-        self, history: History, grouping: Grouping | None, layers: Grouped | None = None
+        self,
+        receptors: Photoreceptors,
+        grouping: Grouping,
+        layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame, in units of luminance.
 
@@ -63,12 +47,12 @@ class Engine(Protocol):
 
         Parameters
         ----------
-        history : History
-            P(t) and as many before it as the largest delay of the wiring.
-        grouping : Grouping or None
-            Constants of this frame's grouping layer; None to leave it out, ΣG is NaN then.
-        layers : Grouped, optional
-            Filled with S and G.
+        receptors : Photoreceptors
+            With P(t) and as many before it as the largest delay.
+        grouping : Grouping
+            Constants of this frame's grouping layer.
+        layers : (ndarray, ndarray), optional
+            Filled with S and G; shape (H, W) float32 each.
         """
         ...
 
@@ -124,14 +108,14 @@ def require_opencv(name: str, model: str) -> str:
 
 
 def create_engine(
-    name: str, wiring: Wiring, history: History, tell: Callable[[str], None]
+    name: str, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
 ) -> Engine:
-    """An engine by its name, for images like those of `history`.
+    """An engine by its name, for frames like those of `receptors`.
 
     `tell` is called with a message before something that takes long.
     """
     module, kind = _HOMES[name]
-    engine: Engine = getattr(import_module(module), kind)(wiring, history, tell)
+    engine: Engine = getattr(import_module(module), kind)(connections, receptors, tell)
     return engine
 
 

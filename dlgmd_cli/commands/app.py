@@ -1,4 +1,4 @@
-"""The `dlgmd` command: global options, and commands that are loaded when they are called."""
+"""The `dlgmd` command: global options, and commands that are imported when they are called."""
 
 import io
 import os
@@ -9,14 +9,12 @@ from typing import Any
 import click
 
 from dlgmd_cli import __version__
-from dlgmd_cli.commands._console import (
+from dlgmd_cli.commands.console import (
     Settings,
     errors_as_one_line,
     show_traceback,
     usage_errors_escaped,
 )
-from dlgmd_cli.params import nearest
-from dlgmd_cli.stops import Stops, interrupt
 
 COMMANDS = (
     "run",
@@ -50,9 +48,11 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """As click does, with a guess at what was meant."""
+        from dlgmd_cli.parameters import nearest
+
         name = click.utils.make_str(args[0])
-        near = nearest(name, COMMANDS)
-        if near and name not in COMMANDS:
+        near = None if name in COMMANDS else nearest(name, COMMANDS)
+        if near:
             ctx.fail(f"no such command {name!r}. Did you mean {near!r}?")
         return super().resolve_command(ctx, args)
 
@@ -63,13 +63,13 @@ class LazyGroup(click.Group):
         parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:
-        """As click does; what it says of an option that is none is fit for a terminal."""
+        """As click does; what it says of an unknown option is fit for a terminal."""
         with usage_errors_escaped():
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes one line and an exit code."""
-        with errors_as_one_line(), Stops(interrupt):
+        with errors_as_one_line():
             return super().invoke(ctx)
 
 
@@ -102,7 +102,7 @@ def main() -> None:
 
 
 def _occupy_standard_streams() -> None:
-    """Open those that the shell closed, lest a result take their place and FFmpeg write into it."""
+    """Open those that the shell closed, so that no file of a result takes their place."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

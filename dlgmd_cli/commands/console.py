@@ -1,10 +1,10 @@
-"""What the user sees of a run: progress, messages, and errors as one line with an exit code."""
+"""What the user sees: messages and tables, and errors as one line with an exit code."""
 
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -12,9 +12,10 @@ from typing import Any
 
 import click
 
+from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
 
-EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_USAGE = 1, 2
 
 
 class Settings:
@@ -84,9 +85,9 @@ def errors_as_one_line() -> Iterator[None]:
         raise
     except BrokenPipeError:  # the reader of stdout has gone; click ends quietly
         raise
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, cancel.Interrupted):
         say("Interrupted.")
-        raise click.exceptions.Exit(EXIT_INTERRUPTED) from None
+        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED) from None
     except DlgmdError as error:
         if settings().debug:
             raise
@@ -131,6 +132,15 @@ def show_traceback(
             say(line)
 
 
+def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> None:
+    """After a stop, say what `target` holds and exit as interrupted."""
+    if not cancel.requested():
+        return
+    kept = "the whole result" if complete else f"the {n_frames} frames processed before the stop"
+    say(f"Interrupted. {target} holds {kept}.")
+    raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+
+
 def print_path(path: Path | str) -> None:
     """A path or URL on stdout, on one line."""
     click.echo(printable(os.fspath(path)))
@@ -139,46 +149,6 @@ def print_path(path: Path | str) -> None:
 def print_json(facts: dict[str, Any]) -> None:
     """An object on stdout, in ASCII: JSON has escapes of its own."""
     click.echo(json.dumps(facts))
-
-
-def is_lively() -> bool:
-    """Whether stderr may show bars and colours."""
-    # None: it was closed by the shell.
-    return sys.stderr is not None and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
-
-
-@contextmanager
-def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Callable[[int], None]]:
-    """A bar with speed and time left on stderr; yields what to call with the frames done."""
-    if settings().quiet or not is_lively():
-        yield lambda done: None
-        return
-    from rich import progress as bars
-    from rich.console import Console
-    from rich.text import Text
-
-    class Rate(bars.ProgressColumn):
-        """Frames, or what is counted, per second over the last seconds."""
-
-        def render(self, task: bars.Task) -> Text:
-            speed = task.finished_speed or task.speed
-            return Text(f"{speed:.{0 if speed >= 10 else 1}f} {unit}/s" if speed else f"– {unit}/s")
-
-    columns = (
-        bars.TextColumn("{task.description}", markup=False),
-        bars.BarColumn(),
-        bars.MofNCompleteColumn(),
-        Rate(),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as display:
-        task = display.add_task(printable(name), total=total)
-
-        def advance(done: int) -> None:
-            # The total is only what the container announces.
-            display.update(task, completed=done, total=max(total, done) if total else None)
-
-        yield advance
 
 
 def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
@@ -200,8 +170,3 @@ def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Non
     if not sys.stdout.isatty():
         console.width = 200
     console.print(table)
-
-
-def explain_infinity() -> None:
-    """What an infinite distinguishability in a table means, on stdout."""
-    click.echo("inf: no membrane potential within 5 frames of the false positive, none to mistake.")

@@ -1,0 +1,191 @@
+"""From membrane potential to alarm: normalisation, spikes, alarms. The same for every model."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.base import Grey, Model, Response, create_model
+from dlgmd_cli.parameters import DlgmdParameters, Parameters
+
+Series = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Potential = TypeVar("Potential", float, Series)
+
+
+def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
+    """Causal, scale-free membrane potential in [0, 1), comparable between videos.
+
+    Parameters
+    ----------
+    mp : float or ndarray, shape (n,)
+        Raw membrane potential K, not negative; NaN where undefined.
+    n_cells : int
+        Cells (pixels) that K sums over.
+    kappa : float or None
+        Mean excitation per cell at which the result is 1/2; None for the LGMD's own sigmoid.
+
+    Returns
+    -------
+    float or ndarray, shape (n,)
+        With κ̂ = K / n_cells: κ̂ / (κ̂ + κ), or 1 / (1 + exp(-κ̂)) in [0.5, 1), [Yue2006];
+        NaN where `mp` is.
+    """
+    excitation = mp / n_cells
+    if kappa is None:
+        return 1.0 / (1.0 + np.exp(-excitation))
+    return excitation / (excitation + kappa)
+
+
+def sequence(mp: Series) -> Series:
+    """Membrane potential scaled to [0, 1] by the extremes of its own sequence: offline only.
+
+    Parameters
+    ----------
+    mp : ndarray, shape (n,)
+        Raw membrane potential K of the whole sequence; NaN where undefined.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        (K - min K) / (max K - min K), as in the paper's figures; NaN where `mp` is, and
+        everywhere if K never changes.
+    """
+    low = float(np.fmin.reduce(mp, initial=np.nan))
+    high = float(np.fmax.reduce(mp, initial=np.nan))
+    if not high > low:
+        return np.full_like(mp, np.nan)
+    return (mp - low) / (high - low)
+
+
+class SpikeDetector:
+    """Spikes and alarms of a normalised membrane potential, frame by frame.
+
+    Parameters
+    ----------
+    threshold : float
+        T_MP, the level at which a spike is raised, [Zhao2023] Eq. (14).
+    n_sp : int
+        Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
+    """
+
+    def __init__(self, threshold: float, n_sp: int) -> None:
+        self._threshold, self._n_sp = threshold, n_sp
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the spikes before."""
+        self._in_a_row = 0
+
+    def step(self, level: float) -> tuple[bool, bool]:
+        """Whether there is a spike at this frame, and whether the alarm is on; NaN is no spike."""
+        spike = bool(level >= self._threshold)
+        self._in_a_row = self._in_a_row + 1 if spike else 0
+        return spike, self._in_a_row >= self._n_sp
+
+
+def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
+    """Spikes and alarms of a whole sequence, as `SpikeDetector` gives them frame by frame.
+
+    Parameters
+    ----------
+    levels : ndarray, shape (n,)
+        Normalised membrane potential; NaN where undefined.
+    threshold, n_sp : float, int
+        See `SpikeDetector`.
+
+    Returns
+    -------
+    spikes, alarms : ndarray, shape (n,), bool
+        The alarm is on from the n_sp-th spike in a row to the last.
+    """
+    detector = SpikeDetector(threshold, n_sp)
+    flags = np.array([detector.step(level) for level in levels.tolist()], np.bool_)
+    spikes, alarms = flags.reshape(-1, 2).T.copy()
+    return spikes, alarms
+
+
+@dataclass(frozen=True)
+class Detection(Response):
+    """A model's answer to one frame, and what follows from it.
+
+    Attributes
+    ----------
+    mp_abs : float
+        Membrane potential normalised by `absolute`; NaN before it is defined.
+    spike : bool
+        Whether `mp_abs` reaches the threshold.
+    alarm : bool
+        Whether the last n_sp frames, this one included, were spikes.
+    """
+
+    mp_abs: float = math.nan
+    spike: bool = False
+    alarm: bool = False
+
+
+class Alarm:
+    """A model with its alarm, fed one frame at a time: causal, in constant memory.
+
+    Parameters
+    ----------
+    params : Parameters, optional
+        Of any model; set 9 of the D-LGMD unless given.
+    engine : str
+        See `DLGMD`.
+    tell : callable, optional
+        Called with a message before the engine is compiled, which takes some seconds.
+
+    Attributes
+    ----------
+    model : Model
+        What computes the membrane potential.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> alarm = Alarm()
+    >>> alarm.step(np.zeros((60, 80), np.uint8)).alarm
+    False
+    """
+
+    def __init__(
+        self,
+        params: Parameters | None = None,
+        *,
+        engine: str = "auto",
+        tell: Callable[[str], None] = lambda message: None,
+    ) -> None:
+        self.params = params if params is not None else DlgmdParameters()
+        self.model: Model = create_model(self.params, engine=engine, tell=tell)
+        self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
+
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        self.model.reset()
+        self._spikes.reset()
+
+    def step(self, frame: Grey, time_s: float | None = None) -> Detection:
+        """Take the next frame and say whether the alarm is on.
+
+        Parameters
+        ----------
+        frame : ndarray, shape (H, W), float32 or uint8
+            Luminance in 0..1, or grey levels in 0..255.
+        time_s : float, optional
+            When the frame was taken.
+
+        Raises
+        ------
+        FrameError
+            If the frame is no such image, or not of the same size and type as the one before.
+        MissingExtraError
+            If the engine asked for needs a package that is not installed.
+        """
+        response = self.model.step(frame, time_s)
+        mp_abs = float(absolute(response.mp, frame.size, self.params.kappa))
+        spike, alarm = self._spikes.step(mp_abs)
+        return Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)

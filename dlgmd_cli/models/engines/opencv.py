@@ -1,0 +1,171 @@
+"""The default engine: OpenCV's filters, on tiles that stay in the processor's cache.
+
+Everything outside the frame is zero. `cv2.filter2D` correlates; the model's kernels are symmetric,
+so that it convolves as well.
+"""
+
+from collections.abc import Callable
+from itertools import groupby, pairwise
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
+from dlgmd_cli.models.engines import Grouping, just_below
+from dlgmd_cli.models.engines.plan import Filter, Separable, Source, plan
+from dlgmd_cli.models.kernels import Connections
+
+# Three float32 images of this size stay in a cache of 2 MB.
+TILE_HW = (270, 480)
+# The 4 x 4 window of the grouping layer looks this far up and left, and down and right.
+BEFORE, AFTER = 1, 2
+_BORDER = cv2.BORDER_CONSTANT
+
+Window = tuple[slice, slice]
+
+
+class Tile(NamedTuple):
+    """A part of the image, and what lies around it that its answer depends on.
+
+    `window` is the tile and its surroundings, and `target` the tile itself, both in the image;
+    `core` is the tile itself and `grouped` what its grouping looks at, both in `window`; `inner` is
+    the tile itself in `grouped`.
+    """
+
+    window: Window
+    target: Window
+    core: Window
+    grouped: Window
+    inner: Window
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of `window`."""
+        rows, columns = self.window
+        return rows.stop - rows.start, columns.stop - columns.start
+
+
+class OpencvEngine:
+    """S and G by OpenCV, see `plan` for the filters and `Engine` for the meaning."""
+
+    def __init__(
+        self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
+    ) -> None:
+        kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
+        terms = sorted(plan(kernels, connections.gaussians), key=lambda term: term.source)
+        self._groups = [
+            (source, [term.filter for term in group])
+            for source, group in groupby(terms, lambda term: term.source)
+        ]
+        _, height, width = receptors.stack.shape
+        self._tiles = tiles((height, width), connections.radius_px)
+        largest = max(height * width for height, width in (tile.shape for tile in self._tiles))
+        self._memory = [aligned((largest,)) for _ in range(3)]
+
+    def respond(
+        self,
+        receptors: Photoreceptors,
+        grouping: Grouping,
+        layers: tuple[FloatImage, FloatImage] | None = None,
+    ) -> tuple[float, float]:
+        """ΣS and ΣG of the newest frame, tile by tile."""
+        s_sum = g_sum = 0.0
+        for tile in self._tiles:
+            height, width = tile.shape
+            s, part, spare = (m[: height * width].reshape(height, width) for m in self._memory)
+            self._summate(receptors, tile, s, part, spare)
+            s_sum += cv2.sumElems(s[tile.core])[0]
+            around = part[tile.grouped]
+            sum_4x4(s[tile.grouped], out=around)
+            g = spare[tile.core]
+            _group(s[tile.core], around[tile.inner], grouping, g)
+            g_sum += cv2.sumElems(g)[0]
+            if layers is not None:
+                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g
+        return s_sum, g_sum
+
+    def _summate(
+        self,
+        receptors: Photoreceptors,
+        tile: Tile,
+        s: FloatImage,
+        part: FloatImage,
+        spare: FloatImage,
+    ) -> None:
+        """S on the window of a tile, right where nothing outside the window is missing."""
+        is_first = True
+        for source, filters in self._groups:
+            image = _floats(receptors, source, tile.window, spare)
+            for one in filters:
+                apply(one, image, out=s if is_first else part)
+                if not is_first:
+                    np.add(s, part, out=s)
+                is_first = False
+        if is_first:
+            s[:] = 0.0
+        cv2.threshold(s, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+
+
+def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
+    """Filter `image` into `out`, both (H, W)."""
+    if isinstance(one, Separable):
+        cv2.sepFilter2D(image, -1, one.row, one.column, dst=out, borderType=_BORDER)
+    else:
+        cv2.filter2D(image, -1, one.kernel, dst=out, borderType=_BORDER)
+
+
+def sum_4x4(image: FloatImage, out: FloatImage) -> None:
+    """Sum over rows and columns -1 … +2 about each cell, [Zhao2023] Eq. (9) without its gain."""
+    # The window is even: OpenCV would anchor it at (2, 2), the released code does at (1, 1).
+    cv2.boxFilter(image, -1, (4, 4), dst=out, anchor=(1, 1), normalize=False, borderType=_BORDER)
+
+
+def tiles(shape: tuple[int, int], radius: int) -> list[Tile]:
+    """Tiles of nearly the same size that cover an image of `shape`, (H, W)."""
+    rows, columns = (
+        [_surround(start, stop, side, radius) for start, stop in _spans(side, limit)]
+        for side, limit in zip(shape, TILE_HW, strict=True)
+    )
+    return [Tile(*zip(row, column, strict=True)) for row in rows for column in columns]
+
+
+def _spans(side: int, limit: int) -> list[tuple[int, int]]:
+    """Cut `side` into the fewest parts of at most `limit`, nearly alike."""
+    count = -(-side // limit)
+    return list(pairwise(side * i // count for i in range(count + 1)))
+
+
+def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, ...]:
+    """The fields of a `Tile` along one side, for the cells `start` up to `stop`."""
+    first, last = max(0, start - BEFORE), min(side, stop + AFTER)
+    begin, end = max(0, first - radius), min(side, last + radius)
+    return (
+        slice(begin, end),
+        slice(start, stop),
+        slice(start - begin, stop - begin),
+        slice(first - begin, last - begin),
+        slice(start - first, stop - first),
+    )
+
+
+def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
+    """What a source is in a window, as float32; maybe in `spare`."""
+    newer = receptors.p(source.delay)[window]
+    if source.difference:
+        older = receptors.p(source.delay + 1)[window]
+        cv2.subtract(newer, older, dst=spare, dtype=cv2.CV_32F)
+    elif newer.dtype == np.float32:
+        return newer
+    else:
+        np.copyto(spare, newer)
+    return spare
+
+
+def _group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
+    """G = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)."""
+    cv2.multiply(s, around, dst=g, scale=grouping.gain)
+    if grouping.t_de > 0.0:
+        cv2.threshold(g, just_below(grouping.t_de), 0.0, cv2.THRESH_TOZERO, dst=g)
+    if np.isfinite(grouping.cap):
+        cv2.threshold(g, grouping.cap, 0.0, cv2.THRESH_TRUNC, dst=g)

@@ -1,0 +1,546 @@
+"""Every model's parameters: keys with symbol, unit, default and range; presets, files, merging.
+
+Parameters merge as defaults < preset or file < single overrides, and are frozen afterwards. The
+registry `MODELS` says which models there are: a new one is a class of parameters and an entry here,
+a module in `models/`, and a YAML file in `configs/`.
+"""
+
+import math
+import numbers
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from difflib import SequenceMatcher, get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+from dlgmd_cli.errors import ParameterError
+
+FORMULATIONS = ("default", "released", "equations")
+MAX_LATENCY_FRAMES = 64.0
+MAX_CONFIG_BYTES = 100_000
+# Of lists and mappings within each other; run.yaml has four.
+MAX_DEPTH = 20
+# What run.yaml records beside the parameters; it takes no part when the file is read back.
+RECORD_KEYS = frozenset(
+    {"input", "processed", "frames", "sweep", "versions", "warnings", "complete", "summary"}
+    | {"wall_s"}
+)
+
+ParametersT = TypeVar("ParametersT", bound="Parameters")
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What one key means and which values it takes."""
+
+    symbol: str
+    unit: str
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words, for tables and help."""
+        if self.choices:
+            return ", ".join(self.choices)
+        if self.low == -math.inf:  # the one kind of key without a range
+            return "true, false"
+        return f"{self.low:g} to {self.high:g}"
+
+
+def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
+    """A field of `Parameters`: its default and its `Spec`."""
+    return field(default=default, metadata={"spec": Spec(symbol, unit, meaning, **limits)})
+
+
+def _t_mp(default: float) -> Any:
+    """The threshold that every model has."""
+    return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
+
+
+def _n_sp() -> Any:
+    """The count that every model has."""
+    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", low=1, high=1000)
+
+
+class Parameters:
+    """A frozen set of named, checked values; subclasses are dataclasses of `_key` fields.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    preset : str
+        What `dlgmd sets show` prints them by.
+    source : str
+        Where their values are from.
+    t_mp : float
+        Spiking threshold of the normalised membrane potential, [Zhao2023] Eq. (14).
+    n_sp : int
+        Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
+    kappa : float or None
+        Mean excitation at which `mp_abs` is 1/2; None where the model has a sigmoid of its own.
+    """
+
+    model: ClassVar[str] = ""
+    preset: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+
+    t_mp: float
+    n_sp: int
+    kappa: float | None
+
+    def __post_init__(self) -> None:
+        for key, value in self.to_dict().items():
+            object.__setattr__(self, key, self._checked(key, value))
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Check what depends on several keys; nothing unless a subclass says so."""
+
+    @classmethod
+    def specs(cls) -> dict[str, Spec]:
+        """Key -> `Spec`, in the order of definition."""
+        return {f.name: f.metadata["spec"] for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Key -> default value."""
+        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
+        """Build from key -> value; a key left out keeps its default.
+
+        Raises
+        ------
+        ParameterError
+            If a key is unknown, or a value has the wrong type or is out of range.
+        """
+        for key in values:
+            if key not in cls.specs():
+                raise cls.unknown(str(key))
+        return cls(**values)
+
+    @classmethod
+    def unknown(cls, key: str) -> ParameterError:
+        """The error for a key that there is not, with the one that was perhaps meant."""
+        near = nearest(key[:100], cls.specs())
+        hint = f"Did you mean '{near}'? " if near else ""
+        return ParameterError(
+            "", f"unknown parameter {key[:100]!r}", f"{hint}See 'dlgmd sets show {cls.preset}'."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Key -> value, in the order of definition; `from_mapping` takes it back."""
+        return {key: getattr(self, key) for key in self.specs()}
+
+    def _checked(self, key: str, value: Any) -> Any:
+        """Return `value` in the key's own type, or say what is wrong with it."""
+        spec, default = self.specs()[key], self.defaults()[key]
+        if isinstance(default, str):
+            if not isinstance(value, str) or value not in spec.choices:
+                raise _wrong(key, value, f"is not one of {spec.allowed}")
+            return str(value)
+        if isinstance(default, bool):
+            if not isinstance(value, bool):
+                raise _wrong(key, value, "is not true or false")
+            return value
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            raise _wrong(key, value, "is not a number")
+        try:
+            number = float(value)
+        except OverflowError:  # an int too large for a float
+            number = math.inf
+        if not math.isfinite(number):
+            raise _wrong(key, value, "is not a finite number")
+        if isinstance(default, int) and not isinstance(value, numbers.Integral):
+            raise _wrong(key, value, "is not a whole number")
+        if number < spec.low:
+            is_positive = number <= 0.0 < spec.low and isinstance(default, float)
+            bound = "above 0" if is_positive else f"at least {spec.low:g}"
+            raise _wrong(key, value, f"is not {bound}")
+        if number > spec.high:
+            raise _wrong(key, value, f"is more than {spec.high:g}")
+        return type(default)(value)
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The word of `known` that is most like `word`, the first of equals, or None."""
+    known = list(known)
+    word = word.lower()
+    close = get_close_matches(word, known, n=len(known))
+    return max(
+        close, key=lambda k: (SequenceMatcher(None, k, word).ratio(), -known.index(k)), default=None
+    )
+
+
+def shown(value: Any) -> str:
+    """A value as errors show it, briefly: a nested one could print without end."""
+    if isinstance(value, str):
+        return repr(str(value[:40]))
+    if isinstance(value, int) and abs(value) > 10**30:
+        return "a huge number"
+    if hasattr(value, "__len__"):
+        return "a list or mapping"
+    return str(value)[:40]
+
+
+def _wrong(key: str, value: Any, why: str) -> ParameterError:
+    """An error that shows the value."""
+    return ParameterError("", f"{key} = {shown(value)} {why}")
+
+
+@dataclass(frozen=True)
+class DlgmdParameters(Parameters):
+    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
+
+    model: ClassVar[str] = "dlgmd"
+    preset: ClassVar[str] = "9"
+    source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
+
+    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
+    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
+    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
+    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0.01, high=100)
+    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
+    r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
+    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=1e-12, high=100)
+    ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
+    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
+    m: float = _key(
+        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100
+    )
+    t_mp: float = _t_mp(0.4)
+    n_sp: int = _n_sp()
+    kappa: float = _key(
+        0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
+    )
+    formulation: str = _key(
+        *("default", "–", "–", "how delays that are not whole frames are rounded"),
+        choices=FORMULATIONS,
+    )
+
+    def _check_together(self) -> None:
+        """Latency must be causal everywhere, and history short enough to keep."""
+        centre = self.alpha + 1.0 / (self.beta + 1.0)
+        if centre < 0.0:
+            raise ParameterError(
+                "",
+                f"alpha = {self.alpha:g} with beta = {self.beta:g} makes the latency negative "
+                f"({centre:.3g} frames at the centre)",
+                "Inhibition cannot come before its cause; raise alpha.",
+            )
+        if self.alpha > MAX_LATENCY_FRAMES - 1.0 / (self.beta + 1.0):
+            raise ParameterError(
+                "",
+                f"alpha = {self.alpha:g} makes the latency longer than {MAX_LATENCY_FRAMES:g} "
+                "frames everywhere",
+                "Lower alpha.",
+            )
+        reach = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
+        if reach <= 0.0 or self.alpha + 1.0 / reach > MAX_LATENCY_FRAMES:
+            raise ParameterError(
+                "",
+                f"beta = {self.beta:g} with lam = {self.lam:g} and r = {self.r} makes the latency "
+                f"longer than {MAX_LATENCY_FRAMES:g} frames",
+                "Raise beta or lower lam.",
+            )
+
+
+@dataclass(frozen=True)
+class LgmdParameters(Parameters):
+    """Parameters of the LGMD of [Zhao2018], as published in its authors' released code."""
+
+    model: ClassVar[str] = "lgmd"
+    preset: ClassVar[str] = "lgmd"
+    source: ClassVar[str] = "LGMD; Zhao et al., 2018, after Yue and Rind, 2006"
+    # Its own normalisation is 1 / (1 + exp(-K / n_cell)), from 1/2 at rest.
+    kappa = None
+
+    p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", low=-1, high=1)
+    p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", low=-1, high=1)
+    w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", low=0, high=100)
+    delta_c: float = _key(
+        0.01, "Δ_C", "grey levels", "least of the scale of grouping", low=1e-6, high=255
+    )
+    c_omega: float = _key(
+        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", low=0.001, high=1000
+    )
+    c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", low=1e-6, high=100)
+    t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", low=0, high=1e6)
+    # At 25 it would switch the cell off through contact; 255 is never.
+    t_ffi: float = _key(
+        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", low=0, high=255
+    )
+    t_mp: float = _t_mp(0.999)
+    n_sp: int = _n_sp()
+
+    def _check_together(self) -> None:
+        """What persists must die away."""
+        if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
+            raise ParameterError(
+                "",
+                f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever",
+                "Bring them nearer to 0.",
+            )
+
+
+@dataclass(frozen=True)
+class EmdLgmdParameters(Parameters):
+    """Parameters of the LGMD on elementary motion detectors, after [Bermudez2007]."""
+
+    model: ClassVar[str] = "emd-lgmd"
+    preset: ClassVar[str] = "emd-lgmd"
+    source: ClassVar[str] = "EMD-LGMD; after Bermudez i Badia, Pyk and Verschure, 2007"
+
+    tau_high: float = _key(
+        8.0, "τ_h", "frames", "time constant of the high-pass", low=0.01, high=1000
+    )
+    tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", low=0.01, high=1000)
+    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", low=0, high=1)
+    f_active: float = _key(
+        0.05, "F_a", "luminance", "change that makes a cell count", low=0, high=1
+    )
+    c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", low=0, high=100)
+    t_mp: float = _t_mp(0.4)
+    n_sp: int = _n_sp()
+    kappa: float = _key(
+        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", low=1e-12, high=100
+    )
+
+
+class ModelEntry(NamedTuple):
+    """A model: the class of its parameters, and the module and class that compute it."""
+
+    parameters: type[Parameters]
+    module: str
+    attribute: str
+
+
+# By the name that `--model` takes. The modules are imported on first use, since OpenCV is slow.
+MODELS: dict[str, ModelEntry] = {
+    "dlgmd": ModelEntry(DlgmdParameters, "dlgmd_cli.models.dlgmd", "DLGMD"),
+    "lgmd": ModelEntry(LgmdParameters, "dlgmd_cli.models.lgmd", "LGMD"),
+    "emd-lgmd": ModelEntry(EmdLgmdParameters, "dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
+}
+
+
+@dataclass(frozen=True)
+class Config:
+    """What a file says: the model, its parameters, and the options of the run that wrote it.
+
+    `name` is what errors call the file; `values` holds the parameters that it sets, not checked.
+    """
+
+    name: str
+    model: str | None = None
+    engine: str | None = None
+    values: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def presets_dir() -> Path:
+    """The folder of `setN.yaml`: inside an installed package, beside it in the repository."""
+    package = Path(__file__).resolve().parent
+    installed = package / "configs"
+    return installed if installed.is_dir() else package.parent / "configs"
+
+
+def preset_names() -> list[str]:
+    """The names that `--set` takes, in order."""
+    names = (path.stem.removeprefix("set") for path in presets_dir().glob("set*.yaml"))
+    return sorted(names, key=lambda name: (len(name), name))
+
+
+def load_preset(name: str | int) -> Config:
+    """The paper's set `name`, 1 to 9 or set1 to set9; raises ParameterError if there is none."""
+    names = preset_names()
+    number = str(name).removeprefix("set")
+    if number not in names:
+        raise ParameterError(
+            "", f"there is no set {str(name)[:40]}", f"Choose {names[0]} to {names[-1]}."
+        )
+    return load_config(presets_dir() / f"set{number}.yaml")
+
+
+def load_model_preset(model: str) -> Config:
+    """The published values of a model other than the D-LGMD; ParameterError if there are none."""
+    return load_config(presets_dir() / f"{model}.yaml")
+
+
+def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
+    """The paper's parameter set `name`, 1 to 9, with single keys overridden.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such set, or an override is not valid.
+
+    Examples
+    --------
+    >>> load_set(9, r=4).sigma_e
+    1.5
+    """
+    return DlgmdParameters.from_mapping({**load_preset(name).values, **overrides})
+
+
+def load_config(path: Path) -> Config:
+    """Read a YAML file of parameters; a `run.yaml` is one too.
+
+    The key `set` stands for the values of that set, which the file's other keys override.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read, is not plain YAML, or is not a mapping.
+    """
+    name = str(path)
+    document = _parse(name, _read(path))
+    if document is None:
+        raise ParameterError(name, "it is empty", "Give at least one 'key: value'.")
+    if not isinstance(document, dict):
+        kinds: dict[type, str] = {list: "a list", str: "plain text"}
+        kind = kinds.get(type(document), "one value")
+        raise ParameterError(name, f"it holds {kind}, not 'key: value' lines", _SHOW_HINT)
+    for key in document:
+        if not isinstance(key, str):
+            raise ParameterError(name, f"unknown parameter {shown(key)!r}", _SHOW_HINT)
+    words = {key: document.pop(key, None) for key in ("model", "engine")}
+    for key, word in words.items():
+        if word is not None and not isinstance(word, str):
+            raise ParameterError(name, f"{key} is not a name", _SHOW_HINT)
+    options = document.pop("options", None)
+    if options is not None and not isinstance(options, dict):
+        raise ParameterError(name, "options is not a mapping", _SHOW_HINT)
+    values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
+    if "set" in values:
+        try:
+            values = {**load_preset(shown(values.pop("set")).strip("'")).values, **values}
+        except ParameterError as error:
+            raise ParameterError(name, error.why, error.mend) from None
+    return Config(name, **words, values=values, options=options or {})
+
+
+_PLAIN = "Only plain numbers, true, false and names are read."
+_SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
+_PARAM = "Invalid value for '--param'"
+
+
+def _read(path: Path) -> str:
+    """The text of a file that is small enough to be a configuration."""
+    name = str(path)
+    try:
+        if not path.is_file():
+            why = "it is not a file" if path.exists() else "there is no such file"
+            raise ParameterError(name, why, "Check the path given to --config.")
+        with path.open("rb") as file:  # some are longer than they say
+            data = file.read(MAX_CONFIG_BYTES + 1)
+        size = max(path.stat().st_size, len(data))
+        if size > MAX_CONFIG_BYTES:
+            raise ParameterError(
+                name, f"{size / 1e6:.1f} MB is too large for a configuration", _SHOW_HINT
+            )
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise ParameterError(name, "it is not UTF-8 text", _SHOW_HINT) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ParameterError(name, f"it cannot be read ({reason})") from None
+
+
+def _parse(name: str, text: str) -> Any:
+    """The document in `text`; tags and references, which no configuration needs, are refused."""
+    import yaml
+
+    loader, depth = _loader(), 0
+    try:
+        for event in yaml.parse(text, Loader=loader):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > MAX_DEPTH:  # the parser's time grows with its square
+                raise ParameterError(name, "its values are nested too deeply", _SHOW_HINT)
+            tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None)
+            if tag is not None or anchor is not None:
+                what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
+                raise ParameterError(name, f"{what[:200]} is not allowed", _PLAIN)
+        return yaml.load(text, Loader=loader)
+    except yaml.constructor.ConstructorError as error:
+        problem = (error.problem or "it cannot be built").splitlines()[0][:200]
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ParameterError(name, f"{problem}{line}", _PLAIN) from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f" in line {mark.line + 1}" if mark else ""
+        raise ParameterError(name, f"it is not valid YAML{where}", _SHOW_HINT) from None
+    except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
+        raise ParameterError(name, "it is not valid YAML", _SHOW_HINT) from None
+
+
+@lru_cache(maxsize=1)
+def _loader() -> Any:
+    """Safe YAML in which a number is what it looks like: 1e-3 is one, 1:30 and 007 are not."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's own way
+            first: [pair for pair in pairs if pair[0].rpartition(":")[2] in ("bool", "null")]
+            for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+        }
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            """A dict; a key that appears twice is an error."""
+            seen = set()
+            for key, _ in node.value:
+                if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"key {key.value!r} appears twice", key.start_mark
+                    )
+                seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+            return super().construct_mapping(node, deep)
+
+    whole = r"[-+]?(0|[1-9]\d*|0x[0-9a-fA-F]+)"
+    real = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+    for tag, pattern, first in (("int", whole, "-+0123456789"), ("float", real, "-+.0123456789")):
+        Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+            f"tag:yaml.org,2002:{tag}", re.compile(f"^(?:{pattern})$"), list(first)
+        )
+    return Loader
+
+
+def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
+    """`KEY=VALUE` strings, each value read as YAML; raises ParameterError."""
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise ParameterError(_PARAM, f"{pair[:60]!r} is not KEY=VALUE", "Write r=4.")
+        values[key.strip()] = _parse(_PARAM, text) if len(text) < 1000 else text
+    return values
+
+
+def merge(
+    kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
+) -> ParametersT:
+    """Defaults, then `config`, then `overrides`; errors name whichever is at fault.
+
+    Raises
+    ------
+    ParameterError
+        If a key is unknown or a value is not valid.
+    """
+    values = dict(config.values) if config else {}
+    try:
+        return kind.from_mapping({**values, **overrides})
+    except ParameterError as error:
+        if config:
+            try:
+                kind.from_mapping(values)
+            except ParameterError as fault:
+                raise ParameterError(config.name, fault.why, fault.mend) from None
+        raise ParameterError(_PARAM, error.why, error.mend) from None

@@ -1,0 +1,178 @@
+"""What every input consists of: pictures with their times, facts about the file, progress."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+if TYPE_CHECKING:  # loading NumPy takes time, and --help does not need it
+    import numpy.typing as npt
+
+DECODERS = ("opencv", "pyav")
+DEFAULT_DECODER = "opencv"
+FALLBACK_FPS = 30.0
+MAX_PLAUSIBLE_FPS = 1000.0
+# A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
+# from before the damage may still be inside the decoder's threads.
+READS_PAST_DAMAGE = 32
+# How many pictures a reader can be asked to keep unchanged; after that it reuses their memory.
+KEPT_PICTURES = 6
+
+# What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
+# files and addresses: concat, hls, dash, sdp, vobsub, image2 and the like.
+_FORMATS = (
+    *("mov,mp4,m4a,3gp,3g2,mj2", "matroska,webm", "avi", "mpegts", "mpeg", "mpegvideo", "ogg"),
+    *("flv", "live_flv", "asf", "mxf", "gxf", "lxf", "nut", "ivf", "dv", "rm", "wtv", "swf", "nsv"),
+    *("nuv", "pva", "r3d", "cine", "ser", "dhav", "ifv", "mpegtsraw", "yuv4mpegpipe"),
+    *("h264", "hevc", "vvc", "evc", "h261", "h263", "m4v", "vc1", "vc1test", "av1", "obu"),
+    *("dirac", "dnxhd", "cavsvideo", "avs2", "avs3", "mjpeg", "mjpeg_2000", "smjpeg", "mpjpeg"),
+    *("gif", "apng", "jpegxl_anim", "png_pipe", "jpeg_pipe", "bmp_pipe", "tiff_pipe", "webp_pipe"),
+)
+FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FORMATS)}
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """Facts about an input.
+
+    Attributes
+    ----------
+    path : str
+        Where it is, absolute.
+    name : str
+        What its results are called: the stem of a file, the name of a folder.
+    width, height : int
+        Size of its pictures as they are shown, in px.
+    fps : float
+        Nominal frames per second.
+    n_frames : int or None
+        How many frames it claims to have: a hint for a progress bar, often wrong.
+    decoder : str
+        What decodes it: opencv or pyav.
+    """
+
+    path: str
+    name: str
+    width: int
+    height: int
+    fps: float
+    n_frames: int | None
+    decoder: str = DEFAULT_DECODER
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded picture: uint8 or uint16, (H, W) or (H, W, channels) in BGR order.
+
+    `levels` are the levels of black and white, if they are not the least and the greatest that
+    the data type holds.
+    """
+
+    index: int
+    time_s: float
+    image: "npt.NDArray[Any]"
+    levels: tuple[int, int] | None = None
+
+
+class Verdict(Enum):
+    """What to do with a frame of which only the time is known yet."""
+
+    TAKE = "take"
+    SKIP = "skip"
+    STOP = "stop"
+
+
+Select = Callable[[float], Verdict]
+
+
+@dataclass
+class Progress:
+    """How far the reading has come, and what went wrong."""
+
+    n_decoded: int = 0
+    last_time_s: float = math.nan
+    warnings: list[str] = field(default_factory=list)
+
+
+class Reader(Protocol):
+    """Pictures of one input, in order; a fault ends the reading with a warning."""
+
+    info: VideoInfo
+    progress: Progress
+
+    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
+        """Every picture that `select` takes; an `image` is valid until `n_kept` more of them."""
+        ...
+
+    def close(self) -> None:
+        """Free the input; may be called twice."""
+        ...
+
+
+class VideoFacts(NamedTuple):
+    """What a video file states; None where it states nothing.
+
+    `width` and `height` are those of its first frame as it is shown. `shown_s` is the length of
+    the part that is shown, in seconds, where an edit list may hide the rest; infinite otherwise.
+    """
+
+    width: int
+    height: int
+    fps: float | None
+    n_frames: int | None
+    shown_s: float = math.inf
+
+
+class Grab(NamedTuple):
+    """A frame that can be decoded: its timestamp in seconds, NaN for none.
+
+    `new_size` is its width and height, if they differ from those of the first frame.
+    """
+
+    stamp_s: float
+    new_size: tuple[int, int] | None = None
+
+
+class Decoded(NamedTuple):
+    """The image and the levels of a `Picture`."""
+
+    image: "npt.NDArray[Any]"
+    levels: tuple[int, int] | None = None
+
+
+class Decoder(Protocol):
+    """Frames of one video file, from its beginning.
+
+    Attributes
+    ----------
+    is_damaged : bool
+        Whether anything after the first frame could not be decoded so far.
+    """
+
+    is_damaged: bool
+
+    def open(self) -> VideoFacts | None:
+        """Open the file and decode its first frame; None if there is none."""
+        ...
+
+    def grabs(self) -> Iterator[Grab]:
+        """Every frame from the first on; once after each `open`."""
+        ...
+
+    def keep(self, n_pictures: int) -> None:
+        """From now on, leave an image unchanged until so many more were asked for."""
+        ...
+
+    def picture(self) -> Decoded | None:
+        """The frame grabbed last, see `keep`; None if it is damaged."""
+        ...
+
+    def close(self) -> None:
+        """Free the file, so that it can be opened again; may be called twice."""
+        ...
+
+
+def plausible_fps(fps: float) -> float | None:
+    """`fps` if it can be a frame rate, else None."""
+    return fps if math.isfinite(fps) and 0.0 < fps <= MAX_PLAUSIBLE_FPS else None
