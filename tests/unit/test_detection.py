@@ -1,0 +1,123 @@
+"""Normalisation, spikes and alarms; frame by frame, and of a whole run."""
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from reference import clips
+
+from dlgmd_cli.errors import FrameError
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.detection import Alarm, SpikeDetector, absolute, detect, sequence
+from dlgmd_cli.parameters import MODELS, DlgmdParameters, load_set
+
+NAN = np.nan
+potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))
+FRAMES = clips.looming(24, 30, 9, seed=1)
+
+
+def test_absolute_is_half_at_kappa():
+    mp = np.array([NAN, 0.0, 3.0, 9.0])
+    np.testing.assert_allclose(absolute(mp, 1000, 0.003), [NAN, 0, 0.5, 0.75])
+
+
+def test_absolute_does_not_depend_on_size():
+    assert absolute(5.0, 100, 0.01) == absolute(20.0, 400, 0.01)
+
+
+def test_without_kappa_it_is_the_sigmoid_of_the_lgmd():
+    expected = [NAN, 0.5, 1 / (1 + math.exp(-2.0)), 1.0]
+    np.testing.assert_allclose(absolute(np.array([NAN, 0.0, 12.0, 1e9]), 6, None), expected)
+
+
+@pytest.mark.parametrize("kappa", [0.003, None])
+@given(mp=potentials)
+def test_absolute_is_causal_and_bounded(mp, kappa):
+    whole = absolute(mp, 64, kappa)
+    assert np.all((whole >= 0) & (whole <= 1))
+    one_by_one = [absolute(float(one), 64, kappa) for one in mp]
+    np.testing.assert_allclose(whole, one_by_one, rtol=1e-15)
+
+
+def test_sequence_spans_zero_to_one_over_valid_frames():
+    mp = np.array([NAN, NAN, 4.0, 2.0, 6.0])
+    np.testing.assert_array_equal(sequence(mp), [NAN, NAN, 0.5, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("mp", [[NAN, 0.0, 0.0], [NAN, NAN], []])
+def test_sequence_of_a_still_scene_is_undefined(mp):
+    assert np.isnan(sequence(np.array(mp))).all()
+
+
+def test_a_spike_is_at_or_above_the_threshold():
+    spikes, _ = detect(np.array([NAN, 0.39999, 0.4, 0.5]), 0.4, 2)
+    assert spikes.tolist() == [False, False, True, True]
+
+
+@pytest.mark.parametrize("n_sp", [1, 2, 3])
+def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
+    level = np.array([1, 0, 1, 1, 1, NAN, 1, 1])
+    spikes, alarms = detect(level, 0.5, n_sp)
+    assert spikes.tolist() == [one == 1 for one in level]
+    assert alarms.tolist() == [n >= n_sp for n in (1, 0, 1, 2, 3, 0, 1, 2)]
+    detector = SpikeDetector(0.5, n_sp)
+    assert [detector.step(one) for one in level] == list(zip(spikes, alarms, strict=True))
+
+
+def test_nothing_is_detected_in_nothing():
+    spikes, alarms = detect(np.array([]), 0.4, 2)
+    assert spikes.shape == alarms.shape == (0,) and spikes.dtype == alarms.dtype == bool
+
+
+PARAMS = [
+    *(load_set(number, kappa=1e-4) for number in (3, 9)),
+    load_set(9, formulation="equations", n_sp=1),
+    *(entry.parameters() for entry in MODELS.values()),
+]
+
+
+@pytest.mark.parametrize("params", PARAMS, ids=lambda one: f"{one.model}-{one.kappa}")
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
+def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
+    frames = FRAMES if dtype == np.float32 else [np.uint8(frame * 255) for frame in FRAMES]
+    model, alarm = create_model(params), Alarm(params)
+    responses = [model.step(frame) for frame in frames]
+    mp_abs = absolute(np.array([one.mp for one in responses]), 24 * 30, params.kappa)
+    spikes, alarms = detect(mp_abs, params.t_mp, params.n_sp)
+    for _ in range(2):
+        found = [alarm.step(frame, t / 30) for t, frame in enumerate(frames)]
+        np.testing.assert_array_equal([one.mp for one in found], [one.mp for one in responses])
+        np.testing.assert_allclose([one.mp_abs for one in found], mp_abs, rtol=1e-15)
+        assert [one.spike for one in found] == spikes.tolist()
+        assert [one.alarm for one in found] == alarms.tolist()
+        alarm.reset()
+    assert [one.is_valid for one in found] == [one.is_valid for one in responses]
+
+
+def test_the_default_alarm_is_set_9_and_goes_off_as_a_disc_looms():
+    alarm = Alarm()
+    assert alarm.params == DlgmdParameters() == load_set(9)
+    found = [alarm.step(frame).alarm for frame in clips.looming(60, 80, 12, seed=4)]
+    assert not any(found[:4]) and any(found)
+    with pytest.raises(FrameError):
+        alarm.step(np.zeros((60, 80, 3), np.uint8))
+
+
+def test_an_alarm_keeps_constant_memory():
+    alarm = Alarm(load_set(9, kappa=1e-4))
+    for frame in FRAMES * 2:
+        alarm.step(frame)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        for frame in FRAMES * 40:
+            alarm.step(frame)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # One number kept for each of these 360 frames would take twice as much.
+    assert after - before < 4096

@@ -1,0 +1,396 @@
+"""Every parameter's type and range, presets, users' YAML, and which of them wins."""
+
+import dataclasses
+import datetime
+import decimal
+import fractions
+import math
+import pickle
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import slow
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import (
+    FORMULATIONS,
+    MODELS,
+    DlgmdParameters,
+    LgmdParameters,
+    load_config,
+    load_model_preset,
+    load_preset,
+    load_set,
+    merge,
+    nearest,
+    parse_overrides,
+    preset_names,
+    presets_dir,
+)
+
+BOUNDS = {
+    "alpha": (-10, 64),
+    "beta": (0, 100),
+    "lam": (0, 10),
+    "sigma_e": (0.01, 100),
+    "sigma_i": (0.01, 100),
+    "r": (1, 32),
+    "a": (0, 100),
+    "k": (1e-12, 100),
+    "t0": (0, 100),
+    "m": (0.001, 100),
+    "t_mp": (0, 1),
+    "n_sp": (1, 1000),
+    "kappa": (1e-9, 100),
+}
+KEYS = [*BOUNDS, "ffi_gd", "formulation"]
+# Fractions that must be positive; the limit only keeps float32 from overflowing.
+POSITIVE = ("sigma_e", "sigma_i", "k", "m", "kappa")
+WHOLE = ("r", "n_sp")
+# What the other keys must be for a limit to be causal and short enough.
+COMPANIONS = {("beta", 0): {"lam": 0.0}, ("beta", 100): {"alpha": 0.0}}
+
+
+def complaint(**values):
+    """The line that says why these values are refused."""
+    with pytest.raises(ParameterError) as caught:
+        DlgmdParameters(**values)
+    return str(caught.value)
+
+
+def test_keys_and_defaults():
+    actual = DlgmdParameters().to_dict()
+    expected = slow.table_2(9) | {"t_mp": 0.4, "n_sp": 2}
+    assert {key: actual[key] for key in expected} == expected
+    assert list(actual) == list(DlgmdParameters.specs()) == list(DlgmdParameters.defaults())
+    assert set(actual) == set(KEYS) and DlgmdParameters.defaults() == actual
+
+
+def test_the_lgmd_never_switches_off_unless_asked_to():
+    assert LgmdParameters().t_ffi == 255.0
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"sigma_e": -1}, "sigma_e = -1 is not above 0."),
+        ({"sigma_e": 0.0}, "sigma_e = 0.0 is not above 0."),
+        ({"r": 33}, "r = 33 is more than 32."),
+        ({"r": 4.0}, "r = 4.0 is not a whole number."),
+        ({"alpha": -10.5}, "alpha = -10.5 is not at least -10."),
+        ({"sigma_i": math.nan}, "sigma_i = nan is not a finite number."),
+        ({"n_sp": math.inf}, "n_sp = inf is not a finite number."),
+        ({"a": np.float32(np.nan)}, "a = nan is not a finite number."),
+        ({"a": "1.5"}, "a = '1.5' is not a number."),
+        ({"a": True}, "a = True is not a number."),
+        ({"a": np.True_}, "a = True is not a number."),
+        ({"n_sp": False}, "n_sp = False is not a number."),
+        ({"a": None}, "a = None is not a number."),
+        ({"a": [1.5]}, "a = a list or mapping is not a number."),
+        ({"a": 1.5 + 0j}, "a = (1.5+0j) is not a number."),
+        ({"a": datetime.date(2023, 1, 2)}, "a = 2023-01-02 is not a number."),
+        ({"a": "x\ny" + "z" * 99}, f"a = 'x\\ny{'z' * 37}' is not a number."),
+        ({"ffi_gd": 1}, "ffi_gd = 1 is not true or false."),
+        ({"ffi_gd": "yes"}, "ffi_gd = 'yes' is not true or false."),
+        (
+            {"formulation": "Default"},
+            "formulation = 'Default' is not one of default, released, equations.",
+        ),
+        (
+            {"formulation": ["default"]},
+            "formulation = a list or mapping is not one of default, released, equations.",
+        ),
+        (
+            {"alpha": -1.0},
+            "alpha = -1 with beta = 0.5 makes the latency negative (-0.333 frames at the centre). "
+            "Inhibition cannot come before its cause; raise alpha.",
+        ),
+        # No beta and no lam can mend it.
+        (
+            {"alpha": 64.0},
+            "alpha = 64 makes the latency longer than 64 frames everywhere. Lower alpha.",
+        ),
+        (
+            {"beta": 0.0},
+            "beta = 0 with lam = 0.7 and r = 6 makes the latency longer than 64 frames. "
+            "Raise beta or lower lam.",
+        ),
+        # exp(-λ²·2r²) is 0 in float64 here: the latency is endless.
+        (
+            {"beta": 0.0, "lam": 10.0, "r": 32},
+            "beta = 0 with lam = 10 and r = 32 makes the latency longer than 64 frames. "
+            "Raise beta or lower lam.",
+        ),
+    ],
+)
+def test_what_is_said_about_a_wrong_value(values, line):
+    assert complaint(**values) == line
+
+
+@pytest.mark.parametrize("key", BOUNDS)
+def test_bounds(key):
+    low, high = BOUNDS[key]
+    step = 1 if key in WHOLE else 1e-3
+    assert complaint(**{key: high + step}) == f"{key} = {high + step} is more than {high}."
+    if key in POSITIVE:
+        assert complaint(**{key: 0}) == f"{key} = 0 is not above 0."
+        assert complaint(**{key: low / 2}) == f"{key} = {low / 2} is not at least {low:g}."
+    else:
+        assert complaint(**{key: low - step}) == f"{key} = {low - step} is not at least {low}."
+    for limit in (low, high) if key != "alpha" else ():
+        values = {key: limit} | COMPANIONS.get((key, limit), {})
+        assert getattr(DlgmdParameters(**values), key) == limit
+
+
+def test_latency_is_between_0_and_64_frames():
+    assert DlgmdParameters(alpha=-1.0, beta=0.0, lam=0.0).alpha == -1.0
+    assert "negative" in complaint(alpha=-1.0 - 1e-9, beta=0.0, lam=0.0)
+    assert DlgmdParameters(alpha=63.0, beta=0.0, lam=0.0).alpha == 63.0
+    assert "longer than 64 frames" in complaint(alpha=63.0 + 1e-9, beta=0.0, lam=0.0)
+    # It is the corner of the kernel that counts: 1/exp(-λ²·2r²).
+    lam = math.sqrt(math.log(60.0) / (2 * 4**2))
+    assert DlgmdParameters(alpha=3.9, beta=0.0, lam=lam, r=4).lam == lam
+    assert "longer than 64 frames" in complaint(alpha=4.1, beta=0.0, lam=lam, r=4)
+
+
+ENDLESS = []
+ENDLESS.append(ENDLESS)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize(
+    "value",
+    [None, [], {"r": 1}, (1, 2), {1}, "", "1", b"1", ..., 1j, decimal.Decimal(1), ENDLESS]
+    + [10**400, -(10**400), 10**5000, np.array([1.0, 2.0])],
+    ids=lambda value: type(value).__name__,
+)
+def test_other_types_and_huge_numbers_are_refused_briefly(key, value):
+    line = complaint(**{key: value})
+    assert line.startswith(f"{key} = ") and len(line) < 150 and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "kept"),
+    [
+        ("a", np.float32(1.25), 1.25),
+        ("a", np.int16(2), 2.0),
+        ("a", 2, 2.0),
+        ("a", fractions.Fraction(5, 4), 1.25),
+        ("n_sp", np.uint8(3), 3),
+        ("formulation", np.str_("released"), "released"),
+    ],
+)
+def test_numpy_scalars_become_plain_values(key, value, kept):
+    actual = getattr(DlgmdParameters(**{key: value}), key)
+    assert actual == kept and type(actual) is type(kept)
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"),
+    [
+        ("sigma_x", "Did you mean 'sigma_e'? "),
+        ("sigma_I", "Did you mean 'sigma_i'? "),
+        ("lambda", "Did you mean 'lam'? "),
+        ("ffi", "Did you mean 'ffi_gd'? "),
+        ("zzz", ""),
+        ("", ""),
+        (3, ""),
+        (None, ""),
+    ],
+)
+def test_unknown_keys_come_with_a_suggestion(key, hint):
+    with pytest.raises(ParameterError) as caught:
+        DlgmdParameters.from_mapping({"r": 4, key: 1})
+    assert str(caught.value) == f"unknown parameter '{key}'. {hint}See 'dlgmd sets show 9'."
+
+
+def test_a_long_key_is_shown_briefly():
+    with pytest.raises(ParameterError) as caught:
+        DlgmdParameters.from_mapping({"x\n" * 10_000: 1})
+    assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
+
+
+def test_nearest_prefers_the_first_of_equals():
+    assert nearest("sigma_x", ["sigma_i", "sigma_e"]) == "sigma_i"
+    assert nearest("sigma_i", ["sigma_e", "sigma_i"]) == "sigma_i"
+    assert nearest("nothing", ["sigma_e"]) is None
+
+
+def test_parameters_are_frozen_and_checked_again_when_changed():
+    params = DlgmdParameters()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        params.r = 3
+    assert hash(params) == hash(DlgmdParameters())
+    assert dataclasses.replace(params, r=3) == DlgmdParameters(r=3) != params
+    with pytest.raises(ParameterError):
+        dataclasses.replace(params, r=-3)
+
+
+def test_parameters_and_their_errors_cross_processes():
+    params = DlgmdParameters(r=3)
+    assert pickle.loads(pickle.dumps(params)) == params
+    error = ParameterError("my.yaml", "r = 0 is not at least 1", "Raise it.")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again)) == (ParameterError, str(error))
+
+
+def test_allowed_values_in_words():
+    allowed = {key: spec.allowed for key, spec in DlgmdParameters.specs().items()}
+    assert (allowed["sigma_e"], allowed["n_sp"]) == ("0.01 to 100", "1 to 1000")
+    assert (allowed["ffi_gd"], allowed["formulation"]) == ("true, false", ", ".join(FORMULATIONS))
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.fractions() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(deadline=None)
+@given(key=st.sampled_from(KEYS), value=anything)
+def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
+    try:
+        params = DlgmdParameters(**{key: value})
+    except ParameterError as error:
+        assert "\n" not in str(error) and len(str(error)) < 300
+        return
+    actual = getattr(params, key)
+    assert type(actual) is type(DlgmdParameters.defaults()[key])
+    assert actual == (float(value) if isinstance(value, fractions.Fraction) else value)
+    assert DlgmdParameters.from_mapping(params.to_dict()) == params
+
+
+# Presets and files
+
+
+@pytest.mark.parametrize("number", sorted(slow.TABLE_2))
+def test_sets_are_table_two(number):
+    p = load_set(number)
+    expected = slow.table_2(number) | {"k": 1.0, "m": 0.4, "t_mp": 0.4, "n_sp": 2}
+    assert {key: getattr(p, key) for key in expected} == expected
+    assert p == load_set(f"set{number}") and load_set(number, r=3).r == 3
+
+
+def test_every_config_loads_and_is_listed():
+    assert preset_names() == [str(n) for n in range(1, 10)]
+    others = [name for name in MODELS if name != "dlgmd"]
+    stems = [*(f"set{name}" for name in preset_names()), *others]
+    assert sorted(path.stem for path in presets_dir().glob("*.yaml")) == sorted(stems)
+    assert load_set(9) == DlgmdParameters()
+    for model in others:
+        config, kind = load_model_preset(model), MODELS[model].parameters
+        assert config.model == model == kind.model
+        assert merge(kind, config, {}) == kind()
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "my.yaml"
+
+
+def test_precedence(file):
+    file.write_text("sigma_e: 2.5\nr: 3\nkappa: 1e-3\n")
+    params = merge(DlgmdParameters, load_config(file), parse_overrides(["r=5", "ffi_gd=false"]))
+    assert params == DlgmdParameters(sigma_e=2.5, r=5, kappa=0.001, ffi_gd=False)
+
+
+def test_a_run_record_is_a_config(file):
+    document = {
+        "input": {"path": "x"}, "set": 4, "model": "dlgmd", "engine": "numba",
+        **load_set(4, r=3).to_dict(),
+        "options": {"size": "30x20"},
+        "summary": {"mp_max": None},
+        "versions": {}, "warnings": [], "complete": False, "processed": {},
+    }
+    file.write_text(yaml.safe_dump(document))
+    config = load_config(file)
+    assert merge(DlgmdParameters, config, {}) == load_set(4, r=3)
+    named = (config.model, config.engine, config.options)
+    assert named == ("dlgmd", "numba", {"size": "30x20"})
+
+
+def test_a_file_may_build_on_a_set(file):
+    file.write_text("r: 3\nset: 4\n")
+    assert merge(DlgmdParameters, load_config(file), {}) == load_set(4, r=3)
+    file.write_text("set: [4]\n")
+    with pytest.raises(ParameterError, match=r"my\.yaml: there is no set a list"):
+        load_config(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("# only a comment", "it is empty"),
+        ("[1, 2]", "it holds a list"),
+        ("just words", "it holds plain text"),
+        ("3", "it holds one value"),
+        ("sigma_x: 1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
+        ("3: 1", "unknown parameter '3'"),
+        ("sigma_e: wide", "sigma_e = 'wide' is not a number"),
+        ("sigma_e: .nan", "sigma_e = nan is not a finite number"),
+        ("sigma_e: [1, 2]", "sigma_e = a list or mapping is not a number"),
+        ("sigma_e: 1\nsigma_e: 2", "key 'sigma_e' appears twice in line 2"),
+        ("sigma_e: [1", "it is not valid YAML in line"),
+        ("[" * 90_000, "its values are nested too deeply"),
+        ("- " * 40_000, "its values are nested too deeply"),
+        ("sigma_e: !!python/object/apply:os.system [exit]", "apply:os.system' is not allowed"),
+        ("sigma_e: !!python/name:os.system", "the tag 'tag:yaml.org,2002:python/name:os.system'"),
+        ('r: !!int ""', "the tag 'tag:yaml.org,2002:int' is not allowed"),
+        ("a: &x 1\nk: *x", "the reference 'x' is not allowed"),
+        ("a0: &a0 {a: 1}\na1: &a1 {<<: [*a0, *a0]}", "the reference 'a0' is not allowed"),
+        ("sigma_e: 2020-99-99", "sigma_e = '2020-99-99' is not a number"),
+        ("a: 1:30", "a = '1:30' is not a number"),
+        ("a: 007", "a = '007' is not a number"),
+        ("model: 3", "model is not a name"),
+        ("options: 3", "options is not a mapping"),
+        ("set: 12", "there is no set 12. Choose 1 to 9"),
+        ("\0", "it is not valid YAML"),
+    ],
+)
+def test_bad_yaml_is_one_line(file, text, why):
+    file.write_text(text)
+    with pytest.raises(ParameterError) as caught:
+        merge(DlgmdParameters, load_config(file), {})
+    message = str(caught.value)
+    assert why in message and str(file) in message
+    assert "\n" not in message and len(message) < len(str(file)) + 300
+
+
+def test_unreadable_files(tmp_path, file):
+    with pytest.raises(ParameterError, match="there is no such file"):
+        load_config(tmp_path / "none.yaml")
+    with pytest.raises(ParameterError, match="it is not a file"):
+        load_config(tmp_path)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParameterError, match="not UTF-8"):
+        load_config(file)
+    with file.open("wb") as handle:
+        handle.truncate(100_000_000)  # a hole: nothing is read
+    with pytest.raises(ParameterError, match=r"100\.0 MB is too large"):
+        load_config(file)
+
+
+def test_unknown_set():
+    with pytest.raises(ParameterError) as caught:
+        load_preset(12)
+    assert str(caught.value) == "there is no set 12. Choose 1 to 9."
+
+
+@pytest.mark.parametrize("pair", ["r", "=3", "r=[1", "r=", "r=abc", "r=.nan", "q=1"])
+def test_bad_overrides_blame_the_option(pair):
+    with pytest.raises(ParameterError, match=r"^Invalid value for '--param'"):
+        merge(DlgmdParameters, load_preset(9), parse_overrides([pair]))
+
+
+def test_blame_falls_on_the_file_or_the_override(file):
+    file.write_text("alpha: -3\n")
+    with pytest.raises(ParameterError, match=r"my\.yaml: alpha = -3"):
+        merge(DlgmdParameters, load_config(file), {})
+    # Mended together, they are valid.
+    assert merge(DlgmdParameters, load_config(file), {"alpha": 0.0}).alpha == 0.0
+    with pytest.raises(ParameterError, match="'--param'"):
+        merge(DlgmdParameters, load_preset(9), {"alpha": -3.0})
