@@ -10,11 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.results.store import failure_text, is_url, place
 from dlgmd_cli.video.frames import fingerprint
+
+if TYPE_CHECKING:
+    from upath import UPath
 
 _ENDINGS = """
     264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov
@@ -81,7 +84,11 @@ def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out)
     for prefix, root in zip(_told_apart(roots) if len(roots) > 1 else [""], roots, strict=True):
-        (search.add_url if is_url(root) else search.add)(prefix, root)
+        base = place(root)
+        if isinstance(base, Path):
+            search.add(prefix, str(base))
+        else:
+            search.add_url(prefix, root, base)
     search.follow_links()
     folders = result_folders(search.found)
     videos = [Input(name, path, folders[name], one) for name, (path, one) in search.found.items()]
@@ -136,26 +143,26 @@ class _Search:
         else:
             self._take(prefix or Path(root).name, absolute)
 
-    def add_url(self, prefix: str, root: str) -> None:
+    def add_url(self, prefix: str, root: str, base: "UPath") -> None:
         """Search all that lies behind a URL, or take the video there."""
-        base = place(root)
+        top = base.path.rstrip("/")
         try:
-            listed = base.fs.find(base.path.rstrip("/"), detail=True)  # type: ignore[union-attr]
+            base.fs.invalidate_cache()
+            listed = base.fs.find(top, detail=True)
         except Exception as error:  # every kind of URL has its own
             why = f"it cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the URL.") from None
         if not listed:
             raise SourceError(root, "there is nothing", "Check the URL.")
         for path, facts in sorted(listed.items()):
-            below = str(path)[len(base.path.rstrip("/")) :].removeprefix("/")
+            below = str(path)[len(top) :].removeprefix("/")
             name = "/".join(filter(None, (prefix, below))) or posixpath.basename(str(path))
             if any(part.startswith(".") for part in below.split("/")):
                 self._n_hidden += 1
             elif not below or is_video(below):
                 version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
                 known = {"bytes": facts.get("size"), "version": version} if version else {}
-                url = base.fs.unstrip_protocol(path)  # type: ignore[union-attr]
-                self.found.setdefault(name, (url, known))
+                self.found.setdefault(name, (base.fs.unstrip_protocol(path), known))
 
     def follow_links(self) -> None:
         """Search what links lead to, after all that is real."""
@@ -216,7 +223,9 @@ def _key_of(folder: str | Path) -> tuple[int, int]:
 
 def _told_apart(roots: Sequence[str]) -> list[str]:
     """The last part of every root's path; of several that end alike, as many as differ."""
-    every = [root.split("/") if is_url(root) else Path(os.path.abspath(root)).parts for root in roots]
+    every = [
+        root.split("/") if is_url(root) else Path(os.path.abspath(root)).parts for root in roots
+    ]
     names = []
     for parts in every:
         others = [other for other in every if other != parts]
