@@ -258,6 +258,7 @@ def write_file(path: "Path | UPath", write: Write) -> None:
     """
     if not is_url(str(path)):
         temporary = Path(path).with_name(f"{PREFIX}{path.name}")
+        temporary.parent.mkdir(parents=True, exist_ok=True)
         try:
             write(temporary)
             temporary.replace(path)

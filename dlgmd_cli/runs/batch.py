@@ -239,8 +239,10 @@ def work_on(
     Raises
     ------
     OutputError
-        If a summary cannot be written at the end.
+        If a summary cannot be written at the beginning or at the end.
     """
+    for summary in tasks.summaries:  # before it takes the time to compute
+        summary.write()
     try:
         for task, outcome in outcomes:
             rows = outcome.value
