@@ -95,6 +95,10 @@ class _Pool:
         for option, value in (("--jobs", self.jobs), ("--timeout", self.timeout_s)):
             if self.scheduler is not None and value is not None:
                 raise click.UsageError(f"{option} does not work with --scheduler. Leave it out.")
+        if self.scheduler is not None:
+            from dlgmd_cli.runs.dask import address_of
+
+            address_of(self.scheduler)
 
     def outcomes(self, job: "Job", tasks: "list[Task]") -> "Iterator[tuple[Task, Outcome]]":
         """The tasks as they end."""

@@ -148,7 +148,7 @@ def _call(function: Callable[[TaskT], Any], task: TaskT) -> Any:
 
 def _connect(scheduler: str) -> Any:
     """A Dask client of a scheduler, by its address or scheduler file; raises as `run_tasks`."""
-    address = _address(scheduler)
+    address = address_of(scheduler)
     try:
         from distributed import Client
     except ImportError:
@@ -170,8 +170,8 @@ def _connect(scheduler: str) -> Any:
         raise WorkerError(scheduler, f"no connection ({why})", "Check --scheduler.") from None
 
 
-def _address(scheduler: str) -> str:
-    """The address that a user means."""
+def address_of(scheduler: str) -> str:
+    """The address in a scheduler file, or the address itself; raises as `run_tasks`."""
     path = Path(scheduler)
     if not path.is_file() and not scheduler.endswith(".json"):
         if _ADDRESS.fullmatch(scheduler):
