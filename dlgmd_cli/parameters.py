@@ -24,8 +24,7 @@ MAX_CONFIG_BYTES = 100_000
 MAX_DEPTH = 20
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
-    {"input", "processed", "frames", "sweep", "versions", "warnings", "complete", "summary"}
-    | {"wall_s"}
+    "schema preset input processed frames sweep versions warnings complete summary wall_s".split()
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
@@ -335,7 +334,8 @@ MODELS: dict[str, ModelEntry] = {
 class Config:
     """What a file says: the model, its parameters, and the options of the run that wrote it.
 
-    `name` is what errors call the file; `values` holds the parameters that it sets, not checked.
+    `name` is what errors call the file; `values` holds the parameters that it sets, not checked;
+    `named` is the set that it names, as records have it.
     """
 
     name: str
@@ -343,6 +343,7 @@ class Config:
     engine: str | None = None
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
+    named: dict[str, Any] = field(default_factory=dict)
 
 
 def presets_dir() -> Path:
@@ -419,12 +420,13 @@ def load_config(path: Path) -> Config:
     if options is not None and not isinstance(options, dict):
         raise ParameterError(name, "options is not a mapping", _SHOW_HINT)
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
-    if "set" in values:
+    named = {"set": values.pop("set")} if "set" in values else {}
+    if named:
         try:
-            values = {**load_preset(shown(values.pop("set")).strip("'")).values, **values}
+            values = {**load_preset(shown(named["set"]).strip("'")).values, **values}
         except ParameterError as error:
             raise ParameterError(name, error.why, error.mend) from None
-    return Config(name, **words, values=values, options=options or {})
+    return Config(name, **words, values=values, options=options or {}, named=named)
 
 
 _PLAIN = "Only plain numbers, true, false and names are read."
@@ -484,7 +486,7 @@ def _parse(name: str, text: str) -> Any:
 
 @lru_cache(maxsize=1)
 def _loader() -> Any:
-    """Safe YAML in which a number is what it looks like: 1e-3 is one, 1:30 and 007 are not."""
+    """Safe YAML in which a number is what it looks like: 1e-3 is one, 010 is ten, 1:30 is text."""
     import yaml
 
     class Loader(yaml.SafeLoader):

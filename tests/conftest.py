@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from dlgmd_cli import cancel
+from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.result import Result
 
 if hasattr(signal, "SIGHUP"):
@@ -54,23 +56,30 @@ def write_video(path: Path, frames, fps=FPS, fourcc="MJPG") -> Path:
     return path
 
 
-def result_of_level(level, *, time_s, frame_step=1, attenuation_db=None):
-    """A result that spikes where `level` reaches 0.4; an alarm is where it did before, too."""
-    n, zero, spike = len(level), np.zeros(len(level)), level >= 0.4
-    return Result(
-        frame=np.arange(n) * frame_step,
-        time_s=time_s,
-        p_sum=zero,
-        s_sum=zero,
-        attenuation_db=zero if attenuation_db is None else attenuation_db,
-        mp=level,
-        mp_abs=level,
-        mp_seq=level,
-        level=level,
-        threshold=np.full(n, 0.4),
-        spike=spike,
-        collision=spike & np.concatenate(([False], spike[:-1])),
-    )
+def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10, 10), **options):
+    """A result of set 9 with these membrane potentials; `options` are what was given to `run`."""
+    mp = np.asarray(mp, float)
+    n = len(mp)
+    frame = np.arange(n) if frame is None else np.asarray(frame)
+    record = {
+        "input": {"path": "/somewhere/flight.mp4", "decoder": "opencv"},
+        "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n},
+        "model": "dlgmd",
+        "engine": "opencv",
+        **DlgmdParameters().to_dict(),
+        "options": options,
+        "warnings": [],
+        "complete": True,
+    }
+    db = np.zeros(n) if attenuation_db is None else np.asarray(attenuation_db, float)
+    time_s = frame / FPS if time_s is None else np.asarray(time_s, float)
+    return Result(frame, time_s, mp, np.ones(n), np.ones(n), db, DlgmdParameters(), record)
+
+
+def result_of_level(level, **options):
+    """A result whose `mp_abs` is `level`."""
+    level = np.asarray(level, float)
+    return make_result(100 * DlgmdParameters().kappa * level / (1.0 - level), **options)
 
 
 def read_video(path: Path):
@@ -136,6 +145,13 @@ def refuse_folder(monkeypatch):
         monkeypatch.setattr(os, "scandir", refusing)
 
     return refuse
+
+
+@pytest.fixture
+def stop(monkeypatch):
+    """Set the stop flag, as a first Ctrl-C does: `stop()`; it is cleared after the test."""
+    monkeypatch.setattr(cancel, "_requested", False)
+    return lambda: monkeypatch.setattr(cancel, "_requested", True)
 
 
 @pytest.fixture

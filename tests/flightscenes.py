@@ -7,12 +7,10 @@ from collections import Counter
 import numpy as np
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.path import Path, Stretch
+from dlgmd_cli.flights.path import Path, Stage, Stretch
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.scene import FlightScene
-from dlgmd_cli.flights.stage import Stage
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 
 SHAPE = (16, 32)
 DURATION_S, SHORT_S = 0.6, 0.29

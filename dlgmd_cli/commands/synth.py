@@ -5,24 +5,139 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._clip_options import (
-    SectionedCommand,
-    by_flag,
-    clip_options,
-    count_option,
-    jobs_option,
+from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
+from dlgmd_cli.commands.console import (
+    EXIT_FAILED,
+    Command,
+    Failed,
+    print_path,
+    print_table,
+    say,
+    settings,
 )
-from dlgmd_cli.commands._console import print_path, print_table, progress, say, settings
-from dlgmd_cli.commands._sheets import draw_sheet
+from dlgmd_cli.commands.options import Size
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
+    from dlgmd_cli.flights.dataset import Fleet
     from dlgmd_cli.stimuli.base import Scene
-    from dlgmd_cli.stimuli.encode import DrawSheet
-    from dlgmd_cli.stimuli.form import Form
+    from dlgmd_cli.stimuli.clip import DrawSheet, Form
+
+# What a scene can be told: flag, type, metavar, help. The scene checks ranges, and has defaults.
+_OF_ALL = (
+    ("--size", Size(), None, "Size of the frames.  [default: the scene's own; flat 480x270]"),
+    ("--fps", float, "F", "Frames per second.  [default: 30]"),
+    (
+        *("--frames", int, "N"),
+        "Length of the clip.  [default: the whole flight; flat scenes: all before contact, 75 "
+        "where there is none]",
+    ),
+    (
+        *("--fov", float, "DEG"),
+        "Horizontal field of view of the camera.  [default: flights 80, flat scenes 60]",
+    ),
+    (
+        *("--noise", float, "SD"),
+        "Standard deviation of the noise that every pixel gets, as a share of white: of linear "
+        "light in a flight, of luminance in a flat scene.  [default: 0.002; flat 0]",
+    ),
+    (
+        *("--seed", int, "N"),
+        "Seed of the noise; of a flight, of all that is random in it.  [default: 0]",
+    ),
+)
+_OF_FLIGHTS = (
+    (
+        *("--exposure", float, "MS"),
+        "How long the shutter is open, which blurs what moves.  [default: 0]",
+    ),
+    (
+        *("--rolling-shutter", float, "MS"),
+        "How much later the last row is taken than the first.  [default: 0]",
+    ),
+    (
+        *("--vignette", float, "V"),
+        "Share of the light that the corners lose, 0 to 1.  [default: 0.3]",
+    ),
+    (
+        *("--shot-noise", float, "SD"),
+        "Standard deviation of the noise that comes with light, where it is full; the variance is "
+        "proportional to the light.  [default: 0.01]",
+    ),
+    ("--gamma", float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
+)
+_OF_FLAT_SCENES = (
+    (
+        *("--object-size", float, "S"),
+        "Side or diameter: m, or px for translating-cubes.  [default: 0.5 m; a ninth of the "
+        "height]",
+    ),
+    (
+        *("--speed", float, "V"),
+        "Speed in m/s; for translating-cubes in px/frame, negative to the left, and repeatable for "
+        "more cubes.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]",
+    ),
+    (
+        *("--distance", float, "D"),
+        "Distance in m at the first frame.  [default: 7.5; 0.1 for receding-cube]",
+    ),
+    (
+        *("--contrast", float, "C"),
+        "Weber contrast: the object is 1 + C times as bright as the background.  [default: -0.75]",
+    ),
+    (
+        *("--background", float, "L"),
+        "Luminance of the background, 0 to 1.  [default: 0.8]",
+    ),
+)
+
+
+class _SectionOption(click.Option):
+    """An option that the help shows in a section of its own."""
+
+    def __init__(self, *args: Any, section: str = "Options", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.section = section
+
+
+class _SectionedCommand(Command):
+    """A command whose help has its options in sections."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The options of no section first."""
+        sections: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for param in self.get_params(ctx):
+            line = param.get_help_record(ctx)
+            if line is not None and isinstance(param, click.Option):
+                sections.setdefault(getattr(param, "section", "Options"), []).append(line)
+        for title, lines in sections.items():
+            with formatter.section(title):
+                formatter.write_dl(lines)
+
+
+def _scene_options(command: Any) -> Any:
+    """The options of scenes, in the order of the help."""
+    for section, options in (
+        ("Of flat scenes only", _OF_FLAT_SCENES),
+        ("Of flights only", _OF_FLIGHTS),
+        ("Options", _OF_ALL),
+    ):
+        for flag, kind, metavar, text in reversed(options):
+            command = click.option(
+                flag,
+                cls=_SectionOption,
+                section=section,
+                type=kind,
+                metavar=metavar,
+                help=text,
+                multiple=flag == "--speed",
+            )(command)
+    return command
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=_SectionedCommand,
     epilog="Example: dlgmd synth looming-cube --speed 5 --noise 0.02 --seed 1 --out stimuli",
 )
 @click.argument("scene_name", metavar="SCENE", required=False)
@@ -43,9 +158,23 @@ if TYPE_CHECKING:
     help="Draw a contact sheet, too, of up to 12 frames, the collision's among them.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
-@clip_options
-@count_option
-@jobs_option
+@_scene_options
+@click.option(
+    "--count",
+    cls=_SectionOption,
+    section="Of flights only",
+    type=click.IntRange(1, 1_000_000),
+    metavar="N",
+    help="Render N flights, each with the next seed, and DIR/labels.csv.",
+)
+@click.option(
+    "--jobs",
+    cls=_SectionOption,
+    section="Of flights only",
+    type=click.IntRange(1, 512),
+    metavar="N",
+    help="Processes that share the flights of --count.  [default: all processors]",
+)
 def synth(
     scene_name: str | None,
     lists: bool,
@@ -54,9 +183,9 @@ def synth(
     png: bool,
     sheet: bool,
     overwrite: bool,
-    given: dict[str, Any],
     count: int | None,
     jobs: int | None,
+    **given: Any,
 ) -> None:
     """Render a stimulus with its ground truth.
 
@@ -68,34 +197,51 @@ def synth(
     from the first to the last, with what is true of each. With --count, every flight has its own.
 
     --count makes DIR/SCENE-0000.mp4 and so on, the first with --seed, each other with the next
-    seed, and DIR/labels.csv. Flights that are there already are kept: after an interrupt, the same
-    command goes on.
+    seed, and DIR/labels.csv. Flights that are there already are kept: after an interrupt, run the
+    same command again to go on.
     """
     if count is None and jobs is not None:
-        raise click.UsageError("--jobs shares out the flights of --count. Add it.")
+        raise click.UsageError("--jobs works only with --count. Add it.")
     if lists:
         _list()
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' has them.")
     from dlgmd_cli.flights.scenes import find_scene
-    from dlgmd_cli.stimuli.form import Form
+    from dlgmd_cli.stimuli.clip import Form
 
     scene = find_scene(scene_name)
-    options = scene.configure(by_flag(given))
+    options = scene.configure(_by_flag(given))
     form = Form.choose(lossless=lossless, png=png, playable=scene.is_playable)
-    draw = draw_sheet if sheet else None
+    draw = _drawer() if sheet else None
     if count is None:
         _render_one(scene, options, form, out, overwrite, draw)
         return
-    from dlgmd_cli.commands._flights import render_fleet
     from dlgmd_cli.flights.dataset import Fleet
     from dlgmd_cli.flights.scene import FlightScene
 
     if not isinstance(scene, FlightScene):
-        raise click.UsageError(f"--count is for flights, and {scene.name} is none.")
-    fleet = Fleet(scene, options, count, out, form, draw)
-    render_fleet(fleet, jobs=jobs, overwrite=overwrite)
+        raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
+    _render_fleet(Fleet(scene, options, count, out, form, draw), jobs, overwrite)
+
+
+def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
+    """What the user has set, by flag, as scenes take it."""
+    values = {
+        f"--{name.replace('_', '-')}": value
+        for name, value in given.items()
+        if value not in (None, ())
+    }
+    if "--size" in values:
+        values["--size"] = values["--size"][::-1]
+    return values
+
+
+def _drawer() -> "DrawSheet":
+    """What draws contact sheets; Matplotlib is loaded only where one is asked for."""
+    from dlgmd_cli.plots.contact_sheet import save_contact_sheet
+
+    return save_contact_sheet
 
 
 def _list() -> None:
@@ -103,13 +249,14 @@ def _list() -> None:
     from dlgmd_cli.flights.scene import FlightScene
     from dlgmd_cli.flights.scenes import SCENES
 
-    flights = [scene for scene in SCENES.values() if isinstance(scene, FlightScene)]
-    flat = [scene for scene in SCENES.values() if not isinstance(scene, FlightScene)]
     width = max(map(len, SCENES))
-    for kind, scenes in (("flight", flights), ("flat scene", flat)):
-        if scenes:
-            rows = [(scene.name.ljust(width), scene.description) for scene in scenes]
-            print_table((kind, "shows"), rows)
+    for kind, is_flight in (("flight", True), ("flat scene", False)):
+        rows = [
+            (scene.name.ljust(width), scene.description)
+            for scene in SCENES.values()
+            if isinstance(scene, FlightScene) == is_flight
+        ]
+        print_table((kind, "shows"), rows)
 
 
 def _render_one(
@@ -121,7 +268,7 @@ def _render_one(
     draw: "DrawSheet | None",
 ) -> None:
     """Render a clip and print the paths of its files."""
-    from dlgmd_cli.stimuli.encode import write_clip
+    from dlgmd_cli.stimuli.clip import write_clip
 
     # A flight has noise unless told otherwise, and what its video keeps of it is a camera's share.
     is_smoothed = form.codec == "mpeg4" and not scene.is_playable and options.noise > 0.0
@@ -133,3 +280,68 @@ def _render_one(
         )
     for path in paths:
         print_path(path)
+
+
+def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
+    """Render the flights that are not there yet, and label all that are, even after an error."""
+    from dlgmd_cli.results.store import locked
+
+    with locked(fleet.folder):
+        n_before = len(fleet.present())
+        try:
+            is_interrupted = _render_missing(fleet, jobs, overwrite)
+        except Exception:
+            if len(fleet.present()) > n_before:
+                say(_kept(fleet, _label(fleet, overwrite)))
+            raise
+        n_present = _label(fleet, overwrite)
+    if is_interrupted:
+        say(f"Interrupted. {_kept(fleet, n_present)}" if n_present else "Interrupted.")
+        raise click.exceptions.Exit(EXIT_INTERRUPTED)
+    if n_present < fleet.count:
+        raise Failed(
+            f"{fleet.count - n_present} of {fleet.count} flights failed; the other {n_present} "
+            f"are in {fleet.folder}. Fix what is named above, then run the same command again.",
+            EXIT_FAILED,
+        )
+
+
+def _render_missing(fleet: "Fleet", jobs: int | None, overwrite: bool) -> bool:
+    """Render what is missing and tell of what fails; says whether the user stopped it."""
+    from dlgmd_cli.flights.dataset import render_flights
+
+    present = fleet.present()
+    missing = [number for number in range(fleet.count) if number not in present]
+    fleet.check(missing, overwrite=overwrite)
+    if present:
+        say(f"{len(present)} of {fleet.count} flights were already there.")
+    n_jobs = min(jobs or n_processors(), max(1, len(missing)))
+    try:
+        with progress(fleet.scene.name, fleet.count, "flight") as on_flight:
+            on_flight(len(present))
+            done = render_flights(fleet, missing, n_jobs, overwrite=overwrite)
+            for n_done, (number, error) in enumerate(done, start=len(present) + 1):
+                if error is not None:
+                    name = fleet.name_of(number)
+                    say(str(error) if name in error.what else f"{name}: {error}")
+                on_flight(n_done)
+    except (Interrupted, KeyboardInterrupt):
+        return True
+    return False
+
+
+def _label(fleet: "Fleet", overwrite: bool) -> int:
+    """Write the labels of the flights that are there, if any are; says how many."""
+    labels = fleet.present()
+    if labels:
+        fleet.write_labels(labels, overwrite=overwrite)
+        print_path(fleet.labels_path)
+    return len(labels)
+
+
+def _kept(fleet: "Fleet", n_present: int) -> str:
+    """What an end before the end leaves."""
+    return (
+        f"{fleet.folder} holds {n_present} of {fleet.count} flights; "
+        "run the same command again for the others."
+    )

@@ -2,13 +2,17 @@
 
 import numpy as np
 
-from dlgmd_cli.flights.extent import Extent
+from dlgmd_cli.flights.geometry import Extent
 from dlgmd_cli.flights.path import State
-from dlgmd_cli.flights.renderer.camera import Camera, FloatArray
-from dlgmd_cli.flights.renderer.solids import World
-from dlgmd_cli.flights.sightlines import Sightlines
-from dlgmd_cli.flights.surfaces import IntArray, Surfaces
+from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
+from dlgmd_cli.flights.renderer.solids import IntArray, Surfaces, World
+from dlgmd_cli.flights.renderer.visibility import is_outside
 
+# Cells of the grid of lines of sight; its rim is the picture's.
+_N_COLUMNS, _N_ROWS = 64, 36
+# A line of sight along the edge between two faces meets both of them.
+_ROUNDING = 1e-9
+_LEAST = 1e-12
 # A point is hidden by what is nearer by more than this share.
 _HIDES = 1e-6
 # Points on the outline of a ball.
@@ -18,8 +22,8 @@ _N_AROUND = 8
 class ImageSpeed:
     """The speed of the fastest point in the picture.
 
-    Looked at are the crossings of a grid, with its rim on the picture's, and what can be seen of
-    the target's corners and of the outlines of its round parts.
+    The points are those at the crossings of a grid over the picture, and the visible ones of the
+    target's corners and of the outlines of its round parts.
 
     Parameters
     ----------
@@ -30,45 +34,94 @@ class ImageSpeed:
     """
 
     def __init__(self, world: World, camera: Camera, target: str | None = None) -> None:
-        self._surfaces = Surfaces(world.bodies)
-        self._camera, self._lines = camera, Sightlines(self._surfaces, world.room, camera)
-        marks = Extent(self._surfaces)
-        names = [body.name for body in world.bodies]
-        of_target = np.array([names[body] == target for body in marks.body], bool)
-        self._marks = marks.points_m[of_target]
-        self._mark_body, self._mark_radii = marks.body[of_target], marks.radii_m[of_target]
+        self.surfaces = Surfaces([*world.bodies, world.room])
+        self._camera = camera
+        half_width, half_height = camera.middle_xy / camera.focal_px
+        x, y = np.meshgrid(
+            np.linspace(-half_width, half_width, _N_COLUMNS + 1),
+            np.linspace(-half_height, half_height, _N_ROWS + 1),
+        )
+        self.grid = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
+        marks = Extent(Surfaces(world.bodies))
+        of_target = np.array([world.bodies[i].name == target for i in marks.body], bool)
+        self._marks, self._radii = marks.points_m[of_target], marks.radii_m[of_target]
+        self._mark_body = marks.body[of_target]
 
     def fastest(self, state: State, time_s: float) -> float:
         """In px/s, of the points that a camera in this state sees at a time."""
-        pose, offsets = state.pose, self._surfaces.offsets(time_s)
+        pose, offsets = state.pose, self.surfaces.offsets(time_s)
         marks, mark_body = self._marked(state, offsets)
-        rays = np.concatenate([self._lines.grid, marks / marks[:, 2:]])
-        closeness, body = self._lines.cast(rays, pose, offsets)
-        n_lines = len(self._lines.grid)
+        rays = np.concatenate([self.grid, marks / marks[:, 2:]])
+        closeness, body = self.cast(rays, pose, offsets)
+        n_lines = len(self.grid)
         own = 1.0 / marks[:, 2]
         shown = closeness[n_lines:] <= own * (1.0 + _HIDES)
         closeness[n_lines:], body[n_lines:] = np.where(shown, own, 0.0), mark_body
         axes = pose.camera_from_world.T
-        # The last one is the room's, which rests.
-        velocities = np.concatenate([self._surfaces.velocities(time_s), np.zeros((1, 3))])
-        speeds = (velocities - state.velocity_m_s) @ axes
-        flow = _flow(rays, closeness, speeds[body], state.angular_velocity_rad_s @ axes)
+        speeds = (self.surfaces.velocities(time_s) - state.velocity_m_s) @ axes
+        spin = state.angular_velocity_rad_s @ axes
+        # How fast x / z and y / z change, in 1/s.
+        moves = speeds[body] * closeness[:, None] - np.cross(spin, rays)
+        flow = moves[:, :2] - rays[:, :2] * moves[:, 2:]
         seen = closeness > 0.0
         fastest = np.sqrt((flow[seen] ** 2).sum(axis=-1)).max(initial=0.0)
         return float(self._camera.focal_px * fastest)
 
-    def _marked(self, state: State, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
-        """The target's points that may be seen, as the camera has them, and whose they are."""
-        pose = state.pose
-        at = self._camera.view(self._marks + offsets_m[self._mark_body], pose)
-        is_round = self._mark_radii > 0.0
-        points, bodies = [at[~is_round]], [self._mark_body[~is_round]]
-        for middle, radius, body in zip(
-            at[is_round], self._mark_radii[is_round], self._mark_body[is_round], strict=True
+    def cast(
+        self, rays: FloatArray, pose: Pose, offsets_m: FloatArray
+    ) -> tuple[FloatArray, IntArray]:
+        """Find what is nearest along lines of sight.
+
+        Parameters
+        ----------
+        rays : ndarray, shape (n, 3)
+            Directions in the camera's axes: right, down and forward, with forward 1.
+        pose : Pose
+        offsets_m : ndarray, shape (n_bodies, 3)
+            How far the bodies have moved.
+
+        Returns
+        -------
+        closeness : ndarray, shape (n,)
+            1 / depth along the camera's axis, in 1/m; 0 where there is nothing.
+        body : ndarray, shape (n,)
+            Index of the body in `surfaces`, whose last one is the room; 0 where there is nothing.
+        """
+        surfaces, axes = self.surfaces, pose.camera_from_world.T
+        closeness, body = np.zeros(len(rays)), np.zeros(len(rays), np.intp)
+        eyes = pose.position_m - offsets_m
+        corners = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ axes
+        normals = surfaces.normals @ axes
+        heights = (corners[:, 0] * normals).sum(axis=-1)
+        chosen = np.flatnonzero((heights < 0.0) & ~is_outside(self._camera, corners))
+        corners, planes = corners[chosen], normals[chosen] / heights[chosen, None]
+        # Through the camera and each side; positive outside of the face.
+        sides = np.cross(corners, np.roll(corners, -1, axis=1))
+        sides /= np.maximum(np.sqrt((sides**2).sum(axis=-1, keepdims=True)), _LEAST)
+        columns = np.ascontiguousarray(rays.T)
+        hits = [
+            (np.where((side @ columns).max(axis=0) <= _ROUNDING, plane @ columns, 0.0), owner)
+            for side, plane, owner in zip(sides, planes, surfaces.face_body[chosen], strict=True)
+        ]
+        for ends, radius, owner in zip(
+            surfaces.ends_m, surfaces.radii_m, surfaces.round_body, strict=True
         ):
-            points.append(_outline(middle, radius))
-            bodies.append(np.full(len(points[-1]), body))
-        found, owners = np.concatenate(points), np.concatenate(bodies)
+            seen = self._camera.view(ends + offsets_m[owner], pose)
+            if (seen[:, 2] >= -radius).any():
+                hits.append((_capsule(rays, seen, radius), owner))
+        for near, owner in hits:
+            body[near > closeness] = owner
+            np.maximum(closeness, near, out=closeness)
+        return closeness, body
+
+    def _marked(self, state: State, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
+        """The target's points that may be seen, in the camera's axes, and their bodies."""
+        at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
+        outlines = [
+            _outline(middle, radius) for middle, radius in zip(at, self._radii, strict=True)
+        ]
+        found = np.concatenate([np.empty((0, 3)), *outlines])
+        owners = np.repeat(self._mark_body, [len(outline) for outline in outlines])
         ahead = found[:, 2] > 0.0
         found, owners = found[ahead], owners[ahead]
         reach = self._camera.middle_xy / self._camera.focal_px
@@ -76,36 +129,10 @@ class ImageSpeed:
         return found[framed], owners[framed]
 
 
-def max_image_speed(
-    world: World, camera: Camera, state: State, time_s: float, target: str | None = None
-) -> float:
-    """The speed of the fastest point in the picture, in px/s; see `ImageSpeed`."""
-    return ImageSpeed(world, camera, target).fastest(state, time_s)
-
-
-def _flow(
-    rays: FloatArray, closeness: FloatArray, speeds: FloatArray, spin: FloatArray
-) -> FloatArray:
-    """How fast x / z and y / z change, (n, 2), in 1/s.
-
-    Parameters
-    ----------
-    rays : ndarray, shape (n, 3)
-        Directions with z = 1.
-    closeness : ndarray, shape (n,)
-        1 / z.
-    speeds : ndarray, shape (n, 3)
-        Of the points, relative to the camera, along its axes.
-    spin : ndarray, shape (3,)
-        Angular velocity of the camera about its axes.
-    """
-    moves = speeds * closeness[:, None] - np.cross(spin, rays)
-    flow: FloatArray = moves[:, :2] - rays[:, :2] * moves[:, 2:]
-    return flow
-
-
 def _outline(middle: FloatArray, radius: float) -> FloatArray:
     """Points of a ball where sight from the origin touches it, and the nearest one, (n, 3)."""
+    if radius == 0.0:
+        return middle[None]
     distance = float(np.sqrt(middle @ middle))
     if distance <= radius:
         return np.empty((0, 3))
@@ -117,3 +144,30 @@ def _outline(middle: FloatArray, radius: float) -> FloatArray:
     share = radius / distance
     rim = (distance - radius * share) * towards + radius * np.sqrt(1.0 - share**2) * ring
     return np.concatenate([rim, (middle - radius * towards)[None]])
+
+
+def _capsule(rays: FloatArray, ends: FloatArray, radius: float) -> FloatArray:
+    """Closeness at which lines enter a capsule; 0 for those that do not."""
+    balls = [_entry((rays**2).sum(axis=-1), rays @ end, end @ end - radius**2) for end in ends]
+    near = np.maximum(*balls)
+    axis = ends[1] - ends[0]
+    length = float(np.sqrt(axis @ axis))
+    if length == 0.0:
+        return near
+    axis = axis / length
+    sideways = rays - (rays @ axis)[:, None] * axis
+    middle = ends[0] - (ends[0] @ axis) * axis
+    squares, along = (sideways**2).sum(axis=-1), sideways @ middle
+    tube = _entry(squares, along, middle @ middle - radius**2)
+    height = np.divide(rays @ axis, tube, out=np.full(len(tube), -1.0), where=tube > 0.0)
+    height -= ends[0] @ axis
+    return np.maximum(near, np.where((height >= 0.0) & (height <= length), tube, 0.0))
+
+
+def _entry(squares: FloatArray, along: FloatArray, power: float) -> FloatArray:
+    """1 / s for the lesser solution s of a s² - 2 b s + c = 0, where it is above 0; else 0."""
+    inner = along**2 - squares * power
+    meets = (inner >= 0.0) & (along > 0.0) & (power > 0.0)
+    root = np.sqrt(np.where(meets, inner, 0.0))
+    # The lesser solution is c / (b + sqrt(b² - a c)).
+    return np.where(meets, (along + root) / (power if power > 0.0 else 1.0), 0.0)

@@ -1,15 +1,18 @@
-"""Where a drone was and how it moved at any time of its flight."""
+"""A flight: where the drone was and how it moved, and the world that it flew through."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import FloatArray, Pose, rotation
+from dlgmd_cli.flights.renderer.solids import World
 
-# Frames' times and the sums of phases' lengths may differ in the last digits.
+# Distance from the camera to the drone's hull: what comes that near has been hit.
+REACH_M = 0.1
+# Times of frames and sums of the lengths of phases may differ in the last digits.
 _SAME_S = 1e-9
 
 
@@ -22,7 +25,7 @@ class State:
     position_m, velocity_m_s : ndarray, shape (3,)
         In the world.
     roll_deg, pitch_deg, yaw_deg : float
-        See `dlgmd_cli.flights.renderer.camera.rotation`. Yaw goes on beyond 360.
+        See `dlgmd_cli.flights.renderer.camera.rotation`. Yaw goes beyond 360 after a full turn.
     angular_velocity_rad_s : ndarray, shape (3,)
         About the world's axes.
     """
@@ -36,7 +39,7 @@ class State:
 
     @cached_property
     def pose(self) -> Pose:
-        """Where the camera is and where it looks."""
+        """Position and attitude of the camera."""
         return Pose(self.position_m, rotation(self.roll_deg, self.pitch_deg, self.yaw_deg))
 
 
@@ -48,7 +51,7 @@ class Stretch:
     ----------
     start_s : float
     step_s : float
-        From one sample to the next.
+        Time from one sample to the next.
     samples : ndarray, shape (n, 12), n >= 2
         Position, velocity, roll, pitch and yaw, and their rates, in m, rad and s.
     """
@@ -83,7 +86,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Path:
-    """A flight that was flown.
+    """The path of a drone.
 
     Attributes
     ----------
@@ -91,13 +94,10 @@ class Path:
         Each is valid until the next one starts, that time included.
     phases : tuple of (str, float, float)
         Name, start and end, in s, without gaps.
-    offset_m : tuple of float
-        Added to all positions.
     """
 
     stretches: Sequence[Stretch]
     phases: tuple[tuple[str, float, float], ...]
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def duration_s(self) -> float:
@@ -105,39 +105,49 @@ class Path:
         return self.phases[-1][2]
 
     def phase(self, time_s: float) -> str:
-        """The name of the phase at a time; where one ends, it is the next."""
+        """The name of the phase at a time; where one ends, it is the next one's."""
         begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
         return begun[-1] if begun else self.phases[0][0]
 
     def state(self, time_s: float) -> State:
-        """Where the drone is and how it moves.
+        """Where the drone is and how it moves; at the time of contact, just before it.
 
-        Parameters
-        ----------
-        time_s : float
-            Before the start and after the end it is what it is there, so that an exposure may
-            reach a little beyond the flight.
-
-        Returns
-        -------
-        State
-            At the time of contact, what it is just before.
+        Before the start and after the end, the state is the first and the last one: an exposure
+        may reach a little beyond the flight.
         """
         time = min(max(time_s, 0.0), self.duration_s)
         begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
         position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         spin = _angular_velocity(angles, rates)
-        return State(position + self.offset_m, velocity, roll, pitch, yaw, spin)
+        return State(position, velocity, roll, pitch, yaw, spin)
 
     def pose(self, time_s: float) -> Pose:
-        """Where the camera is and where it looks; see `state`."""
+        """Position and attitude of the camera; see `state`."""
         return self.state(time_s).pose
 
-    def moved(self, by_m: FloatArray) -> "Path":
-        """The same flight elsewhere, (3,) in m away."""
-        x, y, z = (float(a + b) for a, b in zip(self.offset_m, by_m, strict=True))
-        return replace(self, offset_m=(x, y, z))
+
+@dataclass(frozen=True)
+class Stage:
+    """A world, and a flight through it.
+
+    Attributes
+    ----------
+    world : World
+    path : Path
+    target : str
+        Name of the bodies that distances and angles refer to; all of that name are one target.
+    contact_s : float or None
+        Time at which the drone hits something; None if it never does.
+    duration_s : float
+        How much of the flight is filmed.
+    """
+
+    world: World
+    path: Path
+    target: str
+    contact_s: float | None
+    duration_s: float
 
 
 def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:

@@ -2,18 +2,72 @@
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import groupby
+from dataclasses import dataclass
+from itertools import groupby, pairwise
 from typing import Any
 
-from dlgmd_cli.flights.film import film
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.stage import Stage
-from dlgmd_cli.flights.truth import FlightTruth, truth_rows
-from dlgmd_cli.stimuli.base import MAX_FRAMES, GreyImage, Scene, invalid
+import numpy as np
 
-# What rounding may take from a time that is a whole number of frames.
+from dlgmd_cli.flights.image_speed import ImageSpeed
+from dlgmd_cli.flights.path import Stage
+from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.painter import Renderer
+from dlgmd_cli.flights.renderer.sensor import Sensor
+from dlgmd_cli.flights.renderer.texture import FloatImage
+from dlgmd_cli.flights.truth import FlightTruth, truth_rows
+from dlgmd_cli.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
+
+# By how much rounding may change a time in ms, and a time in frames.
 _TOLERANCE = 1e-6
+# How far the fastest point may move between two pictures that are blurred into one, and between
+# two strips of rows that are each taken at one time; and the greatest numbers of both. As many
+# are taken while the light changes.
+_BLUR_STEP_PX, _MAX_PICTURES = 1.0, 64
+_STRIP_STEP_PX, _MAX_STRIPS = 0.5, 128
+_TOO_FAST_PX_S = 1e12
+
+
+@dataclass(frozen=True)
+class FlightOptions(ClipOptions):
+    """Options of all flights: those of the camera, in addition to those of every clip.
+
+    Attributes
+    ----------
+    exposure_ms : float
+        How long the shutter is open, which blurs what moves; 0 for no blur.
+    vignette : float
+        Share of the light that the lens loses in the corners.
+    noise : float
+        Read noise: standard deviation, in units of full scale of linear light.
+    shot_noise : float
+        Standard deviation that a fully bright pixel gets in addition; its square grows with light.
+    gamma : float
+        Grey levels are linear light to the power of 1 / gamma.
+    rolling_shutter_ms : float
+        How much later the last row is taken than the first.
+    """
+
+    fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
+    exposure_ms: float = option(0.0, "--exposure", 0, 1000, unit="ms")
+    vignette: float = option(0.3, "--vignette", 0, 1)
+    noise: float = option(0.002, "--noise", 0, 1)
+    shot_noise: float = option(0.01, "--shot-noise", 0, 1)
+    gamma: float = option(2.2, "--gamma", 1, 4)
+    rolling_shutter_ms: float = option(0.0, "--rolling-shutter", 0, 1000, unit="ms")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        period_ms = 1000.0 / self.fps
+        for flag, value in (
+            ("--exposure", self.exposure_ms),
+            ("--rolling-shutter", self.rolling_shutter_ms),
+        ):
+            if value > period_ms + _TOLERANCE:
+                raise invalid(
+                    flag,
+                    f"{value:g} ms is longer than a frame at {self.fps:g} frames/s",
+                    f"Choose {period_ms:.4g} or less, or a lower --fps.",
+                )
 
 
 class FlightScene(Scene[FlightOptions]):
@@ -24,8 +78,8 @@ class FlightScene(Scene[FlightOptions]):
     name, description, defaults
         See `Scene`.
     stage : callable
-        Builds the place and the flight from a seed; a function of a module, so that other
-        processes can be told of it.
+        Builds the place and the flight from a seed; a function of a module, so that it can be
+        pickled.
     """
 
     truth_type = FlightTruth
@@ -75,12 +129,12 @@ class FlightScene(Scene[FlightOptions]):
         return film(self.stage(options), options, self.n_frames(options))
 
     def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
-        """What is so at each frame, from the geometry alone."""
+        """The truth of each frame, from the geometry alone."""
         camera = Camera(options.shape, options.fov_deg)
         return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
 
     def record(self, options: FlightOptions) -> dict[str, Any]:
-        """What is so of the clip as a whole.
+        """The facts of the clip as a whole.
 
         Returns
         -------
@@ -91,31 +145,82 @@ class FlightScene(Scene[FlightOptions]):
         """
         stage, n_frames = self.stage(options), self.n_frames(options)
         height, width = options.shape
+        frame = None
+        if stage.contact_s is not None:
+            frame = math.ceil(stage.contact_s * options.fps - _TOLERANCE)
+        phases: list[dict[str, Any]] = []
+        names = [stage.path.phase(index / options.fps) for index in range(n_frames)]
+        for name, group in groupby(range(n_frames), key=names.__getitem__):
+            frames = list(group)
+            phases.append({"name": name, "first_frame": frames[0], "last_frame": frames[-1]})
         return {
             "width": width,
             "height": height,
             "fps": options.fps,
             "frames": n_frames,
             "target": stage.target,
-            "collision_frame": _first_frame(stage.contact_s, options.fps, n_frames),
+            "collision_frame": frame if frame is not None and frame < n_frames else None,
             "collision_time_s": None if stage.contact_s is None else float(stage.contact_s),
-            "phases": list(_phases(stage, options.fps, n_frames)),
+            "phases": phases,
         }
 
 
-def _first_frame(time_s: float | None, fps: float, n_frames: int) -> int | None:
-    """The first of `n_frames` frames at or after a time; None if there is none."""
-    if time_s is None:
-        return None
-    frame = math.ceil(time_s * fps - _TOLERANCE)
-    return frame if frame < n_frames else None
+def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
+    """The frames of a flight in order.
+
+    Frame i is taken at i / fps. With an exposure, that is the middle of the time that the shutter
+    is open; with a rolling shutter, it is the time of the middle row.
+
+    Parameters
+    ----------
+    stage : Stage
+    options : FlightOptions
+        Of the camera.
+    n_frames : int
+
+    Yields
+    ------
+    ndarray, shape (H, W), uint8
+    """
+    camera = Camera(options.shape, options.fov_deg)
+    sensor = Sensor(
+        camera,
+        vignette=options.vignette,
+        shot_noise=options.shot_noise,
+        read_noise=options.noise,
+        gamma=options.gamma,
+        seed=options.seed,
+    )
+    renderer = Renderer(stage.world, camera)
+    speeds = ImageSpeed(stage.world, camera, stage.target)
+    exposure_s, readout_s = options.exposure_ms / 1000.0, options.rolling_shutter_ms / 1000.0
+    n_rows = camera.shape[0]
+    for index in range(n_frames):
+        time_s = index / options.fps
+        speed = _fastest(stage, speeds, time_s, (exposure_s + readout_s) / 2.0)
+        n_pictures = _steps(speed * exposure_s / _BLUR_STEP_PX, _MAX_PICTURES)
+        n_strips = _steps(speed * readout_s / _STRIP_STEP_PX, min(_MAX_STRIPS, n_rows))
+        borders = np.linspace(0, n_rows, n_strips + 1).round().astype(int).tolist()
+        strips = []
+        for first, last in pairwise(borders):
+            middle_s = time_s + ((first + last) / 2.0 / n_rows - 0.5) * readout_s
+            light: FloatImage = np.zeros((last - first, camera.shape[1]), np.float32)
+            for picture in range(n_pictures):
+                time = middle_s + ((picture + 0.5) / n_pictures - 0.5) * exposure_s
+                light += renderer.render(stage.path.pose(time), time, (first, last))
+            strips.append(light * np.float32(1.0 / n_pictures))
+        yield sensor.develop(np.concatenate(strips), index)
 
 
-def _phases(stage: Stage, fps: float, n_frames: int) -> Iterator[dict[str, Any]]:
-    """Every phase that a frame is in."""
-    names = (stage.path.phase(index / fps) for index in range(n_frames))
-    first = 0
-    for name, frames in groupby(names):
-        after = first + sum(1 for _ in frames)
-        yield {"name": name, "first_frame": first, "last_frame": after - 1}
-        first = after
+def _fastest(stage: Stage, speeds: ImageSpeed, time_s: float, half_s: float) -> float:
+    """The greatest speed in the picture, in px/s, that matters within `half_s` of a time."""
+    if half_s == 0.0:
+        return 0.0
+    if stage.world.light(time_s - half_s) != stage.world.light(time_s + half_s):
+        return _TOO_FAST_PX_S
+    return speeds.fastest(stage.path.state(time_s), time_s)
+
+
+def _steps(wanted: float, most: int) -> int:
+    """A whole number of steps from 1 to `most`."""
+    return min(max(math.ceil(wanted), 1), most)

@@ -1,26 +1,38 @@
 """The scenes by name."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+import yaml
+
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.scene import FlightScene
-from dlgmd_cli.flights.stages.ball import ball_and_capsules
-from dlgmd_cli.flights.stages.groups import group1, group2, group3, group4, group5
-from dlgmd_cli.flights.stages.misses import (
-    along_corridor,
-    light_on,
-    past_pillar,
-    person_crossing,
-    through_doorway,
-    turn_at_wall,
-)
-from dlgmd_cli.flights.stages.random_flight import random_flight
+from dlgmd_cli.flights import script
+from dlgmd_cli.flights.ball import ball_and_capsules
+from dlgmd_cli.flights.bodies import spot
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.furniture import furniture
+from dlgmd_cli.flights.path import Path as FlightPath
+from dlgmd_cli.flights.path import Stage
+from dlgmd_cli.flights.placing import DAYLIGHT, FRAME_S, in_the_way, world_of
+from dlgmd_cli.flights.random_flight import random_flight
+from dlgmd_cli.flights.renderer.solids import Body, Motion
+from dlgmd_cli.flights.rooms import Hall, cluttered_room, corridor, simple_room
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.flights.textures import Rng
 from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stimuli.base import Scene
-from dlgmd_cli.stimuli.flat.approach import Approach, ApproachOptions, Ball, Cube
-from dlgmd_cli.stimuli.flat.translation import Translation, TranslationOptions
+from dlgmd_cli.stimuli.looming import Approach, ApproachOptions, Ball, Cube
+from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
+
+NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
+_ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}
+_DUSK = 0.3
+# What is filmed after a collision.
+_AFTER_S = 15 * FRAME_S
 
 _LOOMING = ApproachOptions()
 # Starts where the looming cube ends, so that the one is the other played backwards.
@@ -30,6 +42,78 @@ _RECEDING = ApproachOptions(distance_m=_LOOMING.speed_m_s / _LOOMING.fps)
 _FULL_HD = FlightOptions(shape=(1080, 1920))
 _SIMULATED = FlightOptions(shape=(600, 800))
 _SMALL = FlightOptions(shape=(360, 640))
+
+
+def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
+    """A flight that `scenes.yaml` describes.
+
+    Parameters
+    ----------
+    spec : mapping
+        Its description.
+    seed : int
+        Of the room, of what stands in it, and of what disturbs the drone.
+
+    Returns
+    -------
+    Stage
+    """
+    phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
+    flight = partial(
+        fly, phases, position_m=spec["start_m"], yaw_deg=spec.get("yaw_deg", 0.0), seed=seed
+    )
+    free, obstacle = flight(), spec["obstacle"]
+    target, hit_at = obstacle.get("target", obstacle["piece"]), obstacle.get("hit_at")
+    rng = np.random.default_rng([seed, hit_at or 1])
+    room = dict(spec["room"])
+    kind, behind_m = _ROOMS[room.pop("kind")], room.pop("behind_m", 0.0)
+    if hit_at is not None:
+        contact_s = hit_at * FRAME_S
+        build = partial(_piece, obstacle["piece"], np.random.default_rng([seed, 2]))
+        turned = obstacle.get("turned_deg", 0.0)
+        guests = in_the_way(free, contact_s, build, target, turned_deg=turned)
+        end_m = max(float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in guests)
+        place = kind(rng, **{"length_m": end_m + behind_m, **room}, guests=guests)
+        path = flight(contact_s=contact_s)
+        return Stage(world_of(place, guests), path, target, contact_s, contact_s + _AFTER_S)
+    room.setdefault("length_m", _x(free, free.duration_s) + behind_m)
+    guests = _bystander(obstacle, rng, free, room["length_m"])
+    world = world_of(kind(rng, **room, guests=guests), guests)
+    if "lamps_on_at" in spec:
+        on_s = spec["lamps_on_at"] / 30.0
+        world = replace(world, light=lambda time_s: DAYLIGHT if time_s >= on_s else _DUSK)
+    return Stage(world, free, target, None, free.duration_s)
+
+
+def _piece(
+    name: str, rng: Rng, at_m: Sequence[float], yaw_deg: float = 0.0, motion: Motion | None = None
+) -> list[Body]:
+    """A piece of furniture somewhere on the floor."""
+    return furniture(name, rng, spot(at_m, yaw_deg), motion=motion)
+
+
+def _bystander(
+    obstacle: Mapping[str, Any], rng: Rng, path: FlightPath, length_m: float
+) -> list[Body]:
+    """An obstacle that is not hit."""
+    name = obstacle["piece"]
+    if "at_frame" in obstacle:
+        return _piece(name, rng, (_x(path, obstacle["at_frame"] / 30.0), obstacle["y_m"]))
+    if "up_m" in obstacle:
+        far = Hall((length_m, 0.0, 0.0)).on("far", 0.0, obstacle["up_m"])
+        return furniture(name, rng, far)
+    walk = obstacle["walks"]
+
+    def motion(time_s: float) -> tuple[float, float, float]:
+        way = walk["m_s"] * (time_s - walk["from"] / 30.0)
+        return 0.0, float(np.clip(way, 0.0, walk["way_m"])), 0.0
+
+    return _piece(name, rng, obstacle["at_m"], obstacle["yaw_deg"], motion)
+
+
+def _x(path: FlightPath, time_s: float) -> float:
+    """How far along the room a drone is at a time, in m."""
+    return float(path.state(time_s).position_m[0])
 
 
 def _flat_scenes() -> Iterator[Scene[Any]]:
@@ -51,31 +135,19 @@ def _flat_scenes() -> Iterator[Scene[Any]]:
 
 
 def _flights() -> Iterator[FlightScene]:
-    """First-person video of places."""
-    for name, shows, stage in (
-        ("group1", "cluttered room; pitches, hits a chair at frame 120", group1),
-        ("group2", "the same; brakes, hits a gridded pattern at 140", group2),
-        ("group3", "the same; yaws in a curve, hits a notebook at 135", group3),
-        ("group4", "simple room; takes off, hits a gridded pattern at 210", group4),
-        ("group5", "the same; hits a carton at frame 196", group5),
-    ):
-        yield FlightScene(name, shows, _FULL_HD, stage)
-    yield FlightScene(
-        "ball-and-capsules",
-        "a looming ball, and four capsules that pass by",
-        _SIMULATED,
-        ball_and_capsules,
-    )
-    for name, shows, stage in (
-        ("past-pillar", "a near miss: flies past a pillar", past_pillar),
-        ("through-doorway", "a near miss: flies through a doorway", through_doorway),
-        ("along-corridor", "a near miss: flies along a narrow corridor", along_corridor),
-        ("turn-at-wall", "a near miss: stops before a wall and turns away", turn_at_wall),
-        ("light-on", "a near miss: hovers while the light is switched on", light_on),
-        ("person-crossing", "a near miss: hovers while a person walks by", person_crossing),
-        ("random", "a random room, flight and outcome, by the seed", random_flight),
-    ):
-        yield FlightScene(name, shows, _SMALL, stage)
+    """First-person video of rooms: collisions, the paper's Fig. 8, near misses, random ones."""
+    named = yaml.safe_load(NAMED_FLIGHTS.read_text("utf-8")).items()
+    hits = {name for name, spec in named if "hit_at" in spec["obstacle"]}
+    for name, spec in named:
+        if name in hits:
+            yield FlightScene(name, spec["shows"], _FULL_HD, partial(named_flight, spec))
+    shows = "a looming ball, and four capsules that pass by"
+    yield FlightScene("ball-and-capsules", shows, _SIMULATED, ball_and_capsules)
+    for name, spec in named:
+        if name not in hits:
+            yield FlightScene(name, spec["shows"], _SMALL, partial(named_flight, spec))
+    shows = "a random room, flight and outcome, by the seed"
+    yield FlightScene("random", shows, _SMALL, random_flight)
 
 
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_flat_scenes(), *_flights())}

@@ -224,8 +224,8 @@ class Photoreceptors:
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth
-            p = cv2.absdiff(self.current, self.previous, dst=self.p(0))
-            self._p_sums.appendleft(cv2.sumElems(p)[0] * self.unit)
+            cv2.absdiff(self.current, self.previous, dst=self.p(0))
+            self._p_sums.appendleft(cv2.sumElems(self.p(0))[0] * self.unit)
 
     @property
     def unit(self) -> float:

@@ -1,75 +1,48 @@
-"""A film of the model at work: input, S and G above a running trace of the membrane potential."""
+"""A film of the model at work: input, S and G above the membrane potential up to the present."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.heat import FloatImage, Scale, strongest
-from dlgmd_cli.plots.pixels import (
-    BgrImage,
-    Lettering,
-    drawable,
-    film_style,
-    pixel_figure,
-    rasterised,
+from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, strongest
+from dlgmd_cli.plots.style import (
+    BLUE,
+    GREY,
+    LIGHT_GREY,
+    ORANGE,
+    VERMILION,
+    house_style,
+    plain,
+    shortened,
 )
-from dlgmd_cli.plots.ribbon import LEVELS, LIGHT_VERMILION, TICKS_PX, Ribbon
-from dlgmd_cli.plots.style import BLUE, GREY, ORANGE, VERMILION
-from dlgmd_cli.results.tables import Result
+from dlgmd_cli.plots.traces import stretches, thinned
+from dlgmd_cli.results.result import Result
 
 WIDTH, HEIGHT = 1280, 720
 
-# All in px. Left and right of everything; the panels' tops, their room and the gaps between.
-_LEFT, _RIGHT, _PANELS_Y, _GAP = 80, 30, 84, 42
-_TRACE_WIDTH = WIDTH - _LEFT - _RIGHT
-_PANEL_WIDTH = (_TRACE_WIDTH - 2 * _GAP) // 3
-_PANEL_MAX_HEIGHT = 300
-_HEADER_Y, _TITLE_ROOM = 14, 34
-# From a panel down to its colour bar, and to the trace.
-_BAR_GAP, _BAR_HEIGHT, _BAR_ROOM = 12, 10, 104
-_BOTTOM = 34
-# Room beyond the trace's ends for half of a number on the time axis.
-_MARGIN = 30
-_UNDEFINED = "#DDDDDD"
-# Radius of the dot that marks the present.
-_DOT = 6
+_DPI = 100
+_LEVELS = (-0.03, 1.05)
+_HEADER_PX = 60
+# Width of a panel, what its title and colour bar need below and above it, and both at most.
+_PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
+_DOT_PX = 6
 # As OpenCV draws them, in BGR order.
-_NOW, _ORANGE = (40, 40, 40), (0, 0x9F, 0xE6)
+_NOW, _ORANGE, _VERMILION = (40, 40, 40), (0, 0x9F, 0xE6), (0, 0x5E, 0xD5)
+_LETTERS: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
+# Vermilion, a quarter of it.
+_LIGHT_VERMILION = "#F5D6BF"
 
-
-@dataclass(frozen=True)
-class FilmFacts:
-    """What holds for a whole film.
-
-    Attributes
-    ----------
-    result : Result
-        What the model said about every frame; at least one.
-    shape : (int, int)
-        H and W of the frames as the model takes them.
-    s_scale, g_scale : Scale or None
-        The scales of S and G, the same in every picture; None where they are never defined.
-    units : (str, str)
-        Units of S and G, in words.
-    label : str
-        What the film says of its origin.
-    """
-
-    result: Result
-    shape: tuple[int, int]
-    s_scale: Scale | None
-    g_scale: Scale | None
-    units: tuple[str, str]
-    label: str = ""
+Box = tuple[slice, slice]
 
 
 class Film:
@@ -80,22 +53,42 @@ class Film:
 
     Parameters
     ----------
-    facts : FilmFacts
-        What holds for all pictures.
+    result : Result
+        What the model said about every frame; at least one.
+    shape : (int, int)
+        H and W of the frames as the model takes them.
+    scales : (Scale or None, Scale or None)
+        Of S and G, the same in every picture; None where they are never defined.
+    units : (str, str)
+        Units of S and G, in words.
+    label : str
+        What the film says of its origin.
     """
 
-    def __init__(self, facts: FilmFacts) -> None:
-        self._facts = facts
-        height, width = facts.shape
-        scale = min(_PANEL_WIDTH / width, _PANEL_MAX_HEIGHT / height)
-        self._panel_wh = max(1, round(width * scale)), max(1, round(height * scale))
-        trace_y = _PANELS_Y + self._panel_wh[1] + _BAR_ROOM
-        self._trace_y, trace_height = trace_y, HEIGHT - _BOTTOM - trace_y
-        self._ribbon = Ribbon(facts.result, _TRACE_WIDTH, trace_height)
-        with film_style():
-            self._ground = rasterised(self._static())
-            self._letters = Lettering("0123456789.- frames", 15)
-            self._alarm = rasterised(_alarm())
+    def __init__(
+        self,
+        result: Result,
+        shape: tuple[int, int],
+        scales: tuple[Scale | None, Scale | None],
+        units: tuple[str, str],
+        label: str = "",
+    ) -> None:
+        self._result, self._scales = result, scales
+        with house_style():
+            figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
+            layout: Any = figure.get_layout_engine()
+            layout.set(rect=(0, 0, 1, 1 - _HEADER_PX / HEIGHT), w_pad=0.2, h_pad=0.08)
+            panels, trace = _static(figure, shape, scales, units, result)
+            self._write(figure, label)
+            self._ground = _pixels(figure)
+            _draw_trace(trace, result)
+            self._traced = _pixels(figure)
+        self._panels = [_box(axes) for axes in panels]
+        self._trace = _box(trace)
+        levels = np.column_stack((result.time_s, np.nan_to_num(result.level)))
+        places = trace.transData.transform(levels)
+        places[:, 1] = HEIGHT - places[:, 1]
+        self._places: npt.NDArray[np.int64] = places.round().astype(np.int64)
         self._canvas = self._ground.copy()
 
     def picture(
@@ -117,157 +110,159 @@ class Film:
         ndarray, shape (720, 1280, 3), uint8
             In BGR order; valid until the next call.
         """
-        size_wh, result = self._panel_wh, self._facts.result
-        grey = cv2.convertScaleAbs(luminance, alpha=255.0)
-        shrinks = grey.shape[1] > size_wh[0]
-        way = cv2.INTER_AREA if shrinks else cv2.INTER_NEAREST
-        grey = cv2.resize(grey, size_wh, interpolation=way)
-        self._fill_panel(0, np.repeat(grey[:, :, None], 3, axis=2).astype(np.uint8, copy=False))
-        self._fill_panel(1, self._painted(s, self._facts.s_scale))
-        self._fill_panel(2, self._painted(g, self._facts.g_scale))
-        self._draw_trace(row)
-        self._canvas[: _PANELS_Y - _TITLE_ROOM] = self._ground[: _PANELS_Y - _TITLE_ROOM]
-        text = f"frame {result.frame[row]}  {result.time_s[row]:.3f} s"
-        self._letters.write(self._canvas, _LEFT, _HEADER_Y, text)
-        if result.collision[row]:
-            height, width = self._alarm.shape[:2]
-            x = (WIDTH - width) // 2
-            self._canvas[_HEADER_Y : _HEADER_Y + height, x : x + width] = self._alarm
+        grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
+        self._fill(self._panels[0], np.asarray(grey, dtype=np.uint8))
+        for box, layer, scale in zip(self._panels[1:], (s, g), self._scales, strict=True):
+            if layer is None or scale is None:
+                self._fill(box, None)
+                continue
+            height, width = _size(box)
+            self._fill(box, scale.painted(strongest(layer, height, width)))
+        self._show_present(row)
+        self._write_header(row)
         return self._canvas
 
-    def _painted(self, layer: FloatImage | None, scale: Scale | None) -> BgrImage | None:
-        """A layer at the size of its panel, in colour."""
-        if layer is None or scale is None:
-            return None
-        width, height = self._panel_wh
-        colours = scale.painted(strongest(layer, height, width))
-        enlarged = cv2.resize(colours, self._panel_wh, interpolation=cv2.INTER_NEAREST)
-        return np.asarray(enlarged, dtype=np.uint8)
-
-    def _fill_panel(self, number: int, image: BgrImage | None) -> None:
-        """Put `image` into a panel, or what stands there by itself."""
-        x, y = _panel_x(number, self._panel_wh[0]), _PANELS_Y
-        region = np.s_[y : y + self._panel_wh[1], x : x + self._panel_wh[0]]
-        self._canvas[region] = self._ground[region] if image is None else image
-
-    def _draw_trace(self, row: int) -> None:
-        """The trace so far; a long one scrolls past, with the present at the right."""
-        ribbon, result = self._ribbon, self._facts.result
-        now = ribbon.place(float(result.time_s[row]))
-        left = max(0, now - ribbon.width + _DOT + 2)
-        cut = ribbon.cut(left - _MARGIN, ribbon.width + 2 * _MARGIN, now + 1)
-        below = ribbon.height - TICKS_PX
-        y = self._trace_y
-        trace = self._canvas[y : y + below, _LEFT : _LEFT + ribbon.width]
-        trace[:] = cut[:below, _MARGIN:-_MARGIN]
-        self._canvas[
-            y + below : y + ribbon.height, _LEFT - _MARGIN : _LEFT + ribbon.width + _MARGIN
-        ] = cut[below:]
-        bottom = y + below
-        cv2.line(self._canvas, (_LEFT, bottom), (_LEFT + ribbon.width - 1, bottom), (0, 0, 0))
-        cv2.line(trace, (now - left, 0), (now - left, below - 1), _NOW, 1)
-        level = float(result.level[row])
-        if not np.isnan(level):
-            centre = now - left, ribbon.level_y(level)
-            colour = _ORANGE if result.spike[row] else _NOW
-            cv2.circle(trace, centre, _DOT, colour, cv2.FILLED, cv2.LINE_AA)
-            cv2.circle(trace, centre, _DOT, _NOW, 1, cv2.LINE_AA)
-
-    def _static(self) -> Figure:
-        """Titles, empty panels, scales and the frame of the trace."""
-        facts, figure = self._facts, pixel_figure(WIDTH, HEIGHT)
-        panels = (
-            ("Input", Scale(0.0, 1.0, "gray"), "luminance"),
-            ("S", facts.s_scale, facts.units[0]),
-            ("G", facts.g_scale, facts.units[1]),
-        )
-        for number, (title, scale, unit) in enumerate(panels):
-            middle = _panel_x(number, 0)
-            _text(figure, middle, _PANELS_Y - 8, title, ha="center", va="bottom", fontsize=13)
-            self._draw_empty(figure, number)
-            if scale is not None:
-                self._draw_bar(figure, middle - _PANEL_WIDTH // 2, scale, unit)
-        right = WIDTH - _RIGHT
-        _text(figure, right, _HEADER_Y + 4, drawable(facts.label), ha="right", va="top", color=GREY)
-        axes = _axes(figure, _LEFT - 1, self._trace_y, _TRACE_WIDTH, self._ribbon.height - TICKS_PX)
-        axes.set_xticks([])
-        axes.set_yticks([0.0, 0.5, 1.0])
-        axes.set_ylim(*LEVELS)
-        axes.set_ylabel("Normalised MP")
-        axes.spines[["top", "bottom"]].set_visible(False)
-        _text(figure, _LEFT + _TRACE_WIDTH // 2, HEIGHT - 8, "Time (s)", ha="center", va="bottom")
-        self._draw_legend(figure)
-        return figure
-
-    def _draw_empty(self, figure: Figure, number: int) -> None:
-        """A panel before its first picture."""
-        width, height = self._panel_wh
-        axes = _axes(figure, _panel_x(number, width), _PANELS_Y, width, height)
-        axes.set_facecolor(_UNDEFINED)
-        axes.set_axis_off()
-        axes.add_patch(Rectangle((0, 0), 1, 1, color=_UNDEFINED, linewidth=0))
-        if number > 0:
-            look: Any = {"ha": "center", "va": "center", "color": GREY, "clip_on": True}
-            axes.text(0.5, 0.5, "undefined", **look)
-
-    def _draw_bar(self, figure: Figure, x: int, scale: Scale, unit: str) -> None:
-        """A colour bar below a panel; words, where all values are 0."""
-        y = _PANELS_Y + self._panel_wh[1] + _BAR_GAP
-        if scale.is_flat:
-            text = f"0 {unit} everywhere"
-            _text(figure, x + _PANEL_WIDTH / 2, y, text, ha="center", va="top", fontsize=11)
+    def _fill(self, box: Box, image: BgrImage | None) -> None:
+        """Put `image` into a panel at its size, or what stands there by itself."""
+        if image is None:
+            self._canvas[box] = self._ground[box]
             return
-        axes = _axes(figure, x, y, _PANEL_WIDTH, _BAR_HEIGHT)
-        colours = ScalarMappable(Normalize(*scale.limits), scale.colours)
-        ticks = MaxNLocator(5, steps=[1, 2, 5, 10])
-        bar = figure.colorbar(colours, cax=axes, orientation="horizontal", ticks=ticks)
-        bar.set_label(unit, labelpad=1, fontsize=11, parse_math=False)
-        bar.ax.tick_params(pad=2, length=3)
+        height, width = _size(box)
+        way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
+        self._canvas[box] = cv2.resize(image, (width, height), interpolation=way)
 
-    def _draw_legend(self, figure: Figure) -> None:
-        """What the marks of the trace mean, above it."""
-        threshold = float(self._facts.result.threshold[0])
-        dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black"}
-        figure.legend(
-            handles=[
-                Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
-                Line2D(
-                    [],
-                    [],
-                    color=GREY,
-                    linestyle="--",
-                    linewidth=1.0,
-                    label=f"threshold {threshold:g}",
-                ),
-                Line2D([], [], color=ORANGE, markersize=6, label="spike", **dot),
-                Patch(color=LIGHT_VERMILION, linewidth=0, label="collision"),
-            ],
-            loc="lower right",
-            bbox_to_anchor=(1 - _RIGHT / WIDTH, 1 - self._trace_y / HEIGHT),
-            ncols=4,
-            fontsize=11,
-            borderaxespad=0.1,
-        )
+    def _show_present(self, row: int) -> None:
+        """The trace as far as the present, which a line and a dot mark."""
+        rows, columns = self._trace
+        x, y = (int(place) for place in self._places[row])
+        canvas, now = self._canvas, max(x + 1, columns.start)
+        # A little more than the axes, for the dot at their ends.
+        margin = _DOT_PX + 2
+        around = slice(rows.start - margin, rows.stop + margin)
+        past, future = slice(columns.start - margin, now), slice(now, columns.stop + margin)
+        canvas[around, past] = self._traced[around, past]
+        canvas[around, future] = self._ground[around, future]
+        cv2.line(canvas, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
+        if not np.isnan(self._result.level[row]):
+            colour = _ORANGE if self._result.spikes[row] else _NOW
+            cv2.circle(canvas, (x, y), _DOT_PX, colour, cv2.FILLED, cv2.LINE_AA)
+            cv2.circle(canvas, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
+    def _write_header(self, row: int) -> None:
+        """Frame and time and, while the alarm is on, that it is."""
+        result, middle = self._result, WIDTH // 2
+        header = np.s_[: _HEADER_PX - 15, : middle + 80]
+        self._canvas[header] = self._ground[header]
+        text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
+        cv2.putText(self._canvas, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **_LETTERS)
+        if result.alarms[row]:
+            cv2.rectangle(self._canvas, (middle - 65, 10), (middle + 65, 44), _VERMILION, cv2.FILLED)
+            look = {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2, **_LETTERS}
+            cv2.putText(self._canvas, "ALARM", (middle - 47, 37), **look)
 
-def _alarm() -> Figure:
-    """What stands in the header while there is a collision."""
-    figure = pixel_figure(130, 30)
-    figure.set_facecolor(VERMILION)
-    figure.text(0.5, 0.5, "COLLISION", color="white", weight="bold", ha="center", va="center")
-    return figure
+    def _write(self, figure: Figure, label: str) -> None:
+        """What the film says of its origin."""
+        look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
+        figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(shortened(label, 60)), **look)
 
 
-def _panel_x(number: int, width: int) -> int:
-    """The left edge of a panel of that width, in the middle of its column."""
-    return _LEFT + number * (_PANEL_WIDTH + _GAP) + (_PANEL_WIDTH - width) // 2
+def _static(
+    figure: Figure,
+    shape: tuple[int, int],
+    scales: tuple[Scale | None, Scale | None],
+    units: tuple[str, str],
+    result: Result,
+) -> tuple[list[Axes], Axes]:
+    """Draw panels without pictures and a trace that is empty; returns their axes."""
+    above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
+    heights = above_px, HEIGHT - _HEADER_PX - above_px
+    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    panels: list[Axes] = list(above.subplots(1, 3))
+    all_scales, all_units = (INPUT_SCALE, *scales), ("luminance", *units)
+    for axes, title, scale, unit in zip(
+        panels, ("Input", "S", "G"), all_scales, all_units, strict=True
+    ):
+        axes.set_title(title, fontsize=13)
+        axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
+        axes.set_facecolor(LIGHT_GREY)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.spines[:].set_visible(False)
+        if title != "Input":
+            look: Any = {"ha": "center", "va": "center", "color": GREY, "fontsize": 12}
+            axes.text(0.5, 0.5, "undefined", transform=axes.transAxes, **look)
+        _add_bar(above, axes, scale, unit)
+    trace = below.subplots()
+    # The last frame, too, lasts some time.
+    first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
+    trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
+    trace.set_ylim(*_LEVELS)
+    trace.spines["top"].set_visible(False)
+    trace.tick_params(labelsize=11)
+    trace.set_xlabel("Time (s)", fontsize=12)
+    trace.set_ylabel("Normalised MP", fontsize=12)
+    trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
+    dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
+        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {result.threshold:g}"),
+        Line2D([], [], color=ORANGE, label="spike", **dot),
+        Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
+    ]
+    below.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=11)
+    return panels, trace
 
 
-def _axes(figure: Figure, x: float, y: float, width: float, height: float) -> Axes:
-    """Axes at a place in px, counted from the upper left corner."""
-    return figure.add_axes((x / WIDTH, 1 - (y + height) / HEIGHT, width / WIDTH, height / HEIGHT))
+def _add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str) -> None:
+    """A colour bar below a panel; words, where all values are 0."""
+    known = scale or INPUT_SCALE
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(*known.limits), known.colours),
+        ax=axes,
+        orientation="horizontal",
+        ticks=MaxNLocator(5, steps=[1, 2, 5, 10]),
+        aspect=35,
+        pad=0.02,
+    )
+    bar.set_label(unit, fontsize=11, parse_math=False)
+    bar.ax.tick_params(labelsize=11)
+    if scale is None or scale.is_flat:
+        bar.ax.set_visible(False)
+        words = "" if scale is None else f"0 {unit} everywhere"
+        axes.set_xlabel(words, fontsize=11, parse_math=False)
 
 
-def _text(figure: Figure, x: float, y: float, text: str, **look: Any) -> None:
-    """Plain text at a place in px; a $ is no mathematics."""
-    figure.text(x / WIDTH, 1 - y / HEIGHT, text, parse_math=False, **look)
+def _draw_trace(axes: Axes, result: Result) -> None:
+    """What the model said, from the first frame to the last."""
+    axes.broken_barh(
+        stretches(result.time_s, result.alarms),
+        (_LEVELS[0], _LEVELS[1] - _LEVELS[0]),
+        color=_LIGHT_VERMILION,
+        linewidth=0.8,
+        zorder=0,
+    )
+    axes.plot(*thinned(result.time_s, result.level), color=BLUE, linewidth=1.6)
+    times, levels = thinned(result.time_s, np.where(result.spikes, result.level, np.nan))
+    look: Any = {"markeredgecolor": "black", "markeredgewidth": 0.5, "markersize": 6}
+    axes.plot(times, levels, "o", color=ORANGE, clip_on=False, **look)
+
+
+def _pixels(figure: Figure) -> BgrImage:
+    """What `figure` looks like, (H, W, 3); off-screen."""
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    figure.set_layout_engine("none")  # everything stays where it is
+    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, 2::-1])
+
+
+def _box(axes: Axes) -> Box:
+    """Rows and columns of pixels of some axes, at least one of each."""
+    box = axes.get_window_extent()
+    top, left = round(HEIGHT - box.y1), round(box.x0)
+    bottom, right = max(round(HEIGHT - box.y0), top + 1), max(round(box.x1), left + 1)
+    return slice(top, bottom), slice(left, right)
+
+
+def _size(box: Box) -> tuple[int, int]:
+    """Height and width of a box, in px."""
+    return tuple(side.stop - side.start for side in box)  # type: ignore[return-value]

@@ -65,13 +65,12 @@ class Scale:
         steps = 255.0 / (high - low)
         # Never below 0, so that the absolute value that OpenCV takes changes nothing.
         index = cv2.convertScaleAbs(layer, alpha=steps, beta=-low * steps)
-        return np.asarray(cv2.applyColorMap(index, _table(self.colours)), dtype=np.uint8)
+        rgba = matplotlib.colormaps[self.colours](np.arange(256), bytes=True)
+        table = np.ascontiguousarray(rgba[:, None, 2::-1])
+        return np.asarray(cv2.applyColorMap(index, table), dtype=np.uint8)
 
 
-def _table(colours: str) -> BgrImage:
-    """A colour map as OpenCV takes it, (256, 1, 3)."""
-    rgba = matplotlib.colormaps[colours](np.arange(256), bytes=True)
-    return np.ascontiguousarray(rgba[:, None, 2::-1])
+INPUT_SCALE = Scale(0.0, 1.0, "gray")
 
 
 def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:

@@ -1,5 +1,7 @@
 """The model's connections as heat maps, like the paper's Fig. 5."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -7,13 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import GREY, Box, add_axes, house_style, new_figure
+from dlgmd_cli.plots.style import GREY, LIGHT_GREY, house_style, new_figure
 
 Kernel = npt.NDArray[np.float64]
 
-# Of the figure, in inches: a map's side, the room right of it and above it, and the outer margins.
-_SIDE, _BESIDE, _TITLE, _LEFT, _BOTTOM = 1.16, 0.18, 0.4, 0.45, 0.36
-_BAR_WIDTH = 0.08
+_ROW_IN = 1.6
 
 
 def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel) -> Figure:
@@ -35,72 +35,49 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
     for delay in sorted(inhibition):
         strengths[f"Inhibition $K_{{{delay}}}$"] = inhibition[delay]
     greatest = max(float(kernel.max()) for kernel in strengths.values())
-    n_panels = len(strengths) + 1
-    n_rows = -(-n_panels // 2)
+    n_rows = -(-(len(strengths) + 1) // 2)
     with house_style():
-        figure = new_figure(_BOTTOM + n_rows * (_SIDE + _TITLE))
-        for place, (title, kernel) in enumerate(strengths.items()):
-            axes = add_axes(figure, _map_box(place, n_rows))
+        figure = new_figure(n_rows * _ROW_IN + 0.3)
+        grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True)
+        panels: list[Axes] = list(grid.flat)
+        for axes, (title, kernel) in zip(panels, strengths.items(), strict=False):
             # Taps that are exactly zero are left grey, apart from small ones.
             connected = np.ma.masked_equal(kernel, 0.0)
             picture = _draw(axes, title, connected, "viridis", greatest)
-            _label_pixels(axes, kernel, place, n_panels)
-        _add_bar(figure, picture, _map_box(1, n_rows), "strength (grey: none)")
-
-        box = _map_box(n_panels - 1, n_rows)
-        axes = add_axes(figure, box)
+        _add_bar(figure, picture, panels[1], "strength (grey: none)")
+        axes = panels[len(strengths)]
         picture = _draw(axes, r"Latency $\tau$ (frames)", latency, "cividis", float(latency.max()))
-        _label_pixels(axes, latency, n_panels - 1, n_panels)
         if not _is_constant(latency):
-            _add_bar(figure, picture, box, "")
+            _add_bar(figure, picture, axes, "frames")
+        for unused in panels[len(strengths) + 1 :]:
+            unused.set_axis_off()
+        for axes in grid[:, 0]:
+            axes.set_ylabel("y (px)")
+        for axes in panels[len(strengths) - 1 : len(strengths) + 1]:
+            axes.set_xlabel("x (px)")
+            axes.tick_params(labelbottom=True)
     return figure
-
-
-def _map_box(place: int, n_rows: int) -> Box:
-    """Where the map stands that is number `place` from the upper left."""
-    row, column = divmod(place, 2)
-    x = _LEFT + column * (_SIDE + _BESIDE)
-    y = _BOTTOM + (n_rows - 1 - row) * (_SIDE + _TITLE)
-    return x, y, _SIDE, _SIDE
 
 
 def _draw(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) -> AxesImage:
     """One kernel, coloured from 0 to `greatest`."""
-    edge = kernel.shape[0] / 2
-    axes.set_facecolor("#DDDDDD")
+    radius, edge = kernel.shape[0] // 2, kernel.shape[0] / 2
+    axes.set_facecolor(LIGHT_GREY)
     axes.spines["right"].set_visible(True)
-    axes.set_title(title, fontsize=8, pad=11)
-    axes.text(
-        0.5, 1.03, _values(kernel), transform=axes.transAxes, ha="center", color=GREY, fontsize=6.5
-    )
+    axes.set_title(title, pad=12)
+    look: Any = {"transform": axes.transAxes, "ha": "center", "color": GREY, "fontsize": 6.5}
+    axes.text(0.5, 1.03, _values(kernel), **look)
+    axes.set_xticks([-radius, 0, radius])
+    axes.set_yticks([-radius, 0, radius])
+    extent = (-edge, edge, edge, -edge)
     return axes.imshow(
-        kernel,
-        extent=(-edge, edge, edge, -edge),
-        cmap=colors,
-        vmin=0.0,
-        vmax=greatest or 1.0,
-        interpolation="nearest",
+        kernel, extent=extent, cmap=colors, vmin=0.0, vmax=greatest or 1.0, interpolation="nearest"
     )
 
 
-def _label_pixels(axes: Axes, kernel: Kernel, place: int, n_panels: int) -> None:
-    """Name the pixels on the left of every row and at the foot of both columns."""
-    radius = kernel.shape[0] // 2
-    ticks = [-radius, 0, radius]
-    leftmost, lowest = place % 2 == 0, place >= n_panels - 2
-    axes.set_xticks(ticks, None if lowest else [""] * 3)
-    axes.set_yticks(ticks, None if leftmost else [""] * 3)
-    if leftmost:
-        axes.set_ylabel("y (px)", labelpad=1)
-    if lowest:
-        axes.set_xlabel("x (px)", labelpad=1)
-
-
-def _add_bar(figure: Figure, picture: AxesImage, beside: Box, label: str) -> None:
-    """The scale of `picture`, right of the map at `beside`."""
-    x, y, width, height = beside
-    axes = add_axes(figure, (x + width + _BAR_WIDTH, y, _BAR_WIDTH, height))
-    bar = figure.colorbar(picture, cax=axes, ticks=MaxNLocator(4, steps=[1, 2, 5, 10]))
+def _add_bar(figure: Figure, picture: AxesImage, beside: Axes, label: str) -> None:
+    """The scale of `picture`, right of its map."""
+    bar = figure.colorbar(picture, ax=beside, ticks=MaxNLocator(4, steps=[1, 2, 5, 10]), pad=0.02)
     bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
     bar.ax.tick_params(pad=1.5, length=2)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]

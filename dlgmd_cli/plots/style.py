@@ -1,19 +1,25 @@
 """How every figure looks: readable in a two-column paper, and without colour vision."""
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import matplotlib
-from matplotlib.axes import Axes
+from matplotlib import font_manager
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
-# Okabe and Ito's palette, told apart by all common kinds of colour vision.
+from dlgmd_cli.errors import printable
+
+# Okabe and Ito's palette, told apart by all common kinds of colour vision. Vermilion is for alarms
+# and black for collisions, never for anything else.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
-GREY, LIGHT_BLUE = "#666666", "#A6CFE8"
+GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
 # A figure is as wide as one column of a paper, or as two.
 Width = Literal["one", "two"]
@@ -21,15 +27,16 @@ WIDTHS: tuple[str, ...] = get_args(Width)
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
 
-# Of axes over time, in inches: the room left of them for the labels, and right of them.
-LEFT_IN, _RIGHT_IN = 0.55, 0.18
+# Handle and label of each entry of a legend.
+Entries = list[tuple[Any, str]]
 
-# x, y, width and height of something on a figure, in inches from its lower left corner.
-Box = tuple[float, float, float, float]
-
+_MAX_LABEL = 44
+_MAX_COLUMNS = 6
 _RC: Any = {
+    "font.family": "DejaVu Sans",
     "font.size": 8,
     "axes.labelsize": 8,
+    "axes.titlesize": 8,
     "xtick.labelsize": 7,
     "ytick.labelsize": 7,
     "legend.fontsize": 7,
@@ -41,20 +48,29 @@ _RC: Any = {
     # An offset such as "1e-7-8.348" would stand where the frame numbers are.
     "axes.formatter.useoffset": False,
     "legend.frameon": False,
-    "legend.handlelength": 1.6,
+    "legend.handlelength": 2.6,
+    "legend.columnspacing": 1.2,
+    "legend.labelspacing": 0.3,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+    "figure.constrained_layout.hspace": 0.0,
+    "figure.constrained_layout.wspace": 0.0,
     "svg.hashsalt": "dlgmd",
     "pdf.fonttype": 42,
 }
+_LACKS_LETTERS = "the figure's font lacks some letters of the texts, and shows boxes in their place"
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
     """The look of our figures, for as long as one is being made; the host's is left alone."""
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(_RC), warnings.catch_warnings():
+        # One warning for a whole figure, by `save_figure`, is enough.
+        warnings.filterwarnings("ignore", r"Glyph .* missing from")
         yield
 
 
-def figure_width_in(width: Width) -> float:
+def width_in(width: Width) -> float:
     """Width of a figure, in inches.
 
     Raises
@@ -67,36 +83,94 @@ def figure_width_in(width: Width) -> float:
     return _WIDTH_IN[width]
 
 
-def axes_width_in(width: Width) -> float:
-    """Width of axes over time on such a figure, in inches."""
-    return figure_width_in(width) - LEFT_IN - _RIGHT_IN
-
-
 def new_figure(height_in: float, width: Width = "one") -> Figure:
-    """A figure as wide as a column. Without a layout engine, which takes a third of the time."""
-    return Figure(figsize=(figure_width_in(width), height_in))
+    """An empty figure as wide as a column, whose contents Matplotlib arranges."""
+    return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_axes(figure: Figure, box: Box) -> Axes:
-    """Axes whose frame stands exactly at `box`."""
-    return figure.add_axes(fractions(figure, box))
+def add_legend(figure: Figure, entries: Entries, place: str = "outside upper center") -> None:
+    """Add a legend beside the axes, in as many columns as fit; the figure grows by its height."""
+    if not entries:
+        return
+    handles = [handle for handle, _ in entries]
+    labels = [plain(shortened(label)) for _, label in entries]
+    for n_columns in range(min(len(entries), _MAX_COLUMNS), 0, -1):
+        legend = figure.legend(handles, labels, loc=place, ncols=n_columns)
+        size = legend.get_window_extent()
+        if n_columns == 1 or size.width <= figure.bbox.width:
+            figure.set_figheight(figure.get_figheight() + size.height / figure.dpi)
+            return
+        legend.remove()
 
 
-def fractions(figure: Figure, box: Box) -> Box:
-    """`box` as fractions of the figure."""
-    x, y, width, height = box
-    figure_width, figure_height = figure.get_size_inches()
-    return x / figure_width, y / figure_height, width / figure_width, height / figure_height
+def shortened(text: str, longest: int = _MAX_LABEL) -> str:
+    """Both ends of `text`, of at most `longest` characters, on one line."""
+    text = printable(text)
+    if len(text) <= longest:
+        return text
+    return f"{text[: longest // 2]}…{text[len(text) - (longest - 1) // 2 :]}"
+
+
+def plain(text: str) -> str:
+    """`text` as it is to be drawn, on one line: its dollar signs start no formula."""
+    return printable(text).replace("$", r"\$")
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write `figure` as png, pdf or svg, by the suffix; without dates, so that runs compare.
+    """Write `figure` as png, pdf or svg, by the suffix; without dates, so that files compare.
+
+    Warns if the font lacks letters of the texts.
 
     Raises
     ------
     OSError
         If it cannot be written.
     """
+    _write(figure, path)
+    if _lacks_letters(figure):
+        warnings.warn(_LACKS_LETTERS, stacklevel=2)
+
+
+def figure_files(
+    figures: Mapping[str, Callable[[], Figure]], formats: Iterable[str]
+) -> dict[str, Callable[[Path], None]]:
+    """What writes the files of figures, by their names.
+
+    Parameters
+    ----------
+    figures : mapping of str to callable
+        What draws each figure, by its file name without suffix; called once, when the first of
+        its files is written.
+    formats : iterable of str
+        Of "png", "pdf" and "svg".
+
+    Returns
+    -------
+    dict of str to callable
+        File name -> what writes it to a path of that suffix. The first figure whose font lacks
+        letters warns, the others do not.
+    """
+    formats = list(dict.fromkeys(formats))
+    drawn: dict[str, Figure] = {}
+    lacking: list[str] = []
+
+    def write(name: str, is_last: bool, path: Path) -> None:
+        figure = drawn.pop(name, None) or figures[name]()
+        if not is_last:
+            drawn[name] = figure
+        _write(figure, path)
+        if not lacking and _lacks_letters(figure):
+            lacking.append(name)
+            warnings.warn(_LACKS_LETTERS, stacklevel=2)
+
+    return {
+        f"{name}.{suffix}": partial(write, name, suffix == formats[-1])
+        for name in figures
+        for suffix in formats
+    }
+
+
+def _write(figure: Figure, path: Path) -> None:
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     suffix = path.suffix.lower()
     # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
@@ -104,3 +178,11 @@ def save_figure(figure: Figure, path: Path) -> None:
     with house_style():
         figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
     path.write_bytes(drawn.getvalue())
+
+
+def _lacks_letters(figure: Figure) -> bool:
+    """Whether a text of the figure has letters that its font has not."""
+    font = font_manager.get_font(font_manager.findfont("DejaVu Sans"))
+    known = font.get_charmap().keys() | {ord("\n")}
+    texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
+    return any(ord(letter) not in known for text in texts for letter in text.get_text())

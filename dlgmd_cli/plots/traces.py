@@ -1,58 +1,323 @@
-"""What one model says over time: membrane potential, attenuation, spikes. Data in, Figure out."""
+"""What models say over time, one result or several on the same axes. Data in, Figure out."""
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp, overlay_spikes
-from dlgmd_cli.plots.style import Width
-from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.results.tables import Result
+from dlgmd_cli.plots.annotations import NONE, ROW_IN, Annotations, Timeline, draw_annotations
+from dlgmd_cli.plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    Entries,
+    Width,
+    add_legend,
+    house_style,
+    new_figure,
+)
+from dlgmd_cli.results.result import Flags, Result, Series
 
-_NO_ANNOTATIONS = Annotations()
+# Less than a millionth of P passes: a few cells' rounding, which would flatten the rest.
+FLOOR_DB = -60.0
+# What the vertical axis spans at least, so that rounding does not look like an event.
+MIN_SPAN_DB = 5.0
+# Columns of pixels of the widest figure; a longer result is drawn by the maximum of each.
+MAX_POINTS = 1400
+
+COLUMNS = ("level", "mp_abs", "mp_seq")
+# Two neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
+LOOKS: tuple[tuple[str, Any], ...] = (
+    (BLUE, "-"),
+    (ORANGE, (0, (4, 1.5))),
+    (GREEN, (0, (5, 1.5, 1, 1.5))),
+    (PURPLE, (0, (1, 1.2))),
+    (SKY_BLUE, (0, (9, 2))),
+    (GREY, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+)
+# From the seventh line on, looks come again, with marks on the line.
+_MARKERS = ("", "o", "s", "^", "D", "x", "+")
+_HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
+# More dots than this touch each other: their black rims would hide the rest.
+_MAX_RINGED = 200
 
 
-def plot_mp(
-    result: Result, annotations: Annotations = _NO_ANNOTATIONS, *, width: Width = "one"
+@dataclass(frozen=True)
+class _Trace:
+    """A result and what its line looks like; `alone`, it shows spikes and alarms, too."""
+
+    label: str
+    result: Result
+    look: dict[str, Any]
+    alone: bool
+
+
+def plot(
+    kind: str,
+    results: Mapping[str, Result],
+    annotations: Annotations = NONE,
+    *,
+    column: str | None = None,
+    width: Width = "one",
 ) -> Figure:
-    """Normalised membrane potential with its threshold, spikes and collisions.
+    """A figure of stored or new results over time.
 
     Parameters
     ----------
-    result : Result
-        At least one frame; frames without a level leave a gap. Of a long result the line is the
-        highest level of every column of pixels, over a band down to the lowest.
+    kind : str
+        "mp": the normalised membrane potential, with the threshold if all results share it.
+        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and a mark where next
+        to nothing passes. "spikes": spikes and alarms above the potential that caused them.
+        "overview": all of these.
+    results : mapping of str to Result
+        By label, in the order of the legend; at least one, each with at least one frame. One alone
+        shows its spikes and alarms in the potential. Of a long one, the line is the maximum of
+        every column of pixels.
     annotations : Annotations
-        What is marked beside, by frame.
+        What is marked, by frame, at the times that the frames have in the first result.
+    column : "level", "mp_abs" or "mp_seq", optional
+        Which potential is drawn: the one held against the threshold, which is the default, the one
+        normalised without later frames, or the one scaled to each sequence's own extremes.
     width : "one" or "two"
         Columns of the paper that the figure takes.
+
+    Raises
+    ------
+    ValueError
+        If there is no result, or `kind`, `column` or `width` is none of these.
     """
-    return overlay_mp({"MP": result}, annotations, width=width)
+    if not results:
+        raise ValueError("there is no result to draw")
+    if kind not in KINDS:
+        raise ValueError(f"kind is {kind!r}, none of {', '.join(KINDS)}")
+    column = column or "level"
+    if column not in COLUMNS:
+        raise ValueError(f"column is {column!r}, none of {', '.join(COLUMNS)}")
+    traces = _traces(results)
+    level = partial(_draw_level, column=column)
+    panels = {_draw_level: level, _draw_attenuation: _draw_attenuation, _draw_raster: _draw_raster}
+    draws = [panels[draw] for draw in KINDS[kind]]
+    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(traces))
+    heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
+    with house_style():
+        figure = new_figure(1.0, width)
+        timeline = Timeline.of(results.values())
+        above = [ROW_IN] if annotations != NONE else []
+        grid: Any = figure.subplots(
+            len(above) + len(draws), sharex=True, squeeze=False, height_ratios=above + heights
+        )
+        highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
+        highest.spines["top"].set_visible(False)
+        entries: Entries = []
+        for axes, draw in zip(axes_of, draws, strict=True):
+            entries += draw(axes, traces)
+        timeline.label(axes_of[-1], axes_of[0] if not above else highest)
+        if above:
+            n_rows = draw_annotations(annotations, timeline, highest, axes_of)
+            above = [max(n_rows, 0.1) * ROW_IN]
+            highest.get_gridspec().set_height_ratios(above + heights)
+        for axes in axes_of:
+            axes.spines["top"].set_visible(False)
+        for axes in grid[:-1, 0]:
+            axes.spines["bottom"].set_visible(False)
+            axes.tick_params(axis="x", bottom=False)
+        figure.align_ylabels(axes_of)
+        figure.set_figheight(sum(above + heights) + _AXES_LABELS_IN)
+        add_legend(figure, list({label: (handle, label) for handle, label in entries}.values()))
+    return figure
 
 
-def plot_attenuation(
-    result: Result, annotations: Annotations = _NO_ANNOTATIONS, *, width: Width = "one"
-) -> Figure:
-    """Attenuation 10 lg(ΣS/ΣP) in dB: a gap where undefined, a mark where next to nothing passes.
+def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
+    """At most `n_points` of a series: the time, and the greatest value, of each column of pixels.
 
-    Parameters
-    ----------
-    result, annotations, width
-        As `plot_mp` takes them.
+    NaN where all of a column is. Of flags, a column has one that any of its rows has.
     """
-    return overlay_attenuation({"attenuation": result}, annotations, width=width)
+    if len(values) <= n_points:
+        return time_s, values
+    edges = np.linspace(time_s[0], time_s[-1], n_points, endpoint=False)
+    starts = np.unique(np.searchsorted(time_s, edges))
+    return time_s[starts], np.fmax.reduceat(values, starts)
 
 
-def plot_spikes(
-    result: Result, annotations: Annotations = _NO_ANNOTATIONS, *, width: Width = "one"
-) -> Figure:
-    """Raster of spikes and collisions above the level that caused them.
+def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
+    """Start and duration of every unbroken stretch of flagged rows, in seconds.
 
-    Parameters
-    ----------
-    result, annotations, width
-        As `plot_mp` takes them. Spikes too near each other to be told apart are one bar.
+    A row lasts from halfway after the row before it until halfway to the next one.
     """
-    return overlay_spikes({"MP": result}, annotations, width=width)
+    times, any_flag = thinned(time_s, flags.astype(np.float64))
+    half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
+    starts = times - np.concatenate((half[:1], half[: len(times) - 1]))
+    ends = times + np.concatenate((half[: len(times) - 1], half[-1:]))
+    turns = np.flatnonzero(np.diff(np.concatenate(([0.0], any_flag, [0.0]))))
+    return [
+        (float(starts[first]), float(ends[last - 1] - starts[first]))
+        for first, last in turns.reshape(-1, 2)
+    ]
 
 
-# Every picture of a result: file name without suffix -> what draws it.
-PLOTS = {"mp": plot_mp, "attenuation": plot_attenuation, "spikes": plot_spikes}
+def _traces(results: Mapping[str, Result]) -> list[_Trace]:
+    """Every result with a look of its own, in their order."""
+    traces = []
+    for place, (label, result) in enumerate(results.items()):
+        color, dashes = LOOKS[place % len(LOOKS)]
+        marker = _MARKERS[place // len(LOOKS) % len(_MARKERS)]
+        look = {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
+        traces.append(_Trace(label, result, look, alone=len(results) == 1))
+    return traces
+
+
+def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
+    """A line that breaks at NaN, with a dot where a single value would draw nothing."""
+    times, highest = thinned(trace.result.time_s, values)
+    known = np.concatenate(([False], ~np.isnan(highest), [False]))
+    single = known[1:-1] & ~known[:-2] & ~known[2:]
+    every = max(1, int(np.count_nonzero(known)) // 12)
+    (line,) = axes.plot(times, highest, markevery=every, **trace.look)
+    axes.plot(times[single], highest[single], ".", color=trace.look["color"], markersize=3)
+    return [(line, trace.label)] if known.any() or not trace.alone else []
+
+
+def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
+    """The normalised membrane potential, the threshold if it is everyone's, spikes and alarms."""
+    results = [trace.result for trace in traces]
+    by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
+    levels: list[Series] = [getattr(result, column) for result in results]
+    entries = []
+    for trace, level in zip(traces, levels, strict=True):
+        entries += _draw_line(axes, trace, level)
+    thresholds = {result.threshold for result in results}
+    is_level = all({result.by_sequence} == by_sequence for result in results)
+    if len(thresholds) == 1 and (column == "level" or is_level):
+        threshold = thresholds.pop()
+        line = axes.axhline(threshold, color=GREY, linestyle="--", linewidth=0.8)
+        entries.append((line, f"threshold {threshold:g}"))
+    if traces[0].alone:
+        entries += _draw_events(axes, results[0], levels[0])
+    if all(np.isnan(level).all() for level in levels):
+        _note(axes, traces, "the membrane potential never changes")
+    axes.set_ylim(-0.03, 1.05)
+    axes.set_ylabel("MP, normalised\nto its sequence" if by_sequence == {True} else "Normalised MP")
+    return entries
+
+
+def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
+    """A dot at every spike, and a band at every alarm."""
+    entries: Entries = []
+    times, levels = thinned(result.time_s, np.where(result.spikes, level, np.nan))
+    spiking = ~np.isnan(levels)
+    if spiking.any():
+        look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
+        if np.count_nonzero(spiking) > _MAX_RINGED:
+            look = {"markersize": 2, "markeredgewidth": 0}
+        (dots,) = axes.plot(times[spiking], levels[spiking], "o", color=ORANGE, zorder=3, **look)
+        entries.append((dots, "spike"))
+    if result.alarms.any():
+        bands = axes.broken_barh(
+            stretches(result.time_s, result.alarms), (0, 1), alpha=0.3, color=VERMILION,
+            linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
+        )  # fmt: skip
+        entries.append((bands, "alarm"))
+    return entries
+
+
+def _draw_attenuation(axes: Axes, traces: list[_Trace]) -> Entries:
+    """Attenuation in dB; marks below, a row a result, where nothing passes."""
+    entries: Entries = []
+    silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
+    shown = [
+        np.where(silent, np.nan, trace.result.attenuation_db)
+        for trace, silent in zip(traces, silences, strict=True)
+    ]
+    for trace, values in zip(traces, shown, strict=True):
+        entries += _draw_line(axes, trace, values)
+    rows = [place for place, silent in enumerate(silences) if silent.any()]
+    for row, place in enumerate(reversed(rows)):
+        times, silent = thinned(traces[place].result.time_s, silences[place].astype(np.float64))
+        marked = times[silent > 0.0]
+        height = np.full(len(marked), 0.04 + 0.06 * row)
+        look: Any = {"color": traces[place].look["color"], "markersize": 3}
+        axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
+    if rows:
+        mark = Line2D([], [], marker="v", linestyle="", color=GREY, markersize=3)
+        entries.append((mark, f"nothing passes (< −{-FLOOR_DB:g} dB)"))
+    elif all(np.isnan(values).all() for values in shown):
+        _note(axes, traces, "no frame differs from the one before it")
+    axes.set_ylim(*_span_db(shown, 0.06 * len(rows)))
+    axes.set_ylabel("Attenuation (dB)")
+    return entries
+
+
+def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
+    """Limits of the vertical axis; `foot` is the share of it below all values."""
+    known = np.concatenate([values[~np.isnan(values)] for values in shown])
+    if not known.size:
+        return FLOOR_DB, 0.0
+    low, high = float(known.min()), float(known.max())
+    missing = max(0.0, MIN_SPAN_DB - (high - low)) / 2
+    margin = 0.1 * max(high - low, MIN_SPAN_DB)
+    low, high = low - missing - margin, high + missing + margin
+    return high - (high - low) / (1.0 - foot), high
+
+
+def _draw_raster(axes: Axes, traces: list[_Trace]) -> Entries:
+    """A row of spikes and one of alarms; of several results a row each with both."""
+    axes.tick_params(axis="y", length=0)
+    if traces[0].alone:
+        result = traces[0].result
+        _draw_bars(axes, result, result.spikes, (0.65, 1.35), ORANGE)
+        _draw_bars(axes, result, result.alarms, (-0.35, 0.35), VERMILION)
+        axes.set_yticks([1, 0], ["spikes", "alarm"])
+        axes.set_ylim(-0.6, 1.6)
+        return []
+    for row, trace in enumerate(reversed(traces)):
+        look = trace.look
+        _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
+        _draw_bars(axes, trace.result, trace.result.alarms, (row - 0.4, row - 0.15), VERMILION)
+        # A sample of the line left of the axes says whose row it is.
+        sample = {**look, "clip_on": False, "markevery": [1], "transform": axes.get_yaxis_transform()}
+        axes.plot([-0.1, -0.06, -0.02], [row] * 3, **sample)
+    axes.set_yticks([])
+    axes.set_ylim(-0.6, len(traces) - 0.4)
+    return [
+        (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
+        for color, text in ((GREY, "spikes"), (VERMILION, "alarm"))
+    ]
+
+
+def _draw_bars(
+    axes: Axes, result: Result, flags: Flags, reach: tuple[float, float], color: str
+) -> None:
+    """A bar over every stretch of flagged rows, from one height to another."""
+    low, high = reach
+    bars = stretches(result.time_s, flags)
+    axes.broken_barh(bars, (low, high - low), color=color, linewidth=0.4)
+
+
+def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
+    """Say why there is no line: too few frames, or what `unchanged` says."""
+    too_few = {trace.result.n_valid == 0 for trace in traces}
+    why = "too few frames" if True in too_few else unchanged
+    why += f", or {unchanged}" if len(too_few) > 1 else ""
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+    axes.text(
+        0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",
+        color=GREY, fontsize=7, bbox=ground,
+    )  # fmt: skip
+
+
+# The panels of each figure, from the top down.
+KINDS: dict[str, tuple[Callable[..., Entries], ...]] = {
+    "mp": (_draw_level,),
+    "attenuation": (_draw_attenuation,),
+    "spikes": (_draw_raster, _draw_level),
+    "overview": (_draw_level, _draw_attenuation, _draw_raster),
+}

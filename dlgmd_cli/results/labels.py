@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.cells import text_cell
+from dlgmd_cli.results.csv import text_cell
 
 LABELS = "labels.csv"
 

@@ -112,7 +112,11 @@ def choose(
     elif model not in (DEFAULT_MODEL, None) and model in MODELS:
         file = load_model_preset(str(model))
     else:
-        file = load_preset(DEFAULT_SET if set is None else set)
+        try:
+            file = load_preset(DEFAULT_SET if set is None else set)
+        except ParameterError as error:
+            mend = f"{error.mend.rstrip('.')}, or give a file with --config."
+            raise ParameterError("Invalid value for '--set'", error.why, mend) from None
     name = model or file.model or DEFAULT_MODEL
     if name not in MODELS:
         known = ", ".join(MODELS)
@@ -138,8 +142,9 @@ def choose(
     if config is not None:
         label = Path(config).stem
     else:
-        label = name if name != DEFAULT_MODEL else f"set{DEFAULT_SET if set is None else set}"
-    named = {"set": int(set)} if set is not None and str(set).isdigit() else {}
+        number = str(DEFAULT_SET if set is None else set).removeprefix("set")
+        label = name if name != DEFAULT_MODEL else f"set{number}"
+    named = file.named if set is None else {"set": int(str(set).removeprefix("set"))}
     params = merge(kind, file, values)
     return Setup(params, label, chosen, named, file.name, dict(file.options))
 

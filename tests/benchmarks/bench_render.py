@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.renderer import Renderer
+from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.scenes import SCENES
 
 SIZES = [(360, 640), (1080, 1920)]

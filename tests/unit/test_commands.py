@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from dlgmd_cli import __version__, load_set
-from dlgmd_cli.app import COMMANDS, cli
+from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.parameters import MODELS, load_config
 
 
@@ -62,7 +62,7 @@ def test_help_and_usage_errors_import_nothing_heavy():
     ):
         program = (
             "import sys\n"
-            "from dlgmd_cli.app import main\n"
+            "from dlgmd_cli.commands.app import main\n"
             f"sys.argv = ['dlgmd', *{arguments!r}]\n"
             "try:\n    main()\n"
             "except SystemExit: pass\n"
@@ -93,7 +93,7 @@ def test_a_closed_stdout_is_no_traceback():
 def test_closed_streams_are_not_taken_by_files():
     program = (
         "import os, sys\n"
-        "from dlgmd_cli import app\n"
+        "from dlgmd_cli.commands import app\n"
         "app.cli = lambda **_: None\n"
         "app.main()\n"
         "names = [os.readlink(f'/proc/self/fd/{fd}') for fd in range(3)]\n"

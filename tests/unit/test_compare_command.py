@@ -4,7 +4,6 @@ import csv
 import json
 import math
 import os
-import signal
 from collections import Counter
 from pathlib import Path
 
@@ -12,15 +11,11 @@ import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
-from dlgmd_cli.models.photoreceptors import Photoreceptors
 
-from dlgmd_cli.commands._variants import _variants
-from dlgmd_cli.models.base import create_model
-from dlgmd_cli.parameters import MODELS
-from dlgmd_cli.plots import overlays
-from dlgmd_cli.results.annotations import Annotations
-from dlgmd_cli.runs.compare import Entry, compare
-from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.commands.compare import _setups
+from dlgmd_cli.models.base import Photoreceptors
+from dlgmd_cli.plots import traces
+from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
 COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
@@ -48,7 +43,7 @@ def record(folder):
 
 
 def labels(sets=(), configs=(), models=(), formulations=(), no_ffi_gd=False):
-    return [one.label for one in _variants(sets, configs, models, formulations, no_ffi_gd)]
+    return [one.label for one in _setups(sets, configs, models, formulations, no_ffi_gd, None)]
 
 
 def test_files_and_summary(dlgmd, clips, tmp_path):
@@ -137,23 +132,17 @@ def test_labels(tmp_path):
     assert labels(configs=(configs[0],), formulations=("released",), no_ffi_gd=True) == ["run"]
 
 
-def test_one_decode_and_one_p(dlgmd, clips, monkeypatch):
+def test_one_decode(dlgmd, clips, monkeypatch):
     counts = Counter()
+    original = OpenCVDecoder.picture
 
-    def counting(kind, name):
-        original = getattr(kind, name)
+    def picture(self):
+        counts["picture"] += 1
+        return original(self)
 
-        def wrapped(*arguments):
-            counts[name] += 1
-            return original(*arguments)
-
-        monkeypatch.setattr(kind, name, wrapped)
-
-    counting(OpenCVDecoder, "picture")
-    counting(Photoreceptors, "take")
+    monkeypatch.setattr(OpenCVDecoder, "picture", picture)
     assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
     of_run = counts.copy()
-    assert of_run["take"] == 20
     counts.clear()
     result = dlgmd(
         *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--model", "lgmd"],
@@ -229,20 +218,22 @@ def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
 )
 def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
     shown = []
-    original = overlays.overlay_mp
+    original = traces.plot
 
-    def overlay_mp(results, annotations, **options):
-        shown.append((list(results), annotations, options))
-        return original(results, annotations, **options)
+    def plot(kind, results, annotations, **options):
+        shown.append((kind, list(results), annotations, options))
+        return original(kind, results, annotations, **options)
 
-    monkeypatch.setattr(overlays, "overlay_mp", overlay_mp)
+    monkeypatch.setattr(traces, "plot", plot)
     marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
     models = ["--set", 1, "--model", "lgmd", "--width", "two"]
     result = dlgmd("compare", clips / "loom.avi", *models, *marks, *options)
     assert result.exit_code == 0, result.output
-    ((labels_shown, annotations, others),) = shown
-    assert labels_shown == ["set1", "lgmd"] and others == {"column": column, "width": "two"}
-    assert annotations == Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
+    annotations = Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
+    assert shown == [
+        (kind, ["set1", "lgmd"], annotations, {"column": column, "width": "two"})
+        for kind in ("mp", "attenuation")
+    ]
 
 
 def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
@@ -258,7 +249,7 @@ def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
         (["--set", 12], "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
         (["--model", "lgdm"], "Invalid value for '--model': 'lgdm' is not one of"),
         (["--config", "none.yaml"], "none.yaml: there is no such file"),
-        (["--model", "lgmd", "--no-ffi-gd"], "are of the D-LGMD, and none is compared. Add --set."),
+        (["--model", "lgmd", "--no-ffi-gd"], "--no-ffi-gd works only with the D-LGMD model. Add"),
         (["--scale", 0.5, "--size", "9x9"], "--scale and --size exclude each other"),
         (["--mark", "pitching"], "Invalid value for '--mark'"),
     ],
@@ -290,19 +281,19 @@ def test_shares_the_folder_of_run(dlgmd, clips, tmp_path):
         assert dlgmd(command, clips / "loom.avi", "--no-plots", *options).exit_code == 0
     assert {"run.yaml", "mp.csv", "compare.csv", "compare.yaml"} < set(os.listdir(folder))
     refused = dlgmd("compare", clips / "loom.avi", "--set", 1)
-    assert refused.exit_code == 2 and "a result stands here already" in refused.stderr
+    assert refused.exit_code == 2 and "a result already exists here" in refused.stderr
     assert list(rows(folder)) == ["set9"]
     done = dlgmd("compare", clips / "loom.avi", "--set", 1, "--overwrite", "--no-plots")
     assert done.exit_code == 0 and list(rows(folder)) == ["set1"]
 
 
-def test_ctrl_c_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch):
+def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch, stop):
     original = Photoreceptors.take
 
     def take(self, luminance):
         original(self, luminance)
-        if self.frame == 12:
-            raise KeyboardInterrupt
+        if self.frame == 11:
+            stop()
 
     monkeypatch.setattr(Photoreceptors, "take", take)
     result = dlgmd("compare", clips / "loom.avi", "--set", 1, "--model", "lgmd")
@@ -310,25 +301,8 @@ def test_ctrl_c_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
     folder = tmp_path / "dlgmd-out" / "loom"
     assert record(folder)["complete"] is False
     assert [len(found) for found in rows(folder).values()] == [12, 12]
-    assert "holds the 12 frames before it" in result.stderr
+    assert "holds the 12 frames processed before the stop" in result.stderr
     assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
-
-
-def test_an_interrupt_between_models_cuts_to_whole_frames(clips):
-    entries = [
-        Entry(create_model(MODELS[name].parameters()), (32, 24)) for name in ("dlgmd", "lgmd")
-    ]
-    append = entries[1].recording.append
-
-    def failing(frame, response):
-        if frame.index == 7:
-            raise KeyboardInterrupt
-        append(frame, response)
-
-    entries[1].recording.append = failing
-    with open_video(clips / "loom.avi") as source, pytest.raises(KeyboardInterrupt):
-        compare(source, entries)
-    assert [len(entry.recording) for entry in entries] == [7, 7]
 
 
 def test_a_label_with_odd_letters_stays_one_cell(dlgmd, clips, tmp_path):
@@ -345,7 +319,9 @@ def test_equal_labels_of_different_models_are_numbered(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
     configs = tuple(tmp_path / name / "released.yaml" for name in ("set3", "set9"))
-    found = {one.label: one.params for one in _variants(("9",), configs, (), ("released",), False)}
+    found = {
+        one.label: one.params for one in _setups(("9",), configs, (), ("released",), False, None)
+    }
     assert list(found)[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
     assert found["set9/released"].sigma_e == 1.5
     assert found["set9/released (2)"].sigma_e == 0.9
@@ -356,7 +332,7 @@ def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(dlgmd
     assert done.exit_code == 0
     result = dlgmd("compare", clips / "loom.avi", "--config", "a/loom/run.yaml", "--no-plots")
     assert result.exit_code == 0
-    assert "of a/loom/run.yaml the recorded fps is not taken over; give" in result.stderr
+    assert "a/loom/run.yaml: its recorded options (fps) are not used; give them" in result.stderr
 
 
 def test_no_frame_at_all(dlgmd, clips):
@@ -368,8 +344,8 @@ def test_no_frame_at_all(dlgmd, clips):
 def test_a_model_without_an_answer_is_warned_of(dlgmd, clips):
     result = dlgmd("compare", clips / "short.avi", "--set", 9, "--set", 1, "--no-plots")
     assert result.exit_code == 0
-    assert "set9 needs at least 4 frames, and gives no answer" in result.stderr
-    assert "set1 needs" not in result.stderr
+    assert "set9: too few frames for an answer" in result.stderr
+    assert "set1: too few" not in result.stderr
 
 
 def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
@@ -383,23 +359,4 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
 def test_an_engine_that_no_model_has(dlgmd, clips):
     result = dlgmd("compare", clips / "loom.avi", "--model", "lgmd", "--engine", "opencv")
     assert result.exit_code == 2
-    assert "--engine is of the D-LGMD, and none is compared. Add --set." in result.stderr
-
-
-@pytest.mark.parametrize("spared", [True, False])
-def test_a_late_ctrl_c_says_what_is_there(dlgmd, clips, tmp_path, monkeypatch, spared):
-    name = "overlay_mp" if spared else "overlay_attenuation"
-    original = getattr(overlays, name)
-
-    def interrupted(*arguments, **options):
-        os.kill(os.getpid(), signal.SIGINT)
-        return original(*arguments, **options)
-
-    monkeypatch.setattr(overlays, name, interrupted)
-    result = dlgmd("compare", clips / "loom.avi", "--set", 1)
-    assert result.exit_code == 130
-    kept = "all frames, but not all plots" if spared else "the whole result"
-    assert f"holds {kept}." in result.stderr
-    folder = tmp_path / "dlgmd-out" / "loom"
-    assert record(folder)["complete"] is True
-    assert (folder / "compare-attenuation.png").exists() is not spared
+    assert "--engine works only with the D-LGMD model. Add --set." in result.stderr

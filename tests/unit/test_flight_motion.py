@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.flights.quadrotor import RESTITUTION, fly
+from dlgmd_cli.flights.drone import RESTITUTION, fly
 from dlgmd_cli.flights.renderer.camera import rotation
 from dlgmd_cli.flights.script import (
     SPIN_UP_S,

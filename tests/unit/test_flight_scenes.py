@@ -17,8 +17,7 @@ from flightscenes import DURATION_S, SHAPE, SHORT, Quick, stage_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.flights.options import FlightOptions
-from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.flights.scenes import SCENES
 from dlgmd_cli.stimuli.encode import write_clip, write_truth
 from dlgmd_cli.stimuli.form import Form, n_digits

@@ -10,18 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.flights.contact import Surroundings, first_contact
-from dlgmd_cli.flights.image_speed import max_image_speed
-from dlgmd_cli.flights.nearest import Nearest
-from dlgmd_cli.flights.path import State
-from dlgmd_cli.flights.quadrotor import fly
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.geometry import Nearest, first_contact, surroundings
+from dlgmd_cli.flights.image_speed import ImageSpeed
+from dlgmd_cli.flights.path import REACH_M, Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
 from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.script import accelerate, cruise, hover, stand, take_off, yaw
-from dlgmd_cli.flights.sightlines import Sightlines
-from dlgmd_cli.flights.stage import REACH_M, Stage
-from dlgmd_cli.flights.surfaces import Surfaces
 from dlgmd_cli.flights.truth import FlightTruth, Target, truth_rows
 
 PLAIN = Texture([[0.5]])
@@ -182,7 +178,7 @@ def test_distance_to_a_polygon_is_that_of_its_nearest_point(flat, turn, data):
     # With another of more corners, so that its last one is repeated.
     other = polygon(*[(50 + math.cos(a), math.sin(a), 50) for a in np.arange(7) * math.tau / 7])
     bodies = [Solid("a", [polygon(*corners)]), Solid("b", [other])]
-    found = Nearest(Surfaces(bodies)).distances(point, 0.0)[0]
+    found = Nearest(bodies).distances(point, 0.0)[0]
     weights = np.random.default_rng(0).dirichlet(np.full(len(corners), 0.4), 4000)
     tried = np.linalg.norm(weights @ corners - point, axis=-1).min()
     assert found <= tried + 1e-9
@@ -316,18 +312,22 @@ def test_a_target_that_is_not_there_is_refused():
 # Image speed
 
 
+def fastest(world, camera, state, time_s, target=None):
+    return ImageSpeed(world, camera, target).fastest(state, time_s)
+
+
 def test_head_on_to_a_wall_the_corners_are_fastest():
     # The room's wall at x = 20 fills the picture.
     state = still((15, 0, 4), velocity=(2, 0, 0))
     height, width = CAMERA.shape
     corner = math.hypot(width / 2, height / 2)
-    found = max_image_speed(World(ROOM), Camera((90, 160), 60.0), state, 0.0)
+    found = fastest(World(ROOM), Camera((90, 160), 60.0), state, 0.0)
     assert found == pytest.approx(corner * 2 / 5, rel=1e-9)
 
 
 def test_pure_yaw_sweeps_the_rim_fastest():
     omega = math.radians(30)
-    found = max_image_speed(World(ROOM), CAMERA, still(spin=(0, 0, omega)), 0.0)
+    found = fastest(World(ROOM), CAMERA, still(spin=(0, 0, omega)), 0.0)
     f = CAMERA.focal_px
     height, width = (side / 2 for side in CAMERA.shape)
     # x' = f w (1 + x²/f²), y' = w x y / f.
@@ -338,55 +338,55 @@ def test_pure_yaw_sweeps_the_rim_fastest():
 
 def test_pure_roll_turns_the_corners_about_the_middle():
     spin = (math.radians(50), 0, 0)
-    found = max_image_speed(World(ROOM), CAMERA, still(spin=spin), 0.0)
+    found = fastest(World(ROOM), CAMERA, still(spin=spin), 0.0)
     assert found == pytest.approx(math.radians(50) * math.hypot(45, 80), rel=1e-9)
 
 
 def test_at_rest_nothing_moves_but_bodies_that_do():
     state = still()
-    assert max_image_speed(World(ROOM, [ball()]), CAMERA, state, 0.3) == 0.0
+    assert fastest(World(ROOM, [ball()]), CAMERA, state, 0.3) == 0.0
     moved = ball(0.3, (4, 0, 1), motion=lambda t: (0, 1.5 * t, 0))
     # Its nearest point, at 3.7 m, is nearly the fastest: all of it moves alike.
-    found = max_image_speed(World(ROOM, [moved]), CAMERA, state, 0.0, "ball")
+    found = fastest(World(ROOM, [moved]), CAMERA, state, 0.0, "ball")
     assert found == pytest.approx(CAMERA.focal_px * 1.5 / 3.7, rel=1e-6)
     behind = ball(0.3, (-4, 0, 1), motion=lambda t: (0, 1.5 * t, 0))
-    assert max_image_speed(World(ROOM, [behind]), CAMERA, state, 0.0, "ball") == 0.0
+    assert fastest(World(ROOM, [behind]), CAMERA, state, 0.0, "ball") == 0.0
 
 
 def test_what_is_hidden_does_not_count():
     state = still()
     moved = box("box", (4, -0.5, 0.5), (5, 0.5, 1.5), motion=lambda t: (0, 2 * t, 0))
-    shown = max_image_speed(World(ROOM, [moved]), CAMERA, state, 0.0, "box")
+    shown = fastest(World(ROOM, [moved]), CAMERA, state, 0.0, "box")
     assert shown == pytest.approx(CAMERA.focal_px * 2 / 4, rel=1e-6)
-    assert max_image_speed(World(ROOM, [moved, board(3, 4)]), CAMERA, state, 0.0, "box") == 0.0
-    assert max_image_speed(World(ROOM, [moved, ball(1, (2, 0, 1))]), CAMERA, state, 0.0) == 0.0
+    assert fastest(World(ROOM, [moved, board(3, 4)]), CAMERA, state, 0.0, "box") == 0.0
+    assert fastest(World(ROOM, [moved, ball(1, (2, 0, 1))]), CAMERA, state, 0.0) == 0.0
     pole = Round("pole", np.array([[2, 0, -5], [2, 0, 7.0]]), 0.9, PLAIN)
-    assert max_image_speed(World(ROOM, [moved, pole]), CAMERA, state, 0.0, "box") == 0.0
+    assert fastest(World(ROOM, [moved, pole]), CAMERA, state, 0.0, "box") == 0.0
 
 
 def test_a_small_target_is_found_between_the_lines():
     tiny = ball(0.004, (4, 0.021, 1.013), motion=lambda t: (0, 3 * t, 0))
-    assert max_image_speed(World(ROOM, [tiny]), CAMERA, still(), 0.0) == 0.0
-    found = max_image_speed(World(ROOM, [tiny]), CAMERA, still(), 0.0, "ball")
+    assert fastest(World(ROOM, [tiny]), CAMERA, still(), 0.0) == 0.0
+    found = fastest(World(ROOM, [tiny]), CAMERA, still(), 0.0, "ball")
     assert found == pytest.approx(CAMERA.focal_px * 3 / 4, rel=2e-3)
     small = box("box", (4, 0.02, 1.01), (4.01, 0.025, 1.015), motion=lambda t: (0, 3 * t, 0))
     for angles in np.random.default_rng(0).uniform(-1, 1, (20, 3)):
-        found = max_image_speed(World(ROOM, [small]), CAMERA, still(angles=angles), 0.0, "box")
+        found = fastest(World(ROOM, [small]), CAMERA, still(angles=angles), 0.0, "box")
         assert found == pytest.approx(CAMERA.focal_px * 3 / 4, rel=2e-3)
 
 
 def test_a_target_beside_the_picture_does_not_count():
     aside = box("box", (4, 5, 0.5), (5, 6, 1.5), motion=lambda t: (0, 0, 2 * t))
-    assert max_image_speed(World(ROOM, [aside]), CAMERA, still(), 0.0, "box") == 0.0
+    assert fastest(World(ROOM, [aside]), CAMERA, still(), 0.0, "box") == 0.0
     turned = still(angles=(0, 0, 50))
-    assert max_image_speed(World(ROOM, [aside]), CAMERA, turned, 0.0, "box") > 10.0
+    assert fastest(World(ROOM, [aside]), CAMERA, turned, 0.0, "box") > 10.0
 
 
 def test_a_body_beside_the_camera_hides_what_it_should():
     # Its near end is behind the camera, so that its corners have no place in the picture.
     wall = box("wall", (-2, 0.2, 0), (3, 0.4, 3))
     state = still(velocity=(1, 0, 0))
-    found = max_image_speed(World(ROOM, [wall]), CAMERA, state, 0.0)
+    found = fastest(World(ROOM, [wall]), CAMERA, state, 0.0)
     # At the left edge the wall is as near as it gets in the picture; the speed of a point at
     # x = X / Z on it is f x / Z, and its depth 0.2 / x.
     x = math.tan(math.radians(40))
@@ -456,15 +456,15 @@ def test_the_fastest_point_is_that_of_brute_force(time_s, monkeypatch):
         ],
     )
     # Every thirteenth line of sight of both.
-    sparse = Sightlines.cast
+    sparse = ImageSpeed.cast
 
     def cast(self, rays, pose, offsets_m):
         near, body = sparse(self, rays, pose, offsets_m)
         keep = np.arange(len(rays)) % 13 == 0
         return np.where(keep, near, 0.0), body
 
-    monkeypatch.setattr(Sightlines, "cast", cast)
-    found = max_image_speed(world, CAMERA, path.state(time_s), time_s)
+    monkeypatch.setattr(ImageSpeed, "cast", cast)
+    found = fastest(world, CAMERA, path.state(time_s), time_s)
     assert found == pytest.approx(slow_fastest(world, CAMERA, path, time_s), rel=2e-3)
 
 
@@ -477,20 +477,18 @@ def test_each_line_of_sight_meets_what_brute_force_says():
         Round("c", np.array([[3, -1, 0.5], [4, 1, 1.5]]), 0.25, PLAIN, motion=moving),
         board(6, 3),
     ]
-    surfaces = Surfaces(bodies)
-    lines = Sightlines(surfaces, ROOM, CAMERA)
-    pose, offsets = still(angles=(5, -8, 12)).pose, surfaces.offsets(0.4)
+    lines = ImageSpeed(World(ROOM, bodies), CAMERA)
+    pose, offsets = still(angles=(5, -8, 12)).pose, lines.surfaces.offsets(0.4)
     closeness, body = lines.cast(lines.grid, pose, offsets)
-    assert set(body) == {-1, 0, 1, 2, 3}
+    assert set(body) == {0, 1, 2, 3, 4}
     for index in range(0, len(lines.grid), 23):
         ray = lines.grid[index] @ pose.camera_from_world
         depths = [
             slow_depth(each, pose.position_m - offset, ray)
-            for each, offset in zip([*bodies, ROOM], [*offsets, np.zeros(3)], strict=True)
+            for each, offset in zip([*bodies, ROOM], offsets, strict=True)
         ]
         assert 1 / closeness[index] == pytest.approx(min(depths), abs=6e-4)
-        owner = int(np.argmin(depths))
-        assert body[index] == (owner if owner < len(bodies) else -1)
+        assert body[index] == np.argmin(depths)
 
 
 def test_speeds_of_rows_are_per_frame_and_follow_the_target():
@@ -498,7 +496,7 @@ def test_speeds_of_rows_are_per_frame_and_follow_the_target():
     bodies = [board(4, 1)]
     (row,) = truth(bodies, path, "board", fps=25, n_frames=1)
     state = path.state(0.0)
-    expected = max_image_speed(World(ROOM, bodies), CAMERA, state, 0.0, "board") / 25
+    expected = fastest(World(ROOM, bodies), CAMERA, state, 0.0, "board") / 25
     assert row.max_image_speed_px == expected
 
 
@@ -557,7 +555,7 @@ def test_the_floor_it_stands_on_is_no_contact_and_a_ceiling_is():
 
 def clearance(path, world, time_s):
     position = path.state(time_s).position_m
-    return Surroundings(world).distances(position, time_s).min()
+    return surroundings(world).distances(position, time_s).min()
 
 
 def test_clearance_is_from_the_nearest_surface():

@@ -6,20 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dlgmd_cli.flights.contact import Surroundings, first_contact
-from dlgmd_cli.flights.film import film
-from dlgmd_cli.flights.options import FlightOptions
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.geometry import first_contact, surroundings
+from dlgmd_cli.flights.path import REACH_M, Stage
 from dlgmd_cli.flights.places.seats import chair
-from dlgmd_cli.flights.quadrotor import fly
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.order import Order
-from dlgmd_cli.flights.renderer.renderer import Renderer, placed
+from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.scene import FlightOptions, FlightScene, film
 from dlgmd_cli.flights.scenes import SCENES
 from dlgmd_cli.flights.script import cruise, hover, yaw
-from dlgmd_cli.flights.stage import REACH_M, Stage
 from dlgmd_cli.flights.stages.placing import PassedError, in_the_way, singled_out
 from dlgmd_cli.flights.stages.random_flight import random_flight
 
@@ -56,6 +54,11 @@ def scene_of():
         return built[name]
 
     return get
+
+
+def placed(bodies, time_s):
+    """The bodies where they are at a time."""
+    return [body.moved(body.motion(time_s)) if body.motion else body for body in bodies]
 
 
 def phases_of(scene, options):
@@ -129,7 +132,7 @@ def test_near_misses_miss(scene_of, name):
     rows = list(scene.truth(options))
     assert near < min(row.distance_m for row in rows) < far
     assert all(math.isnan(row.time_to_contact_s) for row in rows)
-    world = Surroundings(stage.world)
+    world = surroundings(stage.world)
     for time in np.arange(0.0, stage.duration_s, 0.1):
         assert world.distances(stage.path.state(time).position_m, time).min() > 0.3
 
@@ -158,7 +161,7 @@ def test_the_person_crosses_the_picture(scene_of):
     camera = Camera(options.shape, options.fov_deg)
     across = []
     for frame in range(0, scene.n_frames(options), 15):
-        bodies = [body for body in placed(stage.world, frame / 30) if body.name == "person"]
+        bodies = [body for body in placed(stage.world.bodies, frame / 30) if body.name == "person"]
         middles = [(body.reach(np.eye(3)) - body.reach(-np.eye(3))) / 2 for body in bodies]
         across.append(camera.project(np.mean(middles, axis=0), stage.path.pose(frame / 30))[0])
     assert across[0] > 45 and across[-1] < 20 and (np.diff(across) < 0.2).all()
@@ -169,7 +172,7 @@ def test_bodies_are_apart_and_in_the_room(scene_of, name):
     scene, options = scene_of(name)
     stage = scene.stage(options)
     for time in (0.0, stage.duration_s / 2, stage.duration_s):
-        bodies = placed(stage.world, time)
+        bodies = placed(stage.world.bodies, time)
         assert Order(bodies).is_exact
         for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
             level = wall.normal @ wall.corners_m[0]
@@ -214,7 +217,7 @@ def test_random_flights_come_out_in_every_way():
         else:
             assert contact == pytest.approx(stage.contact_s, abs=1e-4)
             position = stage.path.state(contact).position_m
-            nearest = Surroundings(stage.world, [stage.target]).distances(position, contact).min()
+            nearest = surroundings(stage.world, [stage.target]).distances(position, contact).min()
             assert nearest == pytest.approx(REACH_M, abs=1e-4)
             assert contact < stage.duration_s <= contact + 0.5 + 1e-9
         assert Order(stage.world.bodies).is_exact

@@ -9,10 +9,10 @@ import pytest
 from dlgmd_cli.flights.places import indoor, obstacles, seats
 from dlgmd_cli.flights.places.rooms import Hall
 from dlgmd_cli.flights.renderer.camera import Camera, Pose, rotation
-from dlgmd_cli.flights.renderer.order import Order
-from dlgmd_cli.flights.renderer.renderer import Renderer
+from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.flights.renderer.visibility import Order
 
 CAMERA = Camera((90, 150), 80.0)
 N_VIEWS = 3

@@ -163,8 +163,10 @@ ENDLESS.append(ENDLESS)
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize(
     "value",
-    [None, [], {"r": 1}, (1, 2), {1}, "", "1", b"1", ..., 1j, decimal.Decimal(1), ENDLESS]
-    + [10**400, -(10**400), 10**5000, np.array([1.0, 2.0])],
+    [
+        *(None, [], {"r": 1}, (1, 2), {1}, "", "1", b"1", ..., 1j, decimal.Decimal(1), ENDLESS),
+        *(10**400, -(10**400), 10**5000, np.array([1.0, 2.0])),
+    ],
     ids=lambda value: type(value).__name__,
 )
 def test_other_types_and_huge_numbers_are_refused_briefly(key, value):
@@ -250,7 +252,7 @@ anything = st.recursive(
 )
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(key=st.sampled_from(KEYS), value=anything)
 def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
     try:
@@ -300,11 +302,17 @@ def test_precedence(file):
 
 def test_a_run_record_is_a_config(file):
     document = {
-        "input": {"path": "x"}, "set": 4, "model": "dlgmd", "engine": "numba",
+        "input": {"path": "x"},
+        "set": 4,
+        "model": "dlgmd",
+        "engine": "numba",
         **load_set(4, r=3).to_dict(),
         "options": {"size": "30x20"},
         "summary": {"mp_max": None},
-        "versions": {}, "warnings": [], "complete": False, "processed": {},
+        "versions": {},
+        "warnings": [],
+        "complete": False,
+        "processed": {},
     }
     file.write_text(yaml.safe_dump(document))
     config = load_config(file)
@@ -344,7 +352,7 @@ def test_a_file_may_build_on_a_set(file):
         ("a0: &a0 {a: 1}\na1: &a1 {<<: [*a0, *a0]}", "the reference 'a0' is not allowed"),
         ("sigma_e: 2020-99-99", "sigma_e = '2020-99-99' is not a number"),
         ("a: 1:30", "a = '1:30' is not a number"),
-        ("a: 007", "a = '007' is not a number"),
+        ("r: 010", "r = 10.0 is not a whole number"),
         ("model: 3", "model is not a name"),
         ("options: 3", "options is not a mapping"),
         ("set: 12", "there is no set 12. Choose 1 to 9"),

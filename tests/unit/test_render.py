@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.flights.renderer.camera import Camera, Pose, rotation
 from dlgmd_cli.flights.renderer.coverage import Coverage
-from dlgmd_cli.flights.renderer.order import Order, between
-from dlgmd_cli.flights.renderer.renderer import Renderer
+from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.sensor import Sensor
 from dlgmd_cli.flights.renderer.solids import Round, Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.flights.renderer.visibility import Order, between
 
 X, Y, Z = np.eye(3)
 PLAIN = {level: Texture(np.float32(level)) for level in (0.0, 0.25, 0.5, 1.0)}

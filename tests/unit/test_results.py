@@ -1,236 +1,225 @@
-"""Tables, summary, and folders that appear whole or not at all."""
+"""`Result` and what is stored of it: summaries, files, the commit rule, reading back."""
 
-import csv
+import math
 import os
-from dataclasses import replace
+import threading
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+import yaml
+from conftest import make_result, result_of_level
 
-from dlgmd_cli.errors import OutputError, OutputExistsError
-from dlgmd_cli.results.cells import cell
-from dlgmd_cli.results.files import appearing, refuse_existing
-from dlgmd_cli.results.folder import COMPARISON, RUN, ResultFolder
-from dlgmd_cli.results.measures import summarise
-from dlgmd_cli.results.tables import TABLES, Result, write_tables
+import dlgmd_cli
+from dlgmd_cli import load_set, read_result
+from dlgmd_cli.errors import OutputError, OutputExistsError, ResultError
+from dlgmd_cli.models.detection import Alarm, absolute
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import cell, text_cell
+from dlgmd_cli.results.labels import Label, read_labels, write_labels
 
-NAN, INF = np.nan, np.inf
+NAN = math.nan
 
 
-def make_result(n=6):
-    mp = np.array([NAN, NAN, 1.0, 5.0, 4.0, 0.0])[:n]
-    flags = np.array([0, 0, 0, 1, 1, 0], bool)[:n]
-    return Result(
-        frame=np.arange(n) * 2,
-        time_s=np.arange(n) / 3,
-        p_sum=np.array([NAN, 0.0, 2.0, 3.0, 1.0, 0.0])[:n],
-        s_sum=np.array([NAN, NAN, 1.0, 0.3, 0.0, 0.0])[:n],
-        attenuation_db=np.array([NAN, NAN, -3.0, -10.0, -INF, NAN])[:n],
-        mp=mp,
-        mp_abs=mp / 10,
-        mp_seq=mp / 5,
-        level=mp / 10,
-        threshold=np.full(n, 0.4),
-        spike=flags,
-        collision=np.array([0, 0, 0, 0, 1, 0], bool)[:n],
+def test_everything_public_is_listed():
+    listed = set(dir(dlgmd_cli))
+    assert {"run", "open_video", "load_set", "read_result", "Result", "Alarm", "DLGMD"} <= set(
+        listed
     )
+    for name in listed:
+        assert getattr(dlgmd_cli, name)
+    with pytest.raises(AttributeError, match="no attribute 'rum'"):
+        dlgmd_cli.rum  # noqa: B018
 
 
-@given(st.floats(width=32, allow_nan=False))
-def test_cells_read_back_exactly_as_float32(value):
-    assert np.float32(cell(value)) == np.float32(value)
+def test_run_from_python(clips, tmp_path):
+    result = dlgmd_cli.run(clips / "loom.avi", set=7, param={"r": 3}, size="20x16")
+    assert result.params == load_set(7, r=3) and result.n_cells == 320
+    assert result.record["set"] == 7 and result.record["options"] == {"size": "20x16"}
+    seven, three, lgmd = dlgmd_cli.run(
+        clips / "loom.avi", models=[7, load_set(3), "lgmd"], size=(20, 16)
+    )
+    assert [one.params.model for one in (seven, three, lgmd)] == ["dlgmd", "dlgmd", "lgmd"]
+    alone = dlgmd_cli.run(clips / "loom.avi", set=3, size="20x16")
+    assert np.array_equal(three.mp, alone.mp, equal_nan=True)
+    assert seven.plot().axes and seven.plot("overview").axes
 
 
-def test_cells_of_what_is_not_a_number():
-    assert [cell(NAN), cell(-INF), cell(True), cell(7)] == ["", "-inf", "1", "7"]
-
-
-def test_tables(tmp_path):
-    write_tables(tmp_path, [make_result()])
-    assert sorted(os.listdir(tmp_path)) == sorted(TABLES)
-    rows = list(csv.reader((tmp_path / "attenuation.csv").read_text().splitlines()))
-    assert rows[0] == ["frame", "time_s", "p_sum", "s_sum", "attenuation_db"]
-    assert rows[1] == ["0", "0", "", "", ""]
-    assert rows[5] == ["8", "1.33333333", "1", "0", "-inf"]
-    spikes = (tmp_path / "spikes.csv").read_bytes().splitlines()
-    assert spikes[0] == b"frame,time_s,level,threshold,spike,collision"
-    assert spikes[1] == b"0,0,,0.4,0,0"
-    assert spikes[4] == b"6,1,0.5,0.4,1,0"
+def test_the_alarm_of_a_drone_s_loop_is_that_of_a_run(clips):
+    params = load_set(7, kappa=1e-9, n_sp=1)
+    (result,) = dlgmd_cli.run(clips / "loom.avi", models=[params])
+    alarm = Alarm(params)
+    with dlgmd_cli.open_video(clips / "loom.avi") as video:
+        answers = [alarm.step(frame.grey, frame.time_s) for frame in video]
+    for name in ("mp", "mp_abs", "p_sum", "s_sum"):
+        column = [getattr(answer, name) for answer in answers]
+        assert np.array_equal(getattr(result, name), column, equal_nan=True)
+    assert [answer.spike for answer in answers] == result.spikes.tolist()
+    assert [answer.alarm for answer in answers] == result.alarms.tolist()
+    assert result.alarms.any()
 
 
 def test_summary():
-    assert summarise(make_result()) == {
-        "mp_max": 5.0,
-        "mp_max_frame": 6,
-        "mp_max_time_s": 1.0,
-        "spikes": 2,
-        "first_spike_time_s": 1.0,
-        "collisions": 1,
-        "first_collision_frame": 8,
-        "first_collision_time_s": pytest.approx(4 / 3),
-        "mean_attenuation_db": -6.5,
+    level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.4, 0.6, 0.7, 0.1, 0.5, 0.5])
+    db = np.array([NAN, NAN, -math.inf, -10, -20, -30, -3, -3, NAN, -1, -3])
+    result = result_of_level(level, frame=np.arange(11) * 2 + 5, attenuation_db=db)
+    assert result.summary == {
+        "mp_max": pytest.approx(np.nanmax(result.mp)),
+        "mp_max_frame": 19,
+        "mp_max_time_s": 19 / 25,
+        "spikes": 6,
+        "first_spike_time_s": 11 / 25,
+        "alarms": 2,
+        "first_alarm_frame": 17,  # the second spike in a row raises it
+        "first_alarm_time_s": 17 / 25,
+        "mean_attenuation_db": pytest.approx(-70 / 7),
     }
+    assert result.alarm_onsets.tolist() == [6, 10]
 
 
-def test_summary_counts_alarms_not_their_frames():
-    result = replace(make_result(), collision=np.array([1, 1, 0, 1, 1, 1], bool))
-    assert summarise(result)["collisions"] == 2
-    assert summarise(result)["first_collision_frame"] == 0
+def test_summary_of_silence():
+    summary = make_result([NAN, NAN, NAN], attenuation_db=[NAN, NAN, NAN]).summary
+    assert summary["spikes"] == summary["alarms"] == 0
+    assert all(value is None for key, value in summary.items() if key not in ("spikes", "alarms"))
 
 
-def test_summary_of_nothing_valid():
-    summary = summarise(make_result(2))
-    assert summary["mp_max"] is None and summary["mean_attenuation_db"] is None
-    assert summary["spikes"] == summary["collisions"] == 0
+def test_sharpness_and_distinguishability():
+    mp = np.zeros(40)
+    mp[30], mp[10], mp[12] = 8.0, 2.0, 2.0
+    result = make_result(mp)
+    assert result.sharpness == pytest.approx(12 / 8 / 40)
+    assert result.distinguishability(10) == pytest.approx(2.0)  # 8 / 11 over 4 / 11
+    assert result.distinguishability(20) == math.inf
+    assert math.isnan(result.distinguishability(500))
+    assert math.isnan(make_result(np.zeros(9)).sharpness)
 
 
-def fill(folder):
-    write_tables(folder, [make_result()])
-    (folder / "run.yaml").write_text("complete: true\n")
+def test_normalised_by_its_own_sequence():
+    result = make_result([NAN, 1.0, 3.0, 2.0], normalise="sequence")
+    assert np.array_equal(result.mp_seq, [NAN, 0, 1, 0.5], equal_nan=True)
+    assert result.level is result.mp_seq and result.spikes.tolist() == [False, False, True, True]
+    assert np.allclose(result.mp_abs, absolute(result.mp, 100, 0.0035), equal_nan=True)
+    still = make_result([NAN, 2.0, 2.0], normalise="sequence")
+    assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
 
 
-def hidden(folder):
-    return [name for name in os.listdir(folder) if name.startswith(".")]
+def test_save_and_read_back(tmp_path):
+    result = make_result([NAN, 1.5, 1e-7, 123456.789], attenuation_db=[NAN, -math.inf, -3.5, 2])
+    result.save(tmp_path / "r", formats=["svg"])
+    assert set(os.listdir(tmp_path / "r")) == {
+        *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv"),
+        *("mp.svg", "attenuation.svg", "spikes.svg"),
+    }
+    again = read_result(tmp_path / "r")
+    for name in ("frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db", "spikes", "alarms"):
+        assert np.allclose(getattr(again, name), getattr(result, name), rtol=1e-8, equal_nan=True)
+    assert again.params == result.params and again.summary.keys() == result.summary.keys()
+    record = yaml.safe_load((tmp_path / "r/run.yaml").read_text())
+    assert record["schema"] == 1 and record["summary"] == result.summary
 
 
-def test_folder_appears_at_the_end(tmp_path):
-    with ResultFolder(tmp_path / "a" / "b", "clip") as folder:
-        assert not folder.target.exists()
-        folder.save(fill)
-    assert set(os.listdir(tmp_path / "a/b/clip")) == {"run.yaml", *TABLES}
-    assert hidden(tmp_path / "a/b") == []
+def test_to_dataframe_needs_pandas(monkeypatch):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    table = result_of_level([0.1, 0.5, 0.5]).to_dataframe()
+    assert isinstance(table, pandas.DataFrame)
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 12
 
 
-def test_folder_leaves_nothing_behind_on_failure(tmp_path):
-    with pytest.raises(ZeroDivisionError), ResultFolder(tmp_path / "a" / "b", "clip"):
-        raise ZeroDivisionError
-    assert os.listdir(tmp_path) == []
+def damage(folder, name, change):
+    path = folder / name
+    path.write_text(change(path.read_text()))
 
 
-def test_folder_of_others_is_kept_on_failure(tmp_path):
-    (tmp_path / "a").mkdir()
-    with pytest.raises(ZeroDivisionError), ResultFolder(tmp_path / "a", "clip"):
-        raise ZeroDivisionError
-    assert os.listdir(tmp_path) == ["a"] and os.listdir(tmp_path / "a") == []
+@pytest.mark.parametrize(
+    ("name", "change", "why"),
+    [
+        ("mp.csv", lambda text: text.replace("mp_abs", "x"), "its columns are not"),
+        ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something else than numbers"),
+        ("mp.csv", lambda text: text + "0,9,1,1,1\n", "its rows are not frames in order"),
+        ("mp.csv", lambda text: text + "7,1\n", "has not 5 cells"),
+        ("mp.csv", lambda text: text.splitlines()[0], "it holds no frames"),
+        ("attenuation.csv", lambda text: "\x00" + text, "its columns are not"),
+        ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
+        ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "unknown model 'other'"),
+        ("run.yaml", lambda text: text.replace("width: 10", "width: a"), "the processed size"),
+        ("run.yaml", lambda text: "[", "it holds no result"),
+    ],
+)
+def test_files_that_were_changed(tmp_path, name, change, why):
+    make_result([NAN, 1.0, 2.0]).save(tmp_path)
+    damage(tmp_path, name, change)
+    with pytest.raises(ResultError, match=why) as caught:
+        read_result(tmp_path)
+    assert "\n" not in str(caught.value)
 
 
-def test_write_error_is_an_output_error_and_keeps_the_earlier_result(tmp_path):
-    with ResultFolder(tmp_path, "clip") as folder:
-        folder.save(fill)
+def test_a_result_is_whole_if_its_record_is_there(tmp_path):
+    with pytest.raises(ResultError, match="there is no such folder"):
+        read_result(tmp_path / "none")
+    result = make_result([1.0, 2.0])
+    result.save(tmp_path)
+    files = result.files()
 
-    def fail(folder):
-        fill(folder)
+    def full(path):
+        path.write_text("half")
         raise OSError(28, "No space left on device")
 
-    with (
-        pytest.raises(OutputError, match=r"No space left on device"),
-        ResultFolder(tmp_path, "clip", overwrite=True) as folder,
-    ):
-        folder.save(fail)
-    assert len(os.listdir(tmp_path / "clip")) == len(TABLES) + 1 and hidden(tmp_path) == []
+    with pytest.raises(OutputError, match="No space left"):
+        store.commit(tmp_path, store.RUN, {**files, "spikes.csv": full})
+    assert store.RUN not in os.listdir(tmp_path) and "spikes.csv" not in os.listdir(tmp_path)
+    with pytest.raises(ResultError, match="it holds no result"):
+        read_result(tmp_path)
 
 
-def test_folder_swept_away_in_mid_run_comes_back(tmp_path):
-    with ResultFolder(tmp_path / "out", "clip") as folder:
-        folder.partial.rmdir()
-        (tmp_path / "out").rmdir()
-        folder.save(fill)
-    assert (tmp_path / "out/clip/run.yaml").exists()
+def test_a_commit_replaces_what_its_command_wrote_and_nothing_else(tmp_path):
+    for name in ("mp.pdf", "compare.csv", "compare.yaml", "notes.txt", ".dlgmd-mp.csv"):
+        (tmp_path / name).write_text("old")
+    files = make_result([1.0, 2.0]).files()
+    store.commit(tmp_path, store.RUN, files)
+    assert set(os.listdir(tmp_path)) == {*files, "compare.csv", "compare.yaml", "notes.txt"}
+    store.commit(tmp_path, store.RUN, files, is_new_input=True)
+    assert set(os.listdir(tmp_path)) == {*files, "notes.txt"}
 
 
-def test_existing_results(tmp_path):
-    with ResultFolder(tmp_path, "clip") as folder:
-        folder.save(fill)
-    with pytest.raises(OutputExistsError, match="--overwrite"):
-        ResultFolder(tmp_path, "clip")
-    (tmp_path / "clip" / "mp.csv").write_text("old")
-    with ResultFolder(tmp_path, "clip", overwrite=True) as folder:
-        folder.save(fill)
-    assert (tmp_path / "clip" / "mp.csv").read_text() != "old"
-    assert hidden(tmp_path) == []
+def test_one_process_at_a_time(tmp_path):
+    folder = tmp_path / "deep" / "down"
+    caught = []
+
+    def other():
+        try:
+            with store.locked(folder):
+                pass
+        except OutputExistsError as error:
+            caught.append(str(error))
+
+    with store.locked(folder):
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+    assert "another dlgmd command is writing here" in caught[0]
+    assert os.listdir(tmp_path) == []  # nothing came of it
+    with store.locked(folder):
+        (folder / "x").write_text("kept")
+    assert os.listdir(folder) == ["x"]
 
 
-def compared(folder):
-    (folder / "compare.csv").write_text("label\n")
-    (folder / "compare.yaml").write_text("complete: true\n")
+@pytest.mark.parametrize("text", ["=1+1", "+cmd", " -x", "@SUM(1)", "＝1", "a;=b", 'a;"=b'])
+def test_text_starts_no_formula(text):
+    guarded = text_cell(text)
+    assert guarded[0] not in "=+-@＝ " and ";=" not in guarded and ';"=' not in guarded
+    assert text_cell(guarded) == guarded and "\n" not in text_cell(f"{text}\n")
 
 
-def test_results_of_several_commands_share_a_folder(tmp_path, monkeypatch):
-    for kind, write in ((RUN, fill), (COMPARISON, compared)):
-        with ResultFolder(tmp_path, "clip", kind) as folder:
-            folder.save(write)
-        with pytest.raises(OutputExistsError, match="a result stands here already"):
-            ResultFolder(tmp_path, "clip", kind)
-    everything = {"run.yaml", *TABLES, "compare.csv", "compare.yaml"}
-    assert set(os.listdir(tmp_path / "clip")) == everything
-
-    def no_link(*_, **__):
-        raise PermissionError(1, "Operation not permitted")
-
-    (tmp_path / "clip" / "mp.png").write_text("a plot that the new result does not have")
-    monkeypatch.setattr(os, "link", no_link)
-    with ResultFolder(tmp_path, "clip", RUN, overwrite=True) as folder:
-        folder.save(fill)
-    assert set(os.listdir(tmp_path / "clip")) == everything
-    assert (tmp_path / "clip" / "compare.csv").read_text() == "label\n"
-    assert hidden(tmp_path) == []
+def test_numbers_read_back_as_float32():
+    for value in np.random.default_rng(1).normal(size=200).astype(np.float32) * 1e3:
+        assert np.float32(cell(value)) == value
+    assert (cell(NAN), cell(-math.inf), cell(-12.5)) == ("", "-inf", "-12.5")
 
 
-def test_files_without_their_record_are_no_result(tmp_path):
-    with ResultFolder(tmp_path, "clip") as folder:
-        folder.save(fill)
-    (tmp_path / "clip" / "compare.csv").write_text("precious")
-    with pytest.raises(OutputExistsError, match=r"holds other files, such as compare\.csv"):
-        ResultFolder(tmp_path, "clip", COMPARISON, overwrite=True)
-
-
-def test_what_is_no_result_is_never_replaced(tmp_path):
-    frames = tmp_path / "frames"
-    frames.mkdir()
-    (frames / "0001.png").write_text("precious")
-    with pytest.raises(OutputExistsError, match=r"holds other files, such as 0001\.png"):
-        ResultFolder(tmp_path, "frames", overwrite=True)
-    with ResultFolder(tmp_path, "clip") as folder:
-        folder.save(fill)
-    (tmp_path / "clip" / "notes.txt").write_text("precious")
-    with ResultFolder(tmp_path, "clip", overwrite=True) as folder:
-        folder.save(fill)
-    assert (tmp_path / "clip" / "notes.txt").read_text() == "precious"
-    (tmp_path / "clip" / "more").mkdir()
-    with pytest.raises(OutputExistsError, match="other files, such as more"):
-        ResultFolder(tmp_path, "clip", overwrite=True)
-    (tmp_path / "link").symlink_to(frames)
-    with pytest.raises(OutputExistsError):
-        ResultFolder(tmp_path, "link", overwrite=True)
-
-
-def test_a_result_that_appears_meanwhile_is_kept(tmp_path):
-    with ResultFolder(tmp_path, "clip") as slow:
-        with ResultFolder(tmp_path, "clip") as fast:
-            fast.save(fill)
-        with pytest.raises(OutputExistsError):
-            slow.save(fill)
-    assert (tmp_path / "clip/run.yaml").exists() and hidden(tmp_path) == []
-
-
-def test_out_that_is_a_file(tmp_path):
-    (tmp_path / "out").write_text("")
-    with pytest.raises(OutputError), ResultFolder(tmp_path / "out", "clip"):
-        pass
-
-
-def test_files_appear_together_or_not_at_all(tmp_path):
-    paths = tmp_path / "x.csv", tmp_path / "x.png"
-    with pytest.raises(OutputError), appearing(*paths) as (first, _):
-        first.write_text("half")
-        raise OSError(28, "No space left on device")
-    assert os.listdir(tmp_path) == []
-    with appearing(*paths) as files:
-        for file in files:
-            file.write_text("whole")
-    assert sorted(os.listdir(tmp_path)) == ["x.csv", "x.png"]
-    with pytest.raises(OutputExistsError):
-        refuse_existing(paths[0], overwrite=False)
-    refuse_existing(paths[0], overwrite=True)
+def test_labels(tmp_path):
+    labels = [Label("a.mp4", 12), Label("b/c.mp4"), Label("-d.mp4", 0)]
+    write_labels(tmp_path / "labels.csv", labels)
+    assert (tmp_path / "labels.csv").read_text().splitlines()[0] == "video,collision_frame"
+    assert read_labels(tmp_path / "labels.csv") == [*labels[:2], Label("./-d.mp4", 0)]
+    (tmp_path / "labels.csv").write_text("video,collision_frame\na.mp4,soon\n")
+    with pytest.raises(ResultError, match="line 2"):
+        read_labels(tmp_path / "labels.csv")

@@ -15,11 +15,7 @@ import yaml
 from conftest import FPS, N_FRAMES, looming_frames, write_video
 
 from dlgmd_cli import DLGMD, load_set, open_video
-from dlgmd_cli.commands import _input
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.plots.traces import PLOTS as PLOTS_BY_NAME
-from dlgmd_cli.results import tables
-from dlgmd_cli.video.frames import DECODERS
 
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
@@ -48,7 +44,7 @@ def test_files_and_columns(dlgmd, clips, tmp_path):
     headers = {
         "mp.csv": "frame,time_s,mp,mp_abs,mp_seq",
         "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db",
-        "spikes.csv": "frame,time_s,level,threshold,spike,collision",
+        "spikes.csv": "frame,time_s,level,threshold,spike,alarm",
     }
     for name, header in headers.items():
         lines = (folder / name).read_text().splitlines()
@@ -120,10 +116,10 @@ def test_looming_raises_the_alarm_and_receding_does_not(dlgmd, tmp_path):
     for name in ("looms", "recedes"):
         result = dlgmd("run", f"{name}.avi", "--no-plots", "--json", "--set", 7)
         peak[name] = json.loads(result.stdout)
-    assert peak["looms"]["collisions"] == 1
+    assert peak["looms"]["alarms"] == 1
     assert peak["looms"]["mp_max_frame"] >= 27
-    assert peak["recedes"]["first_collision_frame"] is None or (
-        peak["recedes"]["first_collision_frame"] < 5
+    assert peak["recedes"]["first_alarm_frame"] is None or (
+        peak["recedes"]["first_alarm_frame"] < 5
     )
 
 
@@ -194,6 +190,7 @@ def test_run_yaml(dlgmd, clips):
         "bytes": (clips / "loom.avi").stat().st_size,
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
     }
+    assert record["schema"] == 1
     assert record["processed"] == {"width": 20, "height": 16, "frames": N_FRAMES}
     assert (record["model"], record["formulation"], record["r"]) == ("dlgmd", "default", 3)
     assert record["engine"] == "opencv"
@@ -206,9 +203,9 @@ def test_run_yaml(dlgmd, clips):
         "mp_max_time_s",
         "spikes",
         "first_spike_time_s",
-        "collisions",
-        "first_collision_frame",
-        "first_collision_time_s",
+        "alarms",
+        "first_alarm_frame",
+        "first_alarm_time_s",
         "mean_attenuation_db",
     }
 
@@ -257,12 +254,45 @@ def test_existing_result(dlgmd, clips):
     refused = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert refused.exit_code == 2
     assert refused.stderr == (
-        f"Error: {os.path.join('dlgmd-out', 'loom')}: a result stands here already. "
+        f"Error: {os.path.join('dlgmd-out', 'loom')}: a result already exists here. "
         "Add --overwrite to replace it, or choose another --out.\n"
     )
     assert os.stat("dlgmd-out/loom/mp.csv") == before
     assert dlgmd("run", clips / "loom.avi", "--overwrite").exit_code == 0
     assert set(os.listdir("dlgmd-out/loom")) == FILES | PLOTS
+
+
+def test_a_folder_of_another_input_is_refused(dlgmd, clips, tmp_path):
+    (tmp_path / "a").mkdir()
+    write_video(tmp_path / "a/loom.avi", looming_frames(12))
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    for command in ("compare", "layers"):
+        more = ["--frames", 5] if command == "layers" else ["--set", 9]
+        mixed = dlgmd(command, "a/loom.avi", "--no-plots", *more)
+        assert mixed.exit_code == 2, mixed.output
+        assert "it holds the result of another input (run.yaml)" in mixed.stderr
+    same = dlgmd("compare", clips / "loom.avi", "--no-plots")
+    assert same.exit_code == 0, same.output
+    over = dlgmd("compare", "a/loom.avi", "--no-plots", "--overwrite")
+    assert over.exit_code == 0, over.output
+    assert set(os.listdir("dlgmd-out/loom")) == {"compare.csv", "compare.yaml"}
+
+
+def test_a_folder_of_other_files_is_left_alone(dlgmd, clips, tmp_path):
+    (tmp_path / "dlgmd-out/loom").mkdir(parents=True)
+    (tmp_path / "dlgmd-out/loom/notes.txt").write_text("mine")
+    result = dlgmd("run", clips / "loom.avi", "--overwrite")
+    assert result.exit_code == 2 and "it holds other files, such as notes.txt" in result.stderr
+    assert os.listdir("dlgmd-out/loom") == ["notes.txt"]
+
+
+def test_what_a_killed_run_left_is_no_result(dlgmd, clips, tmp_path):
+    folder = tmp_path / "dlgmd-out/loom"
+    folder.mkdir(parents=True)
+    for name in ("mp.csv", ".dlgmd-spikes.csv", "mp.pdf"):
+        (folder / name).write_text("half")
+    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    assert set(os.listdir(folder)) == FILES
 
 
 USAGE = [
@@ -312,9 +342,11 @@ def test_usage_names_the_command(dlgmd, clips):
     [
         ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
         ({"pace": 1}, "unknown option 'pace' under 'options'"),
-        ({"size": "big"}, "size = 'big' under 'options' is not valid"),
-        ({"scale": [1]}, "scale = a list or mapping under 'options' is not valid"),
-        ({"fps": float("nan")}, "fps = nan under 'options' is not valid"),
+        ({"size": "big"}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
+        ({"scale": [1]}, "my.yaml: options: --scale [1] is not above 0 and up to 1"),
+        ({"scale": True}, "my.yaml: options: --scale True is not above 0"),
+        ({"fps": float("nan")}, "my.yaml: options: --fps nan is not a frame rate above 0"),
+        ({"decoder": "vlc"}, "my.yaml: options: --decoder vlc is not one of opencv, pyav"),
     ],
 )
 def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):
@@ -378,7 +410,6 @@ def test_a_decoder_that_is_not_installed(dlgmd, clips, monkeypatch):
 def test_an_unknown_decoder(clips):
     with pytest.raises(ParameterError, match="no decoder 'vlc'"):
         open_video(clips / "loom.mp4", decoder="vlc")
-    assert _input.DECODERS == DECODERS  # which help cannot import, it would bring in OpenCV
 
 
 def test_too_short(dlgmd, clips):
@@ -445,81 +476,41 @@ def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
     result = dlgmd("run", "still.avi", "--no-plots", "--decoder", decoder)
     assert result.exit_code == 0
     assert ("read it with --decoder pyav" in result.stderr) == (decoder == "opencv")
-    assert "Warning: still.avi: no picture differs from the one before it" in result.stderr
+    assert "Warning: still.avi: no frame differs from the one before it" in result.stderr
     rows = read(tmp_path / "dlgmd-out/still/attenuation.csv")
     assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes
     assert {row["s_sum"] for row in rows[3:]} == {"0"}
 
 
-def test_an_interrupt_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path):
+def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, stop):
     step = DLGMD.step
     seen = []
 
-    def interrupted(self, luminance, **options):
+    def stopping(self, *arguments, **options):
         seen.append(1)
-        if len(seen) == 9:
-            raise KeyboardInterrupt
-        return step(self, luminance, **options)
+        if len(seen) == 8:
+            stop()
+        return step(self, *arguments, **options)
 
-    monkeypatch.setattr(DLGMD, "step", interrupted)
+    monkeypatch.setattr(DLGMD, "step", stopping)
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130
-    assert "Interrupted; writing what was computed." in result.stderr
-    assert "holds the 8 frames before it." in result.stderr
+    assert "holds the 8 frames processed before the stop." in result.stderr
     folder = tmp_path / "dlgmd-out/loom"
     assert set(os.listdir(folder)) == FILES | PLOTS
-    assert yaml.safe_load(open_text(folder / "run.yaml"))["complete"] is False
+    record = yaml.safe_load(open_text(folder / "run.yaml"))
+    assert record["complete"] is False and record["input"]["frames"] == 8
     assert len(read(folder / "mp.csv")) == 8
 
 
-def test_an_interrupt_of_the_plots_keeps_everything_else(dlgmd, clips, monkeypatch, tmp_path):
-    draw = PLOTS_BY_NAME["mp"]
-
-    def interrupted(result):
-        signal.raise_signal(signal.SIGINT)
-        return draw(result)
-
-    monkeypatch.setitem(PLOTS_BY_NAME, "mp", interrupted)
-    result = dlgmd("run", clips / "loom.avi")
-    assert result.exit_code == 130 and "Traceback" not in result.stderr
-    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES | {"mp.png"}
-    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is True
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_a_second_interrupt_loses_nothing(dlgmd, clips, monkeypatch, tmp_path):
-    step, write = DLGMD.step, tables.write_tables
-    seen = []
-
-    def interrupted(self, luminance, **options):
-        seen.append(1)
-        if len(seen) == 9:
-            signal.raise_signal(signal.SIGINT)
-        return step(self, luminance, **options)
-
-    def interrupted_too(*arguments):
-        signal.raise_signal(signal.SIGINT)
-        write(*arguments)
-
-    monkeypatch.setattr(DLGMD, "step", interrupted)
-    monkeypatch.setattr(tables, "write_tables", interrupted_too)
-    result = dlgmd("run", clips / "loom.avi", "--no-plots")
-    assert result.exit_code == 130
-    assert set(os.listdir(tmp_path / "dlgmd-out/loom")) == FILES
-    assert yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))["complete"] is False
-
-
-def test_an_interrupt_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch):
-    def interrupted(self, luminance, **options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(DLGMD, "step", interrupted)
+def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
+    monkeypatch.setattr("dlgmd_cli.runs.run._feed", lambda *_: stop() or False)
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 
 
 def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
-    def broken(self, luminance, **options):
+    def broken(self, *arguments, **options):
         raise IndexError("inner secret")
 
     monkeypatch.setattr(DLGMD, "step", broken)
@@ -532,14 +523,14 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
     assert isinstance(dlgmd("--debug", "run", clips / "loom.avi").exception, IndexError)
 
 
-def test_a_full_disk_is_one_line(dlgmd, clips, monkeypatch):
-    def full(*arguments):
+def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch):
+    def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("dlgmd_cli.runs.findings.write_tables", full)
-    result = dlgmd("run", clips / "loom.avi")
+    monkeypatch.setattr("dlgmd_cli.results.csv.write_rows", full)
+    result = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert result.exit_code == 1
-    assert "the result cannot be written (No space left on device)" in result.stderr
+    assert "it cannot be written (No space left on device)" in result.stderr
     assert os.listdir(".") == []
 
 
@@ -553,8 +544,8 @@ def test_a_real_signal_in_a_real_process(tmp_path, name):
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
     )
-    # The folder of results is made just before the first frame.
-    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/.dlgmd-*")):
+    # The lock is taken just before the first frame.
+    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")):
         time.sleep(0.01)
     time.sleep(0.3)
     process.send_signal(getattr(signal, name))
@@ -564,7 +555,7 @@ def test_a_real_signal_in_a_real_process(tmp_path, name):
     record = yaml.safe_load(open_text(tmp_path / "dlgmd-out/long/run.yaml"))
     assert record["complete"] is False
     assert 0 < record["processed"]["frames"] < 3000
-    assert os.listdir(tmp_path / "dlgmd-out") == ["long"]
+    assert set(os.listdir(tmp_path / "dlgmd-out/long")) == FILES
 
 
 def test_other_models(dlgmd, clips, tmp_path):
@@ -595,8 +586,8 @@ def test_other_models(dlgmd, clips, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--set", 3], "--set is of the D-LGMD, not of --model lgmd."),
-        (["--formulation", "released"], "--formulation is of the D-LGMD, not of lgmd."),
+        (["--set", 3], "--set works only with the D-LGMD model"),
+        (["--formulation", "released"], "--formulation works only with the D-LGMD model"),
         (["--param", "r=3"], "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
         (["--engine", "numba"], "the model lgmd has no engine 'numba'"),
         (["--param", "p1=0.9", "--param", "p2=0.2"], "makes every change grow for ever"),

@@ -21,7 +21,6 @@ from dlgmd_cli.video.frames import (
     selection,
     open_video,
     processed_size,
-
 )
 from dlgmd_cli.video.base import Verdict
 from dlgmd_cli.video.luma import resized, to_grey

@@ -1,7 +1,7 @@
-"""Where a camera stands, and where what it looks at lies in its picture.
+"""Where a camera is, and where the points that it looks at lie in its picture.
 
-The world has x and y on the level and z up, in metres. A body has x forward, y to its left and z
-up. In pictures x goes right and y down, in px; pixel (0, 0) reaches from 0 to 1.
+In the world, x and y are level and z points up, in metres. A body has x forward, y to its left and
+z up. In pictures x goes right and y down, in px; pixel (0, 0) reaches from 0 to 1.
 """
 
 import math
@@ -43,7 +43,7 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the camera is and where it looks; it looks along the body's x.
+    """Position and attitude of the camera, which looks along the body's x.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole with square pixels; its axis meets the picture in the middle.
+    """A pinhole camera with square pixels; its axis meets the picture in the middle.
 
     Attributes
     ----------
@@ -90,32 +90,32 @@ class Camera:
 
     @property
     def rays_from_xy(self) -> FloatArray:
-        """From (x, y, 1), in px, to the direction that is seen there, as the camera has it."""
+        """Matrix from (x, y, 1), in px, to the direction seen there, in the camera's axes."""
         (x, y), focal = self.middle_xy, self.focal_px
         return np.array(
             [[1.0 / focal, 0.0, -x / focal], [0.0, 1.0 / focal, -y / focal], [0, 0, 1.0]]
         )
 
     def view(self, points_m: FloatArray, pose: Pose) -> FloatArray:
-        """Points of the world, (..., 3), as the camera has them: right, down and forward, in m."""
+        """Points of the world, (..., 3), in the camera's axes: right, down and forward, in m."""
         seen: FloatArray = (points_m - pose.position_m) @ pose.camera_from_world.T
         return seen
 
-    def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
-        """Where points of the world, (..., 3), lie in the picture: x and y in px, (..., 2).
-
-        Means something only for points in front of the camera.
-        """
-        seen = self.view(points_m, pose)
-        flat: FloatArray = self.middle_xy + self.focal_px * seen[..., :2] / seen[..., 2:]
+    def flatten(self, seen_m: FloatArray) -> FloatArray:
+        """Points in the camera's axes, (..., 3), in front of it, to px of the picture, (..., 2)."""
+        flat: FloatArray = self.middle_xy + self.focal_px * seen_m[..., :2] / seen_m[..., 2:]
         return flat
 
-    def rays(self, points_xy: FloatArray, pose: Pose) -> FloatArray:
-        """Directions in the world, (..., 3), that points of the picture, (..., 2), look along.
+    def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
+        """Points of the world, (..., 3), in front of the camera, to px of the picture, (..., 2)."""
+        return self.flatten(self.view(points_m, pose))
 
-        Their component along the camera's axis is 1: a point at depth d lies d times as far.
+    def rays(self, points_xy: FloatArray, pose: Pose) -> FloatArray:
+        """Directions in the world, (..., 3), seen at points of the picture, (..., 2).
+
+        Their component along the camera's axis is 1: a point at depth d is d times as far.
         """
-        across = (np.asarray(points_xy) - self.middle_xy) / self.focal_px
-        seen = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
-        rays: FloatArray = seen @ pose.camera_from_world
+        across = np.asarray(points_xy)
+        ends = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
+        rays: FloatArray = ends @ self.rays_from_xy.T @ pose.camera_from_world
         return rays

@@ -1,21 +1,17 @@
-"""Which share of each pixel polygons cover, exactly.
+"""The exact share of each pixel that polygons cover.
 
 Every side is cut where it passes from one pixel to the next. Each piece adds to its pixel, and to
-all pixels right of it, the area between itself and their right borders; sides that go up take away
+all pixels right of it, the area between itself and their right borders; sides that go up subtract
 what those that go down have added.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.renderer.texture import FloatImage
-
-IntArray = npt.NDArray[np.intp]
-# Left, top, right and bottom of a part of the picture, in px; the last two are excluded.
-Window = tuple[int, int, int, int]
+from dlgmd_cli.flights.renderer.solids import IntArray
+from dlgmd_cli.flights.renderer.texture import FloatImage, Window
 
 # By how much rounding may change the height of a window.
 _ROUNDING = 1e-9
@@ -34,28 +30,26 @@ class Coverage:
 
     def __init__(self, polygons: Sequence[FloatArray], window: Window) -> None:
         start = np.concatenate([np.empty((0, 2)), *polygons])
-        end = np.concatenate(
-            [np.empty((0, 2)), *(part for each in polygons for part in (each[1:], each[:1]))]
-        )
+        end = np.concatenate([np.empty((0, 2)), *(np.roll(each, -1, axis=0) for each in polygons)])
         owner = np.repeat(np.arange(len(polygons)), [len(each) for each in polygons])
         self._x, self._y, self._rise, owner = _pieces(start, end - start, owner, window)
         self._row = np.floor(self._y).astype(np.intp)
         self._starts = np.searchsorted(owner, np.arange(len(polygons) + 1))
 
     def share(self, index: int, window: Window) -> FloatImage | None:
-        """Area of a polygon in each pixel of a window, but for rounding.
+        """Area of a polygon in each pixel of a window.
 
         Parameters
         ----------
         index : int
             Which polygon.
         window : (int, int, int, int)
-            A part of that which matters, and which the polygon touches.
+            Inside the window of all polygons; the polygon touches it.
 
         Returns
         -------
         ndarray, shape (h, w), float32, or None
-            0 to 1; None if it is 1 everywhere.
+            0 to 1, up to rounding; None if it is 1 everywhere.
         """
         left, top, right, bottom = window
         width, height = right - left, bottom - top
@@ -81,9 +75,10 @@ class Coverage:
 def _pieces(
     start: FloatArray, way: FloatArray, owner: IntArray, window: Window
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """The sides, cut at the borders of pixels: x and y of the pieces' middles, how far down, whose.
+    """Cut the sides at the borders of pixels.
 
-    What is above or below the window is left out; what is beside it is not cut.
+    Returns x and y of the pieces' middles, how far down each goes, and its polygon. What is above
+    or below the window is left out; what is beside it is not cut.
     """
     left, top, right, bottom = window
     # Shares of the way along each side where the window begins and ends.

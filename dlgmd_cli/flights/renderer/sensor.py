@@ -13,20 +13,20 @@ from dlgmd_cli.flights.renderer.texture import FloatImage
 
 GreyImage = npt.NDArray[np.uint8]
 
-# Steps of light that the converter tells apart, and of noise: 16 bits.
+# Steps of the light that the converter can tell apart, and of noise: 16 bits.
 _N_STEPS = 65_536
 
 
 class Sensor:
-    """What turns light into a frame.
+    """Turns light into frames.
 
     Parameters
     ----------
     camera : Camera
         Gives the size, and the angles for the vignette.
     vignette : float
-        Share of the light that is lost in the corners, 0 to 1; elsewhere by the fourth power of
-        the cosine of the angle to the axis, scaled to that.
+        Share of the light that is lost in the corners, 0 to 1. Elsewhere the loss follows
+        1 - cos⁴ of the angle to the axis, scaled to that.
     shot_noise : float
         Standard deviation of a fully bright pixel, as a share of its light; its variance is
         proportional to the light.
@@ -35,7 +35,7 @@ class Sensor:
     gamma : float
         Grey levels are 255 light^(1 / gamma).
     seed : int
-        Where the noise starts.
+        Seed of the noise.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class Sensor:
         self._levels = np.rint(255.0 * steps ** (1.0 / gamma)).astype(np.uint8)
 
     def develop(self, light: FloatImage, index: int) -> GreyImage:
-        """The frame with the number `index`, (H, W) uint8, of light where white is 1.
+        """The frame with the number `index`, (H, W) uint8, from light, (H, W), where white is 1.
 
-        Its noise depends on the seed and on that number alone. `light` is used up.
+        Its noise depends only on the seed and on that number. `light` is overwritten.
         """
         if self._transmission is not None:
             light *= self._transmission
@@ -74,9 +74,9 @@ class Sensor:
 
 
 def _normal(shape: tuple[int, ...], seed: Sequence[int]) -> FloatImage:
-    """Normal noise of standard deviation 1: each of `_N_STEPS` equally likely values at random.
+    """Normal noise of standard deviation 1, drawn from `_N_STEPS` equally likely values.
 
-    It takes a third of the time of numpy's, and reaches to 4.3 deviations.
+    It takes a third of the time of NumPy's, and reaches 4.3 standard deviations.
     """
     count = math.prod(shape)
     drawn = np.random.SFC64(seed).random_raw(-(-count // 4)).view(np.uint16)[:count]

@@ -1,10 +1,9 @@
-"""What the world is made of: convex bodies with textured planar faces, balls and capsules."""
+"""What a world is made of: convex solids with textured planar faces, balls and capsules."""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,24 +11,29 @@ import numpy.typing as npt
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.texture import Texture
 
+IntArray = npt.NDArray[np.intp]
+# How far a body has moved, (3,) in m, at a time in s.
 Motion = Callable[[float], npt.ArrayLike]
+
+# Half the time over which a body's velocity is taken from its motion.
+_HALF_S = 1e-4
 
 
 @dataclass(frozen=True)
 class Face:
-    """A convex planar polygon with a texture on it; seen from its front only.
+    """A convex planar polygon with a texture on it, visible only from its front.
 
     Attributes
     ----------
     corners_m : ndarray, shape (n, 3)
         Counter-clockwise as seen from the front.
     texture : Texture
-        Its picture fills the rectangle at `origin_m` with the sides `right_m` and `down_m`,
+        Its image fills the rectangle at `origin_m` with the sides `right_m` and `down_m`,
         in which all corners lie.
     origin_m, right_m, down_m : ndarray, shape (3,)
-        The picture's top left corner; from there along its width; and along its height.
+        The image's top left corner, and from there the sides along its width and its height.
     gain : float
-        Share of the light that arrives there.
+        Share of the light that arrives at the face.
     """
 
     corners_m: FloatArray
@@ -41,7 +45,7 @@ class Face:
 
     @cached_property
     def normal(self) -> FloatArray:
-        """Unit vector that points to who sees it."""
+        """Unit vector out of the front."""
         across: FloatArray = np.cross(
             self.corners_m[1] - self.corners_m[0], self.corners_m[2] - self.corners_m[0]
         )
@@ -52,31 +56,25 @@ class Face:
         return replace(self, corners_m=self.corners_m + by_m, origin_m=self.origin_m + by_m)
 
 
-class Body(Protocol):
-    """A convex thing."""
+def quad(
+    origin_m: npt.ArrayLike,
+    right_m: npt.ArrayLike,
+    down_m: npt.ArrayLike,
+    texture: Texture,
+    gain: float = 1.0,
+) -> Face:
+    """A rectangular face that its texture fills.
 
-    @property
-    def name(self) -> str:
-        """What it belongs to, such as "chair"; several bodies can share a name."""
-        ...
-
-    @property
-    def motion(self) -> Motion | None:
-        """How far it has moved, in m, (3,), at a time in s; None if it never does."""
-        ...
-
-    @property
-    def normals(self) -> FloatArray:
-        """Directions, (n, 3), in which another body may be told apart from it."""
-        ...
-
-    def reach(self, directions: FloatArray) -> FloatArray:
-        """How far it extends along unit vectors, (n, 3), from the world's origin: (n,) in m."""
-        ...
-
-    def moved(self, by_m: FloatArray) -> "Body":
-        """The same body elsewhere, at rest."""
-        ...
+    Parameters
+    ----------
+    origin_m, right_m, down_m : array_like, shape (3,)
+        Top left corner and the sides from there, as somebody sees them who looks at the front.
+    texture, gain
+        See `Face`.
+    """
+    origin, right, down = (np.asarray(each, float) for each in (origin_m, right_m, down_m))
+    corners = np.array([origin, origin + down, origin + down + right, origin + right])
+    return Face(corners, texture, origin, right, down, gain)
 
 
 @dataclass(frozen=True)
@@ -86,11 +84,11 @@ class Solid:
     Attributes
     ----------
     name : str
-        See `Body`.
+        What it belongs to, such as "chair"; several bodies can share a name.
     faces : sequence of Face
         All that can be seen of it.
     motion : callable or None
-        See `Body`.
+        How far it has moved, (3,) in m, at a time in s; None if it never moves.
     """
 
     name: str
@@ -104,35 +102,35 @@ class Solid:
 
     @cached_property
     def normals(self) -> FloatArray:
-        """Those of the faces."""
+        """The normals of the faces, (n, 3)."""
         return np.array([face.normal for face in self.faces])
 
     def reach(self, directions: FloatArray) -> FloatArray:
-        """See `Body`."""
+        """How far it extends along unit vectors, (n, 3), from the world's origin: (n,) in m."""
         farthest: FloatArray = (directions @ self.corners_m.T).max(axis=-1)
         return farthest
 
     def moved(self, by_m: FloatArray) -> "Solid":
-        """See `Body`."""
+        """The same solid elsewhere, at rest."""
         return Solid(self.name, [face.moved(by_m) for face in self.faces])
 
 
 @dataclass(frozen=True)
 class Round:
-    """A capsule: all that is within `radius_m` of the straight line between two points.
+    """A capsule: all points within `radius_m` of the straight line between two points.
 
-    Where the two are the same point, it is a ball.
+    If both are the same point, it is a ball.
 
     Attributes
     ----------
     name, motion
-        See `Body`.
+        See `Solid`.
     ends_m : ndarray, shape (2, 3)
         The two points.
     radius_m : float
     texture : Texture
-        As it is seen from far, from the side; the height of the picture is the length of the
-        capsule from tip to tip, its bottom at the first end, and its width is twice the radius.
+        The capsule as seen from far away, from the side. The image is as high as the capsule is
+        long from tip to tip, with its bottom at the first end, and twice the radius wide.
     gain : float
         See `Face`.
     """
@@ -142,53 +140,35 @@ class Round:
     radius_m: float
     texture: Texture
     gain: float = 1.0
-    motion: Motion | None = field(default=None)
+    motion: Motion | None = None
 
     @property
     def normals(self) -> FloatArray:
-        """None of its own: it is told apart by those of the other, or by the line between them."""
+        """It has no faces, so none: (0, 3)."""
         return np.empty((0, 3))
 
     def reach(self, directions: FloatArray) -> FloatArray:
-        """See `Body`."""
+        """See `Solid.reach`."""
         farthest: FloatArray = (directions @ self.ends_m.T).max(axis=-1) + self.radius_m
         return farthest
 
     def moved(self, by_m: FloatArray) -> "Round":
-        """See `Body`."""
+        """The same capsule elsewhere, at rest."""
         return replace(self, ends_m=self.ends_m + by_m, motion=None)
 
 
-def quad(
-    origin_m: npt.ArrayLike,
-    right_m: npt.ArrayLike,
-    down_m: npt.ArrayLike,
-    texture: Texture,
-    gain: float = 1.0,
-) -> Face:
-    """A rectangle that its texture fills; it is seen from where `right_m` points to the right.
-
-    Parameters
-    ----------
-    origin_m, right_m, down_m : array_like, shape (3,)
-        Top left corner, and the sides from there, as its viewer has them.
-    texture, gain
-        See `Face`.
-    """
-    origin, right, down = (np.asarray(each, float) for each in (origin_m, right_m, down_m))
-    corners = np.array([origin, origin + down, origin + down + right, origin + right])
-    return Face(corners, texture, origin, right, down, gain)
+Body = Solid | Round
 
 
 @dataclass(frozen=True)
 class World:
-    """All that there is.
+    """A room and what is in it.
 
     Attributes
     ----------
     room : Solid
         Convex, seen from inside: its faces look inwards. It is behind everything else.
-    bodies : sequence of Body
+    bodies : sequence of Solid or Round
         Convex bodies in it, none of which cuts into another.
     light : callable
         How bright it is at a time in s; 1 is ordinary.
@@ -197,3 +177,61 @@ class World:
     room: Solid
     bodies: Sequence[Body] = ()
     light: Callable[[float], float] = lambda _: 1.0
+
+
+class Surfaces:
+    """The surfaces of some bodies as arrays, where they are before any motion.
+
+    Parameters
+    ----------
+    bodies : sequence of Solid or Round
+
+    Attributes
+    ----------
+    faces : list of Face
+        The faces of all solids; those of one solid follow each other.
+    face_body : ndarray, shape (n_faces,)
+        Index of the body that a face belongs to.
+    corners_m : ndarray, shape (n_faces, n_corners, 3)
+        A face with fewer corners than others repeats its last one.
+    normals : ndarray, shape (n_faces, 3)
+    rounds : list of Round
+    round_body : ndarray, shape (n_rounds,)
+    ends_m : ndarray, shape (n_rounds, 2, 3)
+    radii_m : ndarray, shape (n_rounds,)
+    """
+
+    def __init__(self, bodies: Sequence[Body]) -> None:
+        self.bodies = tuple(bodies)
+        solids = [(i, body) for i, body in enumerate(bodies) if isinstance(body, Solid)]
+        self.faces = [face for _, solid in solids for face in solid.faces]
+        self.face_body: IntArray = np.array([i for i, body in solids for _ in body.faces], np.intp)
+        most = max((len(face.corners_m) for face in self.faces), default=3)
+        self.corners_m = np.empty((len(self.faces), most, 3))
+        for padded, face in zip(self.corners_m, self.faces, strict=True):
+            padded[: len(face.corners_m)] = face.corners_m
+            padded[len(face.corners_m) :] = face.corners_m[-1]
+        self.normals = np.array([face.normal for face in self.faces]).reshape(-1, 3)
+        self.rounds = [body for body in bodies if isinstance(body, Round)]
+        self.round_body: IntArray = np.array(
+            [i for i, body in enumerate(bodies) if isinstance(body, Round)], np.intp
+        )
+        self.ends_m = np.array([each.ends_m for each in self.rounds], float).reshape(-1, 2, 3)
+        self.radii_m = np.array([each.radius_m for each in self.rounds], float)
+        self._motions = [(i, body.motion) for i, body in enumerate(bodies) if body.motion]
+
+    def offsets(self, time_s: float) -> FloatArray:
+        """How far each body has moved, (n_bodies, 3), in m."""
+        offsets = np.zeros((len(self.bodies), 3))
+        for index, motion in self._motions:
+            offsets[index] = motion(time_s)
+        return offsets
+
+    def velocities(self, time_s: float) -> FloatArray:
+        """How fast each body moves, (n_bodies, 3), in m/s.
+
+        Motions must be defined a little before and after the time.
+        """
+        later, earlier = self.offsets(time_s + _HALF_S), self.offsets(time_s - _HALF_S)
+        velocities: FloatArray = (later - earlier) / (2.0 * _HALF_S)
+        return velocities

@@ -1,15 +1,33 @@
-"""A picture to paste on a face, with smaller copies of itself to sample from when it is far."""
+"""Textures, and how they look on a plane that the camera sees at an angle.
 
+A texture is sampled by its exact homography, in the size that it is seen at: smaller copies of it
+(mipmaps) keep it from flickering where it is far away.
+"""
+
+import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.flights.renderer.camera import FloatArray
+
 FloatImage = npt.NDArray[np.float32]
+# Left, top, right and bottom of a part of the picture, in px; the last two are excluded.
+Window = tuple[int, int, int, int]
 
 # OpenCV takes ten times as long for what it samples outside an image as for what is inside.
-MARGIN = 4
+_MARGIN = 4
+# How far foreshortening counts when the size of the texture is chosen: 0 would sample it too
+# coarsely in one direction, 1 blurs it in the other.
+_FORESHORTENING = 0.75
+# A texture is sampled this much finer, in steps of twice the size, than it has pixels to fill. That
+# makes up for the blur of sampling between texels, and agrees with the mean over each pixel.
+_SHARPENING = 0.5
+# 1 / depth, in 1/m, that is as good as infinitely far away.
+_VANISHING = 1e-9
 
 
 class Texture:
@@ -33,7 +51,7 @@ class Texture:
     def levels(self) -> tuple[FloatImage, ...]:
         """The image and its copies at 1/2, 1/4, … of its size, down to a single pixel.
 
-        Each has a margin of `MARGIN` pixels in the colour of its rim.
+        Each has a margin of `_MARGIN` pixels in the colour of its rim.
         """
         levels = [self.image]
         while max(levels[-1].shape) > 1:
@@ -42,4 +60,149 @@ class Texture:
                 cv2.resize(levels[-1], (width, height), interpolation=cv2.INTER_AREA), np.float32
             )
             levels.append(small.reshape(height, width))
-        return tuple(np.pad(level, MARGIN, mode="edge") for level in levels)
+        return tuple(np.pad(level, _MARGIN, mode="edge") for level in levels)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A convex polygon of the picture, and the textured plane that is seen through it.
+
+    Attributes
+    ----------
+    corners_xy : ndarray, shape (n, 2)
+        In px, clockwise on the screen.
+    plane : ndarray, shape (3,)
+        1 / depth at the point (x, y) of the picture is ``plane @ (x, y, 1)``, in 1/m.
+    distance_m : float
+        From the camera to the plane.
+    texture_from_xy : ndarray, shape (3, 3)
+        Homography from (x, y, 1) to the texture, whose width and height are 1.
+    texels_per_m : float
+        Resolution of the texture, along its finer side.
+    texture : Texture
+    gain : float
+        Share of the light that arrives at the plane.
+    """
+
+    corners_xy: FloatArray
+    plane: FloatArray
+    distance_m: float
+    texture_from_xy: FloatArray
+    texels_per_m: float
+    texture: Texture
+    gain: float
+
+    def sample(self, window: Window, focal_px: float) -> FloatImage:
+        """The texture as it is seen through a window, before `gain`: (h, w) float32.
+
+        Between two sizes of the texture it is mixed by 1 / depth, so that neither ends abruptly.
+        """
+        levels = self.texture.levels
+        left, top, right, bottom = window
+        shape = bottom - top, right - left
+        if len(levels) == 1:
+            return np.full(shape, self.texture.mean, np.float32)
+        finest, coarsest = self._sizes_in(window, focal_px)
+        picture: FloatImage = np.zeros(shape, np.float32)
+        for size in range(coarsest, finest - 1, -1):
+            # Farther away, the next coarser size is all there is; nearer, the next finer one.
+            farthest = -math.inf if size == coarsest else self._closeness(size + 1, focal_px)
+            nearest = math.inf if size == finest else self._closeness(size - 1, focal_px)
+            part = _between(self.plane, window, farthest, nearest)
+            if part is None:
+                continue
+            warped = self._warped(part, size)
+            x, y, x_end, y_end = part
+            target = picture[y - top : y_end - top, x - left : x_end - left]
+            if size == coarsest:
+                target[...] = warped
+                continue
+            warped -= target
+            warped *= self._share_of_finer(part, size, focal_px)
+            target += warped
+        # On the horizon of the plane, nothing times infinity is NaN.
+        cv2.patchNaNs(picture, self.texture.mean)
+        return picture
+
+    def _warped(self, window: Window, size: int) -> FloatImage:
+        """One size of the texture as it is seen through a window."""
+        left, top, right, bottom = window
+        level = self.texture.levels[size]
+        height, width = (side - 2 * _MARGIN for side in level.shape)
+        shift = _MARGIN - 0.5
+        texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
+        to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
+        warped: FloatImage = np.asarray(
+            cv2.warpPerspective(
+                level,
+                texel @ self.texture_from_xy @ to_window,
+                (right - left, bottom - top),
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=self.texture.mean,
+            ),
+            np.float32,
+        )
+        return warped
+
+    def _sizes_in(self, window: Window, focal_px: float) -> tuple[int, int]:
+        """The finest and the coarsest size of the texture that a window needs."""
+        left, top, right, bottom = window
+        a, b, c = self.plane
+        at_corners = self.corners_xy @ self.plane[:2] + c
+        least, most = max(float(at_corners.min()), _VANISHING), max(at_corners.max(), _VANISHING)
+        farthest = max(least, c + min(a * left, a * right) + min(b * top, b * bottom))
+        nearest = max(least, min(most, c + max(a * left, a * right) + max(b * top, b * bottom)))
+        last = len(self.texture.levels) - 1
+        finest = min(max(math.floor(self._size(nearest, focal_px)), 0), last)
+        coarsest = math.ceil(self._size(min(farthest, nearest), focal_px))
+        return finest, min(max(coarsest, finest), last)
+
+    def _share_of_finer(self, window: Window, size: int, focal_px: float) -> FloatImage:
+        """Share of the texture's size `size` in the mix with the next coarser one, in 0..1."""
+        left, top, right, bottom = window
+        whole, none = self._closeness(size, focal_px), self._closeness(size + 1, focal_px)
+        a, b, c = self.plane / (whole - none)
+        c -= none / (whole - none)
+        x, y = np.arange(left + 0.5, right), np.arange(top + 0.5, bottom)
+        share: FloatImage = np.add.outer((b * y + c).astype(np.float32), (a * x).astype(np.float32))
+        return np.clip(share, 0.0, 1.0, out=share)
+
+    def _size(self, closeness: float, focal_px: float) -> float:
+        """Which size of the texture is wanted at 1 / depth: log2 of how much smaller it is."""
+        per_pixel = self.texels_per_m / (focal_px * closeness)
+        slant = max(1.0, 1.0 / (closeness * self.distance_m))
+        return math.log2(per_pixel) + _FORESHORTENING * math.log2(slant) - _SHARPENING
+
+    def _closeness(self, size: float, focal_px: float) -> float:
+        """1 / depth where `_size` is `size`: the inverse function."""
+        facing = self.texels_per_m / (focal_px * 2.0 ** (size + _SHARPENING))
+        if facing * self.distance_m >= 1.0:
+            return facing
+        slanted = facing * self.distance_m**-_FORESHORTENING
+        return float(slanted ** (1.0 / (1.0 + _FORESHORTENING)))
+
+
+def _between(plane: FloatArray, window: Window, low: float, high: float) -> Window | None:
+    """A window that holds all of another where a plane is between two values; None if nowhere."""
+    left, top, right, bottom = window
+    a, b, c = plane.tolist()
+    x, x_end = _passed(a, low - c, high - c, (b * top, b * bottom), (left, right))
+    y, y_end = _passed(b, low - c, high - c, (a * left, a * right), (top, bottom))
+    return (x, y, x_end, y_end) if x < x_end and y < y_end else None
+
+
+def _passed(
+    slope: float, low: float, high: float, others: tuple[float, float], limits: tuple[int, int]
+) -> tuple[int, int]:
+    """From and before which pixel ``slope * x``, with one of the others, is between two values."""
+    first, last = low - max(others), high - min(others)
+    if slope < 0.0:
+        first, last = last, first
+    if slope == 0.0:
+        return limits if first < 0.0 < last else (0, 0)
+    least, most = limits
+    return (
+        math.floor(min(max(first / slope, least), most)),
+        math.ceil(min(max(last / slope, least), most)),
+    )

@@ -1,0 +1,195 @@
+"""A random room, a random flight through it, and whatever comes of that."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlgmd_cli.flights.bodies import spot
+from dlgmd_cli.flights.drone import fly
+from dlgmd_cli.flights.furniture import furniture
+from dlgmd_cli.flights.geometry import first_contact, surroundings
+from dlgmd_cli.flights.path import REACH_M, Path, Stage
+from dlgmd_cli.flights.placing import (
+    Build,
+    PassedError,
+    beside,
+    in_the_way,
+    singled_out,
+    world_of,
+)
+from dlgmd_cli.flights.renderer.solids import Body, World
+from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
+from dlgmd_cli.flights.script import (
+    Phase,
+    accelerate,
+    cruise,
+    decelerate,
+    hover,
+    roll,
+    stand,
+    take_off,
+    yaw,
+)
+from dlgmd_cli.flights.textures import Rng
+
+_AFTER_S = 0.5
+# With less, there would be no flight to see.
+_EARLIEST_S, _LEAST_WAY_M, _LEAST_M_S = 1.2, 1.8, 0.4
+_MAX_TRIES = 50
+# What is planned, and how often: what comes of it may be different.
+_PLANS = {"hit": 0.45, "wall": 0.1, "pass": 0.25, "stop": 0.2}
+_CORRIDOR_M, _HEIGHT_M = 2.4, 2.8
+
+
+# What may stand in a room: the piece of furniture, which part of it is to be met, how large it may
+# be, and from which height to which it can be hit, at its usual size.
+_OBSTACLES = (
+    ("chair", "chair", (0.9, 1.15), (0.65, 0.78)),
+    ("gridded pattern", "gridded pattern", (0.8, 1.2), (0.8, 1.4)),
+    ("notebook on table", "notebook", (0.95, 1.1), (0.86, 0.93)),
+    ("carton on stool", "carton", (0.85, 1.15), (0.85, 1.1)),
+    ("pillar", "pillar", (1.0, 1.0), (0.6, 1.8)),
+    ("person", "person", (0.9, 1.05), (0.9, 1.4)),
+)
+
+
+@dataclass(frozen=True)
+class _Obstacle:
+    """What may stand in a room: how it is built, and from which height to which it can be hit."""
+
+    name: str
+    build: Build
+    low_m: float
+    high_m: float
+
+
+def random_flight(seed: int) -> Stage:
+    """Something is hit in about half of the flights: an obstacle, a wall, or furniture.
+
+    In the others the obstacle is passed or the drone stops before it, or there is none in the way.
+    Which it is, when, and what, is found by following the flight, not by what was planned.
+    """
+    plan = str(np.random.default_rng([seed, 0]).choice(list(_PLANS), p=list(_PLANS.values())))
+    for attempt in range(1, _MAX_TRIES):
+        stage = _drawn(np.random.default_rng([seed, attempt]), seed, plan)
+        if stage is not None:
+            return stage
+    raise RuntimeError(f"no flight found for the seed {seed}")
+
+
+def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
+    """A stage, or None if it would be over before it has begun."""
+    obstacle = _obstacle(rng)
+    script, height = _script(rng, obstacle, stops=plan == "stop")
+    start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
+    turned = rng.uniform(-6.0, 6.0)
+    free = fly(script, position_m=start, yaw_deg=turned, seed=seed)
+    moving = [end for name, _, end in free.phases if name not in ("stand", "take off", "hover")]
+    when = rng.uniform(0.55, 0.95) * moving[-1]
+    met = free.state(when)
+    if plan in ("hit", "wall") and (
+        np.linalg.norm(met.position_m - start) < _LEAST_WAY_M
+        or np.linalg.norm(met.velocity_m_s[:2]) < _LEAST_M_S
+    ):
+        return None
+    guests = _standing(rng, plan, obstacle, free, when)
+    if guests is None:
+        return None
+    place = _place(rng, free, guests, when if plan == "wall" else None)
+    world = world_of(place, guests, light=rng.uniform(0.8, 1.8))
+    contact_s = first_contact(free, world)
+    if contact_s is not None and contact_s < _EARLIEST_S:
+        return None
+    if contact_s is not None:
+        world, target = _nearest(free, world, contact_s)
+    elif guests:
+        target = obstacle.name
+    else:
+        world, target = _nearest(free, world, when)
+    if contact_s is None:
+        return Stage(world, free, target, None, free.duration_s)
+    path = fly(script, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
+    duration = min(contact_s + _AFTER_S, path.duration_s)
+    return Stage(world, path, target, contact_s, duration)
+
+
+def _standing(
+    rng: Rng, plan: str, obstacle: _Obstacle, path: Path, when_s: float
+) -> Sequence[Body] | None:
+    """The obstacle where the plan wants it, or None if the flight would pass over it."""
+    if plan == "hit":
+        turned = rng.uniform(-40.0, 40.0)
+        try:
+            return in_the_way(path, when_s, obstacle.build, obstacle.name, turned_deg=turned)
+        except PassedError:
+            return None
+    if plan == "pass":
+        aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.75, 1.2)
+        return beside(path, when_s, obstacle.build, aside)
+    if plan == "stop":
+        ahead = rng.uniform(0.9, 1.8)
+        return beside(path, path.duration_s, obstacle.build, 0.0, ahead_m=ahead)
+    return ()
+
+
+def _obstacle(rng: Rng) -> _Obstacle:
+    """One of six, with looks and a size of its own."""
+    looks = np.random.default_rng(rng.integers(2**32))
+    piece, name, sizes, (low_m, high_m) = _OBSTACLES[rng.integers(len(_OBSTACLES))]
+    scale = rng.uniform(*sizes)
+
+    def build(at_m: tuple[float, float], yaw_deg: float) -> list[Body]:
+        return furniture(piece, looks, spot(at_m, yaw_deg, scale))
+
+    return _Obstacle(name, build, scale * low_m, scale * high_m)
+
+
+def _script(rng: Rng, obstacle: _Obstacle, *, stops: bool) -> tuple[list[Phase], float]:
+    """What is to be flown, and the height of the camera at the start."""
+    height = rng.uniform(obstacle.low_m, obstacle.high_m)
+    tilt = rng.uniform(5.0, 14.0)
+    script = [hover(rng.uniform(0.3, 1.0))]
+    if rng.random() < 0.2:
+        script = [stand(rng.uniform(0.2, 0.6)), take_off(rng.uniform(1.8, 2.4), height - 0.12)]
+        height = 0.12
+    script.append(accelerate(rng.uniform(1.0, 2.2), -tilt))
+    for _ in range(rng.integers(0, 3)):
+        seconds, side = rng.uniform(0.5, 1.4), rng.choice([-1.0, 1.0])
+        turn = [
+            cruise(seconds),
+            yaw(seconds, side * rng.uniform(5.0, 20.0)),
+            roll(0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+        ]
+        script.append(turn[rng.integers(len(turn))])
+    if stops:
+        script.append(decelerate(rng.uniform(1.8, 2.6), rng.uniform(8.0, 16.0)))
+    return script, height
+
+
+def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -> Place:
+    """A room around a flight; its far wall is in the way at a time, if that is given."""
+    times = np.arange(0.0, path.duration_s, 0.05)
+    track = np.array([path.state(time).position_m for time in times])
+    ends = [float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in guests]
+    length = max(track[:, 0].max(), *ends, 3.0) + rng.uniform(1.2, 3.0)
+    if wall_s is not None:
+        return simple_room(rng, length_m=float(path.state(wall_s).position_m[0]) + REACH_M)
+    sides = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    widest = max([np.abs(track[:, 1]).max(), *(body.reach(sides).max() for body in guests)])
+    if widest < _CORRIDOR_M / 2 - 0.2 and rng.random() < 0.4:
+        return corridor(
+            rng, length_m=length, width_m=_CORRIDOR_M, height_m=_HEIGHT_M, guests=guests
+        )
+    width = max(5.2, 2.0 * widest + 2.2) + rng.uniform(0.0, 0.8)
+    kind = cluttered_room if rng.random() < 0.7 else simple_room
+    return kind(rng, length_m=length, width_m=width, guests=guests)
+
+
+def _nearest(path: Path, world: World, time_s: float) -> tuple[World, str]:
+    """The name of what is nearest at a time, and the world where only that has it."""
+    distances = surroundings(world).distances(path.state(time_s).position_m, time_s)
+    nearest = int(np.argmin(distances))
+    if nearest >= len(world.bodies):
+        return world, world.room.name
+    return singled_out(world, nearest), world.bodies[nearest].name

@@ -1,0 +1,366 @@
+"""Furnished rooms to fly through; one flies along x, which runs through the middle of the floor.
+
+In all of them `guests` are bodies that the flight is about. They are not among the bodies of the
+place; nothing is put where they are, and those at rest cast their shadows on the floor.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dlgmd_cli.flights import textures
+from dlgmd_cli.flights.bodies import Spot, Triple, spot
+from dlgmd_cli.flights.furniture import catalogue, furniture_at_wall
+from dlgmd_cli.flights.pictures import ceiling_panels
+from dlgmd_cli.flights.renderer.camera import FloatArray
+from dlgmd_cli.flights.renderer.solids import Body, Solid, quad
+from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
+from dlgmd_cli.flights.shadows import Wall, shaded
+from dlgmd_cli.flights.textures import Rng, limited
+
+OFF_WALL_M = 0.01
+_WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
+_GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
+_WALLS: dict[str, Callable[..., FloatImage]] = {
+    "plaster": textures.plaster,
+    "wallpaper": textures.wallpaper,
+    "brick": textures.brick,
+}
+_FLOORS: dict[str, Callable[..., FloatImage]] = {
+    "parquet": textures.parquet,
+    "tiles": textures.tiles,
+    "carpet": textures.carpet,
+}
+# What stands along the walls, by the name that the catalogue has for it.
+_CLUTTER = (
+    *("shelf", "desk", "window", "sofa", "cupboard", "plant", "cartons", "bookcase", "door"),
+    *("sideboard", "lamp", "window", "bookcase", "poster"),
+)
+_LITTLE = ("window", "door", "cupboard", "poster", "plant", "window", "poster", "sideboard")
+_END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
+_FLAT = ("poster", "door", "window")
+_SPACE_M = 0.02  # between two things
+_AXES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True)
+class Hall:
+    """The inside of a room: x from 0 to its length, y from -width/2 to width/2, z from 0.
+
+    Attributes
+    ----------
+    size_m : (float, float, float)
+        Length, width and height.
+    """
+
+    size_m: Triple
+
+    def walls(self) -> dict[str, Wall]:
+        """Its sides: "near" (at x = 0), "far", "left" (towards y), "right", "floor", "ceiling"."""
+        length, width, height = self.size_m
+        half = width / 2
+        sides = {
+            "near": ((0, -half, height), (0, width, 0), (0, 0, -height)),
+            "far": ((length, half, height), (0, -width, 0), (0, 0, -height)),
+            "left": ((0, half, height), (length, 0, 0), (0, 0, -height)),
+            "right": ((length, -half, height), (-length, 0, 0), (0, 0, -height)),
+            "floor": ((0, half, 0), (length, 0, 0), (0, -width, 0)),
+            "ceiling": ((0, -half, height), (length, 0, 0), (0, width, 0)),
+        }
+        return {
+            side: Wall(*(np.array(each, float) for each in lines)) for side, lines in sides.items()
+        }
+
+    def stand(self, side: str, along_m: float, off_m: float) -> tuple[tuple[float, float], float]:
+        """Where a thing is `off_m` in front of a wall, and the yaw with which it has it behind.
+
+        `along_m` is x on the "left" and "right" wall and y on the "near" and "far" one.
+        """
+        length, width, _ = self.size_m
+        return {
+            "near": ((off_m, along_m), 0.0),
+            "far": ((length - off_m, along_m), 180.0),
+            "left": ((along_m, width / 2 - off_m), -90.0),
+            "right": ((along_m, off_m - width / 2), 90.0),
+        }[side]
+
+    def on(self, side: str, along_m: float, up_m: float = 0.0) -> Spot:
+        """A spot on a wall, `up_m` over the floor, that looks into the room; see `stand`."""
+        (x, y), yaw_deg = self.stand(side, along_m, OFF_WALL_M)
+        return spot((x, y, up_m), yaw_deg)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A room with what stands in it.
+
+    Attributes
+    ----------
+    hall : Hall
+        How large it is.
+    room : Solid
+        Its walls; see `World`.
+    bodies : list of Body
+        All that is in it.
+    """
+
+    hall: Hall
+    room: Solid
+    bodies: list[Body] = field(default_factory=list)
+
+
+def room(
+    size_m: Triple,
+    rng: Rng,
+    *,
+    wall: str = "plaster",
+    floor: str = "parquet",
+    lamps: tuple[int, int] = (4, 2),
+    tone: float = 0.55,
+    bodies: Sequence[Body] = (),
+) -> Solid:
+    """Walls, floor and ceiling, with the soft shadows of what stands in front of them.
+
+    Parameters
+    ----------
+    size_m : (float, float, float)
+        Length along x, width along y, and height; see `Hall`.
+    wall, floor : str
+        What the walls and the floor are made of: "plaster", "wallpaper" or "brick"; "parquet",
+        "tiles" or "carpet".
+    lamps : (int, int)
+        Columns, along x, and rows of lamps in the ceiling.
+    tone : float
+        Reflectance of plaster and wallpaper.
+    bodies : sequence of Body
+        What casts a shadow.
+
+    Returns
+    -------
+    Solid
+        Faces "near", "far", "left", "right", "floor" and "ceiling", in this order.
+    """
+    faces = []
+    for side, seen in Hall(size_m).walls().items():
+        if side == "floor":
+            image = _FLOORS[floor](rng, seen.size_m, _FLOOR_PX_PER_M)
+        elif side == "ceiling":
+            image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, 0.7, lamps)
+        else:
+            image = _wall(rng, wall, seen, tone)
+        picture = Texture(limited(shaded(image, seen, bodies)))
+        faces.append(quad(seen.origin_m, seen.right_m, seen.down_m, picture, _GAINS[side]))
+    return Solid("room", faces)
+
+
+def _wall(rng: Rng, material: str, seen: Wall, tone: float) -> FloatImage:
+    """A wall with its skirting board."""
+    tones = {} if material == "brick" else {"tone": tone}
+    image = _WALLS[material](rng, seen.size_m, _WALL_PX_PER_M, **tones)
+    board = round(0.08 * image.shape[0] / seen.size_m[1])
+    image[-board:] = 0.22
+    image[-board : 2 - board] = 0.5
+    image[-board - 2 : -board] *= 0.6
+    return image
+
+
+@dataclass
+class Furnishing:
+    """What is in a room so far.
+
+    Attributes
+    ----------
+    hall : Hall
+    guests : sequence of Body
+        What stands there already and is kept clear of.
+    bodies : list of Body
+        What was added.
+    """
+
+    hall: Hall
+    guests: Sequence[Body] = ()
+    bodies: list[Body] = field(default_factory=list)
+
+    def add(self, bodies: Sequence[Body]) -> bool:
+        """Add a thing if all of it is clear of all others and inside the room; say whether."""
+        boxes = np.array([body.reach(_AXES) for body in bodies])
+        if not all(self.is_free(box) for box in boxes):
+            return False
+        self.bodies += bodies
+        return True
+
+    def is_free(self, box_m: FloatArray) -> bool:
+        """Whether a box is inside the room and clear of all that is in it.
+
+        Parameters
+        ----------
+        box_m : ndarray, shape (6,)
+            Its upper ends along x, y and z, and its lower ends with the sign changed.
+        """
+        length, width, height = self.hall.size_m
+        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
+        others = [body.reach(_AXES) for body in (*self.guests, *self.bodies)]
+        is_inside = bool((box_m <= most + 1e-9).all())
+        return is_inside and not any(_overlap(box_m, other) for other in others)
+
+    def line(
+        self,
+        rng: Rng,
+        side: str,
+        names: Sequence[str],
+        span_m: tuple[float, float],
+        *,
+        depth_m: float,
+        gap_m: tuple[float, float] = (0.1, 0.4),
+    ) -> None:
+        """Put things along a wall from one end of a span to the other, as far as they go.
+
+        Parameters
+        ----------
+        side : str
+            The wall; see `Hall.stand`.
+        names : sequence of str
+            What the catalogue has `at_walls`, in their order along the wall.
+        span_m : (float, float)
+            Where along the wall.
+        depth_m : float
+            What reaches farther into the room than this is left out.
+        gap_m : (float, float)
+            The least and the most space between two things.
+        """
+        at, end = span_m
+        for name in names:
+            entry = catalogue()["at_walls"][name]
+            half, deep = entry["width_m"] / 2, entry["depth_m"]
+            if deep > depth_m or at + 2 * half > end:
+                continue
+            # What finds its place taken tries farther on.
+            for middle in np.arange(at + half, end - half, 0.3).tolist():
+                # Things are drawn as they are made, which takes long: first see whether they fit.
+                if self.is_free(self._ground(side, middle, half, deep)) and self.add(
+                    furniture_at_wall(name, rng, spot(*self.hall.stand(side, middle, 0.0)))
+                ):
+                    at = middle + half + rng.uniform(*gap_m)
+                    break
+
+    def _ground(self, side: str, along_m: float, half_m: float, deep_m: float) -> FloatArray:
+        """The box, from floor to ceiling, that a thing takes at a wall; see `is_free`."""
+        (x, y), yaw_deg = self.hall.stand(side, along_m, deep_m / 2)
+        deep = deep_m / 2
+        dx, dy = (deep, half_m) if yaw_deg % 180.0 == 0.0 else (half_m, deep)
+        return np.array([x + dx, y + dy, self.hall.size_m[2], dx - x, dy - y, 0.0])
+
+
+def _overlap(one: FloatArray, other: FloatArray) -> bool:
+    """Whether the boxes around two bodies, by how far they reach both ways, nearly meet."""
+    gaps = np.concatenate([one[:3] + other[3:], other[:3] + one[3:]])
+    return bool((gaps > -_SPACE_M).all())
+
+
+def cluttered_room(
+    rng: Rng,
+    *,
+    length_m: float = 11.0,
+    width_m: float = 5.6,
+    height_m: float = 2.8,
+    free_width_m: float = 2.4,
+    end_m: float = 1.1,
+    guests: Sequence[Body] = (),
+) -> Place:
+    """A room full of furniture along its walls.
+
+    Parameters
+    ----------
+    length_m, width_m, height_m : float
+        Of the room; see `Hall`.
+    free_width_m : float
+        No furniture is within half of this from the x axis, up to `end_m` before the far wall.
+    end_m : float
+        How far furniture at the far wall may reach into the room.
+    guests : sequence of Body
+        See the head of this module.
+    """
+    hall = Hall((length_m, width_m, height_m))
+    furnishing = Furnishing(hall, guests)
+    depth = (width_m - free_width_m) / 2
+    ends = list(rng.permutation(_END))
+    furnishing.line(rng, "far", ends, (0.05 - width_m / 2, width_m / 2 - 0.05), depth_m=end_m)
+    names = list(rng.permutation(_CLUTTER))
+    half = len(names) // 2
+    for side, share in (("left", names[:half]), ("right", names[half:])):
+        # Posters come last: they fill what is left of the wall.
+        share = [*share, *("poster",) * 4]
+        furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
+    near = list(rng.permutation(_FLAT))
+    furnishing.line(rng, "near", near, (0.1 - width_m / 2, width_m / 2 - 0.1), depth_m=0.2)
+    wall = str(rng.choice(["plaster", "wallpaper", "plaster", "brick"]))
+    floor = str(rng.choice(["parquet", "carpet", "tiles"]))
+    return _place(rng, furnishing, wall, floor)
+
+
+def simple_room(
+    rng: Rng,
+    *,
+    length_m: float = 9.0,
+    width_m: float = 5.0,
+    height_m: float = 2.8,
+    free_width_m: float = 2.6,
+    guests: Sequence[Body] = (),
+) -> Place:
+    """A room with a few things in it, all of them at its side walls; the far wall is bare.
+
+    The parameters are those of `cluttered_room`.
+    """
+    hall = Hall((length_m, width_m, height_m))
+    furnishing = Furnishing(hall, guests)
+    depth = (width_m - free_width_m) / 2
+    names = list(rng.permutation(_LITTLE))
+    for side, share in (("left", names[::2]), ("right", names[1::2])):
+        span = (rng.uniform(0.3, 1.0), length_m - 0.3)
+        furnishing.line(rng, side, share, span, depth_m=depth, gap_m=(0.3, 1.2))
+    furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
+    floor = str(rng.choice(["parquet", "carpet", "tiles"]))
+    return _place(rng, furnishing, "plaster", floor)
+
+
+def corridor(
+    rng: Rng,
+    *,
+    length_m: float = 18.0,
+    width_m: float = 2.2,
+    height_m: float = 2.6,
+    guests: Sequence[Body] = (),
+) -> Place:
+    """A long and narrow place with doors and posters on both sides and lamps along it."""
+    hall = Hall((length_m, width_m, height_m))
+    furnishing = Furnishing(hall, guests)
+    for side, start in (("left", 0.4), ("right", 1.4)):
+        names = [str(rng.choice(["door", "door", "poster"])) for _ in range(int(length_m))]
+        furnishing.line(rng, side, names, (start, length_m - 0.2), depth_m=0.1, gap_m=(0.5, 1.3))
+    for side in ("far", "near"):
+        furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
+    lamps = (max(1, round(length_m / 2.4)), 1)
+    floor = str(rng.choice(["tiles", "carpet"]))
+    return _place(rng, furnishing, "plaster", floor, lamps)
+
+
+def _place(
+    rng: Rng,
+    furnishing: Furnishing,
+    wall: str,
+    floor: str,
+    lamps: tuple[int, int] | None = None,
+) -> Place:
+    """What was furnished, with the shadows of it all."""
+    hall: Triple = furnishing.hall.size_m
+    inside = room(
+        hall,
+        rng,
+        wall=wall,
+        floor=floor,
+        lamps=lamps or (max(1, round(hall[0] / 2.5)), 2),
+        tone=rng.uniform(0.4, 0.7),
+        bodies=[*furnishing.guests, *furnishing.bodies],
+    )
+    return Place(furnishing.hall, inside, furnishing.bodies)

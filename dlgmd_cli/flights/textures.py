@@ -1,0 +1,301 @@
+"""Pictures of surfaces, drawn in metres from a seed: what walls, floors and furniture are made of.
+
+Every material takes the generator, the size of the surface (width and height, in m) and a
+resolution, and gives reflectance, (h, w) float32 in 0..1, linear in light. `tone` is about its
+mean.
+"""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.flights.renderer.texture import FloatImage
+
+Rng = np.random.Generator
+Size = tuple[float, float]  # width and height, in m
+MAX_SIDE_PX = 3600
+WALL_PX_PER_M, THING_PX_PER_M = 250.0, 500.0
+DARKEST, BRIGHTEST = 0.02, 0.95
+_SHIFT = 4  # binary places of the fractions of a pixel that OpenCV draws with
+_GRAIN_PX = 256
+_CELL_PX = 8.0
+_EVENED = 1.16  # what interpolation takes off the standard deviation
+
+
+class Sheet:
+    """A picture of something flat; x goes right and y down, in m from its top left corner.
+
+    Parameters
+    ----------
+    size_m : (float, float)
+        Width and height.
+    px_per_m : float
+        Its resolution; less where a side would have more than `MAX_SIDE_PX`.
+    tone : float
+        Reflectance that it has before anything is drawn.
+    """
+
+    def __init__(self, size_m: Size, px_per_m: float, tone: float = 0.5) -> None:
+        self.size_m = size_m
+        self.scale = min(px_per_m, MAX_SIDE_PX / max(size_m))
+        width, height = (max(1, round(side * self.scale)) for side in size_m)
+        self.image: FloatImage = np.full((height, width), tone, np.float32)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, in px."""
+        height, width = self.image.shape
+        return height, width
+
+    def polygon(self, points_m: npt.ArrayLike, tone: float) -> None:
+        """Fill a polygon, (n, 2)."""
+        points = np.asarray(points_m) * self.scale - 0.5
+        fixed = np.round(points * (1 << _SHIFT)).astype(np.int32)
+        cv2.fillPoly(self.image, [fixed], tone, shift=_SHIFT)
+
+    def rectangle(self, x: float, y: float, width: float, height: float, tone: float) -> None:
+        """Fill an upright rectangle that has its top left corner at (x, y)."""
+        low_x, high_x = (round(each * self.scale) for each in (x, x + width))
+        low_y, high_y = (round(each * self.scale) for each in (y, y + height))
+        self.image[max(low_y, 0) : max(high_y, 0), max(low_x, 0) : max(high_x, 0)] = tone
+
+    def frame(
+        self, x: float, y: float, width: float, height: float, line: float, tone: float
+    ) -> None:
+        """Draw the edges of an upright rectangle, inside it."""
+        self.rectangle(x, y, width, line, tone)
+        self.rectangle(x, y + height - line, width, line, tone)
+        self.rectangle(x, y, line, height, tone)
+        self.rectangle(x + width - line, y, line, height, tone)
+
+    def line(self, points_m: npt.ArrayLike, width: float, tone: float) -> None:
+        """Draw a line through points, (n, 2)."""
+        points = np.asarray(points_m) * self.scale - 0.5
+        fixed = np.round(points * (1 << _SHIFT)).astype(np.int32)
+        thick = max(1, round(width * self.scale))
+        cv2.polylines(self.image, [fixed], False, tone, thick, shift=_SHIFT)
+
+    def disc(self, x: float, y: float, radius: float, tone: float) -> None:
+        """Fill a circle around (x, y)."""
+        around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
+        self.polygon(np.stack([x + radius * np.cos(around), y + radius * np.sin(around)], -1), tone)
+
+    def lettering(self, rng: Rng, box: Sequence[float], line: float, tone: float) -> None:
+        """Fill the box (x, y, width, height) with lines, `line` high, of strokes like words."""
+        x, y, width, height = box
+        for top in np.arange(y, y + height - line / 2.0, 1.8 * line):
+            start, end = x, x + width * rng.uniform(0.6, 1.0)
+            while start < end:
+                word = min(line * rng.uniform(1.0, 4.5), end - start)
+                for stroke in np.arange(start, start + word, 0.55 * line):
+                    tall = line * rng.uniform(0.5, 1.0)
+                    self.rectangle(stroke, top + line - tall, 0.3 * line, tall, tone)
+                start += word + 0.7 * line
+
+    def stick(self, picture: FloatImage, x: float, y: float) -> None:
+        """Paste a picture of the same resolution with its top left corner at (x, y)."""
+        top, left = round(y * self.scale), round(x * self.scale)
+        room = self.image[top : top + picture.shape[0], left : left + picture.shape[1]]
+        room[...] = picture[: room.shape[0], : room.shape[1]]
+
+    def finished(self, blur_px: float = 0.7) -> FloatImage:
+        """The picture without edges finer than its pixels, within what things reflect."""
+        return limited(cv2.GaussianBlur(self.image, (0, 0), blur_px))
+
+
+def limited(image: npt.ArrayLike) -> FloatImage:
+    """The picture within what things reflect."""
+    return np.clip(image, DARKEST, BRIGHTEST, dtype=np.float32)
+
+
+def grain(rng: Rng, shape: tuple[int, int], blur_px: float = 1.0) -> FloatImage:
+    """Fine noise of standard deviation 1; it repeats, out of sight, every 256 px."""
+    tile = rng.standard_normal((_GRAIN_PX, _GRAIN_PX), np.float32)
+    rim = 16
+    wide = cv2.copyMakeBorder(tile, rim, rim, rim, rim, cv2.BORDER_WRAP)
+    soft = np.asarray(cv2.GaussianBlur(wide, (0, 0), blur_px), np.float32)[rim:-rim, rim:-rim]
+    tile = (soft - soft.mean()) / soft.std()
+    times = tuple(-(-side // _GRAIN_PX) for side in shape)
+    fine: FloatImage = np.tile(tile, times)[: shape[0], : shape[1]]
+    return fine
+
+
+def clouds(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImage:
+    """Smooth noise of standard deviation near 1 and about a blob per cell, (width, height)."""
+    cell = cell_px if isinstance(cell_px, tuple) else (cell_px, cell_px)
+    # Wide blobs are made small and stretched, which is quicker and looks the same.
+    steps = [max(1.0, each / _CELL_PX) for each in cell]
+    small = [math.ceil(side / step) for side, step in zip(shape[::-1], steps, strict=True)]
+    cell = (cell[0] / steps[0], cell[1] / steps[1])
+    # Another cell on each side: what is stretched over the edge has a plain rim there.
+    width, height = (math.ceil(side / each) + 3 for side, each in zip(small, cell, strict=True))
+    coarse = rng.standard_normal((height, width), np.float32) * _EVENED
+    place = np.array([[cell[0], 0, -1.5 * cell[0]], [0, cell[1], -1.5 * cell[1]]])
+    smooth = cv2.warpAffine(
+        coarse, place, small, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    stretched: FloatImage = np.asarray(cv2.resize(smooth, shape[::-1]), np.float32)
+    return stretched
+
+
+def layered(rng: Rng, sheet: Sheet, cells_m: Sequence[float], fine: float = 0.5) -> FloatImage:
+    """Noise at several scales at once, standard deviation near 1, `fine` of it grain."""
+    total = fine * grain(rng, sheet.shape)
+    for cell_m in cells_m:
+        total += clouds(rng, sheet.shape, max(3.0, cell_m * sheet.scale))
+    return total / math.sqrt(fine**2 + len(cells_m))
+
+
+def plain(tone: float) -> FloatImage:
+    """One colour, as a single pixel."""
+    return np.full((1, 1), tone, np.float32)
+
+
+def plaster(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.6, rough: float = 0.045
+) -> FloatImage:
+    """Painted plaster, uneven by `rough`, with stains and a few scratches."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    width, height = size_m
+    for _ in range(int(1.5 * width)):
+        x, y = rng.uniform(0.0, width), height * rng.beta(3.0, 1.5)
+        ends = rng.normal((x, y), 0.12, (2, 2))
+        sheet.line(np.array([(x, y), *ends]), 0.008, tone * rng.uniform(0.75, 0.92))
+    stained = np.maximum(clouds(rng, sheet.shape, 0.7 * sheet.scale) - 1.0, 0.0)
+    uneven = layered(rng, sheet, (1.2, 0.3, 0.08, 0.03), fine=0.8)
+    return limited(sheet.finished(1.2) * (1.0 + rough * uneven - 0.06 * stained))
+
+
+def wallpaper(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.55
+) -> FloatImage:
+    """Stripes and a small figure, over and over."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    pitch = rng.uniform(0.2, 0.3)
+    part = Sheet((pitch, 1.4 * pitch), sheet.scale, tone)
+    part.rectangle(0.0, 0.0, 0.18 * pitch, 1.4 * pitch, 0.8 * tone)
+    part.rectangle(0.22 * pitch, 0.0, 0.03 * pitch, 1.4 * pitch, 0.65 * tone)
+    petals = rng.integers(4, 8)
+    for y, radius in ((0.4, 0.2), (1.05, 0.11)):
+        for turn in np.arange(petals) * 2.0 * np.pi / petals:
+            petal_x, petal_y = 0.62 + 0.6 * radius * np.cos(turn), y + 0.6 * radius * np.sin(turn)
+            part.disc(petal_x * pitch, petal_y * pitch, 0.42 * radius * pitch, 0.6 * tone)
+        part.disc(0.62 * pitch, y * pitch, 0.3 * radius * pitch, min(0.85, 1.4 * tone))
+    times = tuple(-(-full // of) for full, of in zip(sheet.shape, part.shape, strict=True))
+    sheet.image = np.tile(part.image, times)[: sheet.shape[0], : sheet.shape[1]]
+    return limited(sheet.finished(0.9) * (1.0 + 0.03 * layered(rng, sheet, (1.0, 0.2))))
+
+
+def brick(rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.3) -> FloatImage:
+    """A brick wall; its joints are brighter than the bricks."""
+    sheet = Sheet(size_m, px_per_m, min(0.8, 1.7 * tone))
+    long, high, joint = 0.25, 0.08, 0.012
+    for row, y in enumerate(np.arange(0.0, size_m[1], high)):
+        for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
+            of_brick = tone * rng.uniform(0.7, 1.3)
+            sheet.rectangle(x, y, long - joint, high - joint, of_brick)
+    return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
+
+
+def concrete(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.4
+) -> FloatImage:
+    """Bare concrete with the joints and holes of its moulds."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    for x in np.arange(1.25, size_m[0], 1.25):
+        sheet.rectangle(x, 0.0, 0.012, size_m[1], 0.7 * tone)
+    for y in np.arange(1.25, size_m[1], 1.25):
+        sheet.rectangle(0.0, y, size_m[0], 0.012, 0.7 * tone)
+    for x in np.arange(0.3, size_m[0], 0.65):
+        for y in np.arange(0.3, size_m[1], 0.65):
+            sheet.disc(x, y, 0.015, 0.4 * tone)
+    return limited(
+        sheet.finished(0.8) * (1.0 + 0.13 * layered(rng, sheet, (0.9, 0.25, 0.07, 0.02)))
+    )
+
+
+def wood(rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.3) -> FloatImage:
+    """Wood whose fibres run along the height."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    bent = clouds(rng, sheet.shape, (0.09 * sheet.scale, 0.7 * sheet.scale))
+    x = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale
+    rings = np.sin(2.0 * np.pi * (x / 0.025 + 0.7 * bent))
+    fibres = clouds(rng, sheet.shape, (max(2.5, 0.004 * sheet.scale), 0.25 * sheet.scale))
+    return limited(tone * (1.0 + 0.09 * rings + 0.08 * fibres + 0.08 * bent))
+
+
+def parquet(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.2
+) -> FloatImage:
+    """A floor of planks that run along the width."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    long, high = rng.uniform(0.9, 1.4), rng.uniform(0.1, 0.16)
+    for y in np.arange(0.0, size_m[1], high):
+        for x in np.arange(-long * rng.uniform(), size_m[0], long):
+            sheet.rectangle(x, y, long, high, tone * rng.normal(1.0, 0.14))
+            sheet.rectangle(x, y, 0.007, high, 0.45 * tone)
+        sheet.rectangle(0.0, y, size_m[0], 0.006, 0.5 * tone)
+    fibres = clouds(rng, sheet.shape, (0.25 * sheet.scale, 0.015 * sheet.scale))
+    return limited(sheet.finished() * (1.0 + 0.12 * fibres + 0.03 * grain(rng, sheet.shape)))
+
+
+def tiles(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.35, side_m: float = 0.3
+) -> FloatImage:
+    """Square tiles with dark joints."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    for y in np.arange(0.0, size_m[1], side_m):
+        for x in np.arange(0.0, size_m[0], side_m):
+            sheet.rectangle(x, y, side_m, side_m, tone * rng.normal(1.0, 0.06))
+        sheet.rectangle(0.0, y, size_m[0], 0.008, 0.5 * tone)
+    for x in np.arange(0.0, size_m[0], side_m):
+        sheet.rectangle(x, 0.0, 0.008, size_m[1], 0.5 * tone)
+    return limited(sheet.finished() * (1.0 + 0.065 * layered(rng, sheet, (0.5, 0.12, 0.04))))
+
+
+def carpet(
+    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.15
+) -> FloatImage:
+    """Short pile, trodden, with the joints of its squares."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    for column, x in enumerate(np.arange(0.0, size_m[0], 0.5)):
+        for row, y in enumerate(np.arange(0.0, size_m[1], 0.5)):
+            sheet.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
+    pile = layered(rng, sheet, (1.5, 0.3, 0.06, 0.025), fine=1.2)
+    return limited(sheet.finished(1.0) * (1.0 + 0.16 * pile))
+
+
+def cloth(
+    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.3
+) -> FloatImage:
+    """Woven cloth with slight creases."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    weave = clouds(rng, sheet.shape, (3.0, 14.0)) + clouds(rng, sheet.shape, (14.0, 3.0))
+    creased = layered(rng, sheet, (0.4, 0.1), fine=0.2)
+    return limited(tone * (1.0 + 0.08 * weave + 0.08 * creased))
+
+
+def metal(
+    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.4
+) -> FloatImage:
+    """Brushed across the width."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    brushed = clouds(rng, sheet.shape, (0.3 * sheet.scale, 3.0))
+    return limited(
+        tone * (1.0 + 0.05 * brushed + 0.04 * clouds(rng, sheet.shape, 0.3 * sheet.scale))
+    )
+
+
+def curtain(
+    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.5
+) -> FloatImage:
+    """Cloth in upright folds."""
+    sheet = Sheet(size_m, px_per_m, tone)
+    width = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale
+    bent = clouds(rng, sheet.shape, (0.15 * sheet.scale, 0.8 * sheet.scale))
+    folds = np.sin(2.0 * np.pi * width / 0.13 + 1.5 * bent)
+    shaded = cv2.GaussianBlur(folds.astype(np.float32), (0, 0), 1.5)
+    return limited(tone * (0.8 + 0.28 * shaded + 0.03 * grain(rng, sheet.shape)))

@@ -1,0 +1,309 @@
+"""A sweep: two parameters with the values that they take, and what was measured at every pair."""
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import Parameters, Spec
+from dlgmd_cli.results.csv import cell
+
+Series = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+MAX_VALUES, MAX_POINTS = 1000, 100_000
+# A range ends at TO if a whole number of steps leads there but for this share of one.
+_SLACK = Decimal("1e-6")
+_HINT = "Write KEY=FROM:TO:STEP, such as sigma_e=0.2:2:0.1, or KEY=VALUE,VALUE."
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter and its values, in the parameter's own type.
+
+    Attributes
+    ----------
+    key : str
+        The parameter.
+    spec : Spec
+        What it means.
+    values : tuple
+        Different ones, at least one; numbers in order. They may lie out of the key's range.
+    """
+
+    key: str
+    spec: Spec
+    values: tuple[Any, ...]
+
+    @classmethod
+    def parse(cls, text: str, kind: type[Parameters]) -> "Axis":
+        """The axis that `text` describes.
+
+        Parameters
+        ----------
+        text : str
+            ``KEY=FROM:TO:STEP``, TO included where the steps lead there, or ``KEY=VALUE,VALUE``.
+        kind : type of Parameters
+            The parameters of the model.
+
+        Raises
+        ------
+        ParameterError
+            If it does not describe one.
+
+        Examples
+        --------
+        >>> from dlgmd_cli.parameters import DlgmdParameters
+        >>> Axis.parse("sigma_e=0.2:0.5:0.1", DlgmdParameters).values
+        (0.2, 0.3, 0.4, 0.5)
+        """
+        key, equals, rest = (part.strip() for part in text.partition("="))
+        if not equals or not key or not rest:
+            raise ParameterError("", f"{text[:60]!r} is not an axis", _HINT)
+        if key not in kind.specs():
+            raise kind.unknown(key)
+        words = _range(rest) if ":" in rest else [word.strip() for word in rest.split(",")]
+        if len(words) > MAX_VALUES:
+            raise _too_many(len(words))
+        spec, default = kind.specs()[key], kind.defaults()[key]
+        values = [_typed(key, word, default, spec) for word in words]
+        if len(set(values)) < len(values):
+            twice = next(value for value in values if values.count(value) > 1)
+            raise ParameterError("", f"{key} = {twice} appears twice", "Give every value once.")
+        axis = cls(key, spec, tuple(values))
+        return cls(key, spec, tuple(sorted(values))) if axis.is_numeric else axis
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether its values have an order and distances."""
+        return not isinstance(self.values[0], bool | str)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def to_record(self) -> dict[str, Any]:
+        """Key and values, as `sweep.yaml` holds them."""
+        return {"key": self.key, "values": list(self.values)}
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Every value of one parameter with every value of another.
+
+    Its points are numbered along x, row after row of y.
+
+    Raises
+    ------
+    ParameterError
+        If both axes are the same parameter, or there are too many points.
+    """
+
+    x: Axis
+    y: Axis
+
+    def __post_init__(self) -> None:
+        if self.x.key == self.y.key:
+            raise ParameterError(
+                "", f"--x and --y are both {self.x.key}", "Choose another parameter for one."
+            )
+        if len(self) > MAX_POINTS:
+            raise ParameterError(
+                "",
+                f"{len(self.x)} x {len(self.y)} points are more than {MAX_POINTS}",
+                "Take larger steps.",
+            )
+
+    def __len__(self) -> int:
+        return len(self.x) * len(self.y)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and columns, those of y and of x."""
+        return len(self.y), len(self.x)
+
+    def values(self, point: int) -> tuple[Any, Any]:
+        """The values of x and y at a point."""
+        row, column = divmod(point, len(self.x))
+        return self.x.values[column], self.y.values[row]
+
+    def overrides(self, point: int) -> dict[str, Any]:
+        """Key -> value at a point."""
+        return dict(zip((self.x.key, self.y.key), self.values(point), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class SweepResult:
+    """Measures at every point of a grid; filled as points are done.
+
+    Attributes
+    ----------
+    grid : Grid
+        The parameters.
+    speeds_px : tuple of float
+        Of each clip, the speed of its cube in px/frame; empty for a video.
+    columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
+        What was measured; NaN where undefined or not done yet, infinite where it is.
+    is_possible : bool array, shape (n_y, n_x)
+        Where the values of x and y are valid parameters together.
+    done : set of int
+        Numbers of the points that were computed.
+    """
+
+    grid: Grid
+    speeds_px: tuple[float, ...]
+    columns: dict[str, Series]
+    is_possible: Flags
+    done: set[int]
+
+    @classmethod
+    def empty(
+        cls,
+        grid: Grid,
+        speeds_px: tuple[float, ...],
+        names: Iterable[str],
+        possible: Iterable[int],
+    ) -> "SweepResult":
+        """A result without any point; `possible` are the numbers of those that can be computed."""
+        shape = (len(speeds_px) or 1, *grid.shape)
+        is_possible = np.isin(np.arange(len(grid)), list(possible)).reshape(grid.shape)
+        columns = {name: np.full(shape, np.nan) for name in names}
+        return cls(grid, speeds_px, columns, is_possible, set())
+
+    @property
+    def header(self) -> list[str]:
+        """The columns of `sweep.csv`: x, y, the speed if there are several clips, measures."""
+        speed = ["speed_px"] if self.speeds_px else []
+        return [self.grid.x.key, self.grid.y.key, *speed, *self.columns]
+
+    def put(self, point: int, values: Sequence[Sequence[float]]) -> None:
+        """Take in a point; `values` are those of the columns, for each clip."""
+        for clip, numbers in enumerate(values):
+            for column, number in zip(self.columns.values(), numbers, strict=True):
+                column[clip].flat[point] = number
+        self.done.add(point)
+
+    def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
+        """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
+        points = list(points)
+        for clip in range(len(self.speeds_px) or 1):
+            for point in points:
+                values = [column[clip].flat[point] for column in self.columns.values()]
+                yield [*self._key(clip, point), *map(cell, values)]
+
+    def read(self, path: Path) -> None:
+        """Take in the points of which all rows are in a file; what else is there does not count."""
+        try:
+            text = path.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return
+        # A process that was killed may have left half a line.
+        lines = csv.reader(text[: text.rfind("\n") + 1].splitlines())
+        if next(lines, None) != self.header:
+            return
+        n_clips, n_keys = len(self.speeds_px) or 1, len(self.header) - len(self.columns)
+        known = {
+            self._key(clip, point): (clip, point)
+            for clip in range(n_clips)
+            for point in np.flatnonzero(self.is_possible).tolist()
+        }
+        found: dict[int, dict[int, list[float]]] = {}
+        for row in lines:
+            place = known.get(tuple(row[:n_keys]))
+            numbers = _numbers(row[n_keys:])
+            if place is not None and len(numbers) == len(self.columns):
+                found.setdefault(place[1], {})[place[0]] = numbers
+        for point, clips in found.items():
+            if len(clips) == n_clips:
+                self.put(point, [clips[clip] for clip in range(n_clips)])
+
+    def extremes(self) -> list[tuple[str, ...]]:
+        """The least and the greatest value of every measure, and where: rows of a table."""
+        rows = []
+        for name, clips in self.columns.items():
+            for clip, values in enumerate(clips):
+                title = f"{name}, {self.speeds_px[clip]:g} px/frame" if self.speeds_px else name
+                row = [title]
+                for of in (np.nanargmin, np.nanargmax):
+                    if np.isnan(values).all():
+                        row += ["–", ""]
+                        continue
+                    point = int(of(values))
+                    x, y = map(_parameter, self.grid.values(point))
+                    place = f"{self.grid.x.key} {x}, {self.grid.y.key} {y}"
+                    row += [f"{values.flat[point]:.6g}", place]
+                rows.append(tuple(row))
+        return rows
+
+    def _key(self, clip: int, point: int) -> tuple[str, ...]:
+        """The cells that say which point and clip a row is of."""
+        speed = (_parameter(self.speeds_px[clip]),) if self.speeds_px else ()
+        return (*map(_parameter, self.grid.values(point)), *speed)
+
+
+def _parameter(value: Any) -> str:
+    """A parameter's value as `--param` takes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value
+    short = cell(value)
+    return short if float(short) == value else repr(value)
+
+
+def _numbers(cells: Iterable[str]) -> list[float]:
+    """The numbers in some cells, NaN where one is empty; nothing if one holds something else."""
+    try:
+        return [float(text or "nan") for text in cells]
+    except ValueError:
+        return []
+
+
+def _range(text: str) -> list[str]:
+    """The values from FROM to TO; decimals keep 0.3 from being 0.30000000000000004."""
+    try:
+        start, end, step = map(Decimal, text.split(":"))
+        if not all(number.is_finite() for number in (start, end, step)):
+            raise ValueError
+        if step <= 0 or end < start:
+            why = "its STEP is not above 0" if step <= 0 else "its TO is below its FROM"
+            raise ParameterError("", f"{text[:60]!r} has no values: {why}", _HINT)
+        n_steps = int(min((end - start) / step + _SLACK, Decimal(10**9)))
+        if n_steps >= MAX_VALUES:
+            raise _too_many(n_steps + 1)
+        return [str(min(start + i * step, end)) for i in range(n_steps + 1)]
+    except (ValueError, ArithmeticError):
+        raise ParameterError("", f"{text[:60]!r} is not FROM:TO:STEP in numbers", _HINT) from None
+
+
+def _too_many(count: int) -> ParameterError:
+    return ParameterError(
+        "", f"{count} values are more than {MAX_VALUES}", "Take larger steps, or a shorter range."
+    )
+
+
+def _typed(key: str, word: str, default: Any, spec: Spec) -> Any:
+    """One value in the key's own type."""
+    if isinstance(default, bool | str):
+        if word not in (spec.choices or ("true", "false")):
+            raise ParameterError(
+                "", f"{key} = {word[:40]!r} is not one of {spec.allowed}", f"Write {key}=A,B."
+            )
+        return word if spec.choices else word == "true"
+    try:
+        number = float(word)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ParameterError("", f"{key} = {word[:40]!r} is not a number", _HINT)
+    if not isinstance(default, int):
+        return number
+    if not number.is_integer():
+        raise ParameterError("", f"{key} = {word} is not a whole number", "Write r=2:8:1.")
+    return int(number)

@@ -1,0 +1,380 @@
+"""A scene as a clip: its frames, a row of ground truth a frame, a record, and a contact sheet.
+
+A clip that has a record is there if and only if its record is: the record of an earlier clip is
+removed first, and the new one is written last.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import OutputExistsError
+from dlgmd_cli.results.csv import cell, text_cell, write_rows
+from dlgmd_cli.results.record import versions, yaml_text
+from dlgmd_cli.results.store import PREFIX, refuse_existing, unwritable
+from dlgmd_cli.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, invalid
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
+
+N_STILLS = 12
+_SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
+# The least number of digits in a name that counts.
+_N_DIGITS = 4
+_PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Form:
+    """How frames are kept.
+
+    Attributes
+    ----------
+    codec : {"mpeg4", "h264", "ffv1", "png"}
+        The last two keep every grey level; PNG is a folder of pictures.
+    """
+
+    codec: str
+
+    @classmethod
+    def choose(cls, *, lossless: bool = False, png: bool = False, playable: bool = False) -> "Form":
+        """PNG if asked for, else FFV1 if asked for, else a video.
+
+        A `playable` one is H.264, which most players show, where it can be had; else MPEG-4.
+        """
+        if png or lossless:
+            return cls("png" if png else "ffv1")
+        return cls(best_codec() if playable else "mpeg4")
+
+    @property
+    def is_video(self) -> bool:
+        """Whether it is a single file."""
+        return self.codec != "png"
+
+    def check(self, options: ClipOptions) -> None:
+        """Raise ParameterError if a video would not keep the size or the frame rate as they are."""
+        if not self.is_video:
+            return
+        height, width = options.shape
+        if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
+            raise invalid(
+                "--size",
+                f"{width}x{height} is odd, and a video needs an even width and height",
+                f"Choose {width + width % 2}x{height + height % 2}, or --png.",
+            )
+        rounded = round(options.fps, 3)
+        if rounded != options.fps:
+            raise invalid(
+                "--fps",
+                f"{options.fps!r} has more than three decimals, which a video file does not keep",
+                f"Choose {rounded:g}, or --png.",
+            )
+        if self.codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
+            raise invalid(
+                "--fps", f"MPEG-4 cannot hold {rounded:g}", "Choose fewer decimals, or --lossless."
+            )
+
+
+@dataclass(frozen=True)
+class Still:
+    """One frame of a clip on its contact sheet.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W), uint8
+        As it was rendered, before any video smoothed it.
+    truth : object
+        Its row of the ground truth.
+    is_collision : bool
+        Whether it is the clip's collision frame.
+    """
+
+    image: npt.NDArray[np.uint8]
+    truth: Any
+    is_collision: bool = False
+
+
+@dataclass(frozen=True)
+class ContactSheet:
+    """Some frames of a clip, and what the clip is.
+
+    Attributes
+    ----------
+    name : str
+        What the clip is called.
+    fps : float
+    n_frames : int
+        Of the whole clip.
+    seed : int
+    record : dict
+        See `Scene.record`.
+    stills : tuple of Still
+        At least one, in order, all of one shape.
+    """
+
+    name: str
+    fps: float
+    n_frames: int
+    seed: int
+    record: dict[str, Any]
+    stills: tuple[Still, ...]
+
+
+# Draws a contact sheet into a file whose name ends in .png.
+DrawSheet = Callable[[ContactSheet, Path], object]
+
+
+def clip_paths(
+    scene: Scene[Any], form: Form, folder: Path, name: str, *, sheet: bool = False
+) -> tuple[Path, ...]:
+    """The files of a clip: frames, truth, the record if the scene has one, the sheet if asked."""
+    paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
+    if scene.has_record:
+        paths.append(folder / f"{name}.yaml")
+    return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
+
+
+def write_clip(
+    scene: Scene[OptionsT],
+    options: OptionsT,
+    folder: Path,
+    form: Form | None = None,
+    *,
+    name: str | None = None,
+    overwrite: bool = False,
+    on_frame: Callable[[int], None] = lambda n_rendered: None,
+    draw_sheet: DrawSheet | None = None,
+) -> tuple[Path, ...]:
+    """Render a scene to ``folder/NAME.mp4``, its ground truth to ``folder/NAME.csv``.
+
+    Of a flight, ``folder/NAME.yaml`` says what it is, and when which phase and the collision come.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to render.
+    options : ClipOptions
+        Options of that scene.
+    folder : Path
+        Where to; made if need be.
+    form : Form, optional
+        What else than the scene's own kind of video: ``NAME.avi`` in FFV1, or ``NAME/0000.png``
+        and so on.
+    name : str, optional
+        The files' stem, if not the scene's name.
+    overwrite : bool
+        Replace earlier files. A folder that holds more than numbered pictures is never replaced.
+    on_frame : callable, optional
+        Called after each frame with the number of frames that are rendered.
+    draw_sheet : callable, optional
+        Draws ``NAME-sheet.png``, a contact sheet; there is none without.
+
+    Returns
+    -------
+    tuple of Path
+        The video or folder, the truth, the record if there is one, and the sheet if asked for.
+
+    Raises
+    ------
+    ParameterError
+        If the scene cannot be had with these options, or no video can hold it.
+    OutputExistsError
+        If a file exists already and may not be replaced.
+    OutputError
+        If the files cannot be written.
+    Interrupted
+        If the user asks to stop.
+    """
+    form = form or Form.choose(playable=scene.is_playable)
+    n_frames = scene.n_frames(options)
+    form.check(options)
+    name = name or scene.name
+    paths = clip_paths(scene, form, folder, name, sheet=draw_sheet is not None)
+    refuse_standing(paths, form, overwrite=overwrite)
+    temporary = [path.with_name(f"{PREFIX}{path.name}") for path in paths]
+    facts = scene.record(options)
+    stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        images = _watched(scene.frames(options), stills, on_frame)
+        if form.is_video:
+            shape, fps, codec = options.shape, options.fps, form.codec
+            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
+        else:
+            _write_pictures(temporary[0], images, n_digits(n_frames))
+        rows = list(scene.truth(options))
+        write_truth(temporary[1], scene.truth_type, rows)
+        if scene.has_record:
+            sheet = {} if draw_sheet is None else {"sheet": paths[-1].name}
+            first = {"scene": scene.name, "seed": options.seed}
+            document = {**first, **facts, **sheet, **identity(scene, options, form)}
+            temporary[2].write_text(yaml_text(document), encoding="utf-8")
+        if draw_sheet is not None:
+            kept = (
+                Still(image, rows[index], index == facts.get("collision_frame"))
+                for index, image in stills.items()
+            )
+            sheet_of = (name, options.fps, n_frames, options.seed, facts, tuple(kept))
+            draw_sheet(ContactSheet(*sheet_of), temporary[-1])
+        _put(temporary, paths)
+    except OSError as error:
+        raise unwritable(paths[0], error) from None
+    finally:
+        for path in temporary:
+            shutil.rmtree(path, ignore_errors=True)
+            with suppress(OSError):
+                path.unlink()
+    return paths
+
+
+def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str, Any]:
+    """All that the files of a clip depend on, known before it is rendered."""
+    return {
+        "scene": scene.name,
+        "seed": options.seed,
+        "options": options.to_dict(),
+        "codec": form.codec,
+        "versions": versions(*(["pyav"] if form.codec == "h264" else [])),
+    }
+
+
+def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
+    """Raise OutputExistsError if a file of a clip exists already and may not be replaced."""
+    frames, *others = paths
+    if form.is_video:
+        others.insert(0, frames)
+    elif os.path.lexists(frames):
+        mend = "Choose another --out."
+        if frames.is_symlink() or not frames.is_dir():
+            raise OutputExistsError(str(frames), "this is not a folder of pictures", mend)
+        strays = [
+            entry.name
+            for entry in frames.iterdir()
+            if not _PICTURE.fullmatch(entry.name) or not entry.is_file()
+        ]
+        if strays:
+            why = f"this folder holds other files, such as {min(strays)}"
+            raise OutputExistsError(str(frames), why, mend)
+        if not overwrite:
+            raise OutputExistsError(
+                str(frames), "it already exists", "Add --overwrite to replace it."
+            )
+    for path in others:
+        refuse_existing(path, overwrite=overwrite)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder where nobody is writing now."""
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.suffix:  # the lock has none
+            path.unlink(missing_ok=True)
+
+
+def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
+    """Write ground truth as CSV; OSError passes through.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : type
+        The dataclass that the rows are of; its fields are the columns.
+    rows : iterable
+        One a frame. NaN becomes an empty cell.
+    """
+    names = [field.name for field in fields(columns)]
+    values = ([getattr(row, name) for name in names] for row in rows)
+    write_rows(
+        path,
+        names,
+        ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values),
+    )
+
+
+def chosen_frames(
+    n_frames: int, collision_frame: int | None = None, n_stills: int = N_STILLS
+) -> tuple[int, ...]:
+    """Which frames a sheet shows: the first, the last, the collision, and others evenly between.
+
+    Parameters
+    ----------
+    n_frames : int
+        Length of the clip, at least 1.
+    collision_frame : int, optional
+        The steps before it and those after it differ by what it takes to meet it.
+    n_stills : int
+        How many there are to be, at least 3; all frames where the clip has no more.
+
+    Returns
+    -------
+    tuple of int
+        In order, each once.
+    """
+    if n_frames <= n_stills:
+        return tuple(range(n_frames))
+    last, n_steps = n_frames - 1, n_stills - 1
+    middle = collision_frame or 0
+    if not 0 < middle < last:
+        return tuple(_evenly(0, last, n_steps))
+    n_before = min(max(1, round(middle * n_steps / last)), n_steps - 1)
+    return (*_evenly(0, middle, n_before)[:-1], *_evenly(middle, last, n_steps - n_before))
+
+
+def n_digits(count: int) -> int:
+    """Digits in the names of `count` things, numbered from 0."""
+    return max(_N_DIGITS, len(str(count - 1)))
+
+
+def _evenly(first: int, last: int, n_steps: int) -> list[int]:
+    """`first`, `last` and what lies between them, in steps that differ by 1 at most."""
+    return [first + step * (last - first) // n_steps for step in range(n_steps + 1)]
+
+
+def _watched(
+    frames: Iterable[GreyImage], stills: dict[int, Any], on_frame: Callable[[int], None]
+) -> Iterator[GreyImage]:
+    """The frames, telling how many were taken; those whose numbers `stills` has are kept there."""
+    for index, frame in enumerate(frames):
+        cancel.check()
+        if index in stills:
+            stills[index] = frame.copy()
+        yield frame
+        on_frame(index + 1)
+
+
+def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> None:
+    """Write frames, (H, W) uint8 each, as numbered PNG; OSError passes through."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for index, frame in enumerate(frames):
+        # Not by OpenCV, which says nothing of a full disk.
+        encoded = cv2.imencode(".png", frame)[1].tobytes()
+        (folder / f"{index:0{digits}d}.png").write_bytes(encoded)
+
+
+def _put(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
+    """Rename files to where they are to be, an earlier record removed first, the new one last."""
+    in_order = sorted(zip(temporary, paths, strict=True), key=lambda pair: _is_record(pair[1]))
+    for _, path in in_order:
+        if _is_record(path):
+            path.unlink(missing_ok=True)
+    for file, path in in_order:
+        if path.is_dir():
+            shutil.rmtree(path)
+        file.replace(path)
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file of a clip is its record."""
+    return path.suffix == ".yaml"

@@ -1,0 +1,415 @@
+"""Rooms and furniture of rendered flights: what they look like, and that they can be painted."""
+
+import hashlib
+from collections import Counter
+from functools import lru_cache
+from itertools import groupby
+
+import cv2
+import numpy as np
+import pytest
+
+from dlgmd_cli.flights import pictures, rooms, textures
+from dlgmd_cli.flights.bodies import Skin, block, light_on, prism, ring, skin, spot
+from dlgmd_cli.flights.furniture import PICTURES, catalogue, furniture, furniture_at_wall
+from dlgmd_cli.flights.renderer.solids import Round, Solid
+from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.shadows import shaded
+from dlgmd_cli.flights.textures import MAX_SIDE_PX, Sheet, clouds, grain, plain
+
+AXES = np.vstack([np.eye(3), -np.eye(3)])
+SIZE = (1.1, 0.8)
+SURFACES = {
+    made.__name__: made
+    for made in (
+        *PICTURES.values(),
+        *(textures.plaster, textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
+        *(pictures.spines, pictures.ceiling_panels),
+    )
+    if made is not pictures.gridded
+}
+DRAWN = ("shelf", "cartons", "plant", "poster", "doorway")
+GUESTS = tuple(furniture("chair", np.random.default_rng(0), spot((5.0, 0.0), 170.0)))
+
+
+def seeded(seed=1):
+    return np.random.default_rng(seed)
+
+
+def fingerprint(bodies):
+    """Where everything is and what it looks like."""
+    digest = hashlib.sha256()
+    for face in (face for body in bodies for face in getattr(body, "faces", ())):
+        digest.update(face.corners_m.tobytes() + face.texture.image.tobytes())
+    return digest.hexdigest()
+
+
+def solids(bodies):
+    return [body for body in bodies if isinstance(body, Solid)]
+
+
+def reach_m(bodies):
+    """The box around bodies: its upper and its lower corner."""
+    ends = np.max([body.reach(AXES) for body in bodies], axis=0)
+    return ends[:3], -ends[3:]
+
+
+def area_of(face):
+    spread = face.corners_m - face.corners_m[0]
+    return np.linalg.norm(np.cross(spread[1:-1], spread[2:]).sum(axis=0)) / 2
+
+
+@pytest.fixture(scope="module")
+def furnished():
+    """Makes places around guests without walls to paint, which is what takes the time."""
+
+    @lru_cache
+    def made(name, seed, **options):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rooms, "room", lambda *_, **__: Solid("room", []))
+            size = {"length_m": 11.0, **options}
+            return getattr(rooms, name)(seeded(seed), guests=GUESTS, **size)
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def clutter():
+    return rooms.cluttered_room(seeded(3), length_m=4.0)
+
+
+# Surfaces
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_surfaces_reflect_what_things_do_and_come_from_the_seed(name):
+    made = SURFACES[name]
+    image = made(seeded(), SIZE, 250.0)
+    assert image.dtype == np.float32 and image.shape == (200, 275)
+    assert image.min() >= 0.02 and image.max() <= 0.95
+    assert np.array_equal(image, made(seeded(), SIZE, 250.0))
+    assert not np.array_equal(image, made(seeded(2), SIZE, 250.0))
+    # What alternates from pixel to pixel would flicker.
+    alternating = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]) / 16.0)[1:-1, 1:-1]
+    assert alternating.std() < 0.12 * image.std()
+    # There is structure at several scales.
+    for times in (4, 16):
+        small = cv2.resize(image, None, fx=1 / times, fy=1 / times, interpolation=cv2.INTER_AREA)
+        assert small.std() > 0.012 * image.mean(), f"1/{times}"
+
+
+def test_tone_is_the_mean_of_a_material():
+    for made in (textures.plaster, textures.wood, textures.cloth, textures.concrete):
+        dark, bright = (made(seeded(), SIZE, tone=tone).mean() for tone in (0.2, 0.5))
+        assert dark == pytest.approx(0.2, rel=0.15) and bright == pytest.approx(0.5, rel=0.15)
+
+
+def runs(line):
+    """How many dark stretches there are along a line of pixels."""
+    return sum(dark for dark, _ in groupby(line < 0.4))
+
+
+@pytest.mark.parametrize("lines", [2, 9])
+def test_gridded_has_the_lines_asked_for(lines):
+    image = pictures.gridded(seeded(), (0.9, 0.9), 800.0, lines)
+    between_lines = round(0.5 * (0.9 / (lines - 1) + 0.02) * 800)
+    assert runs(image[between_lines]) == runs(image[:, between_lines]) == lines
+    assert image.min() < 0.06 and image.max() > 0.8
+    # Cells are square where the board is not.
+    image = pictures.gridded(seeded(), (0.9, 0.46), 800.0, 9)
+    assert (runs(image[50]), runs(image[:, 50])) == (9, 5)
+
+
+def test_sheets_are_drawn_in_metres():
+    sheet = Sheet((2.0, 1.0), 100.0, 0.5)
+    sheet.rectangle(0.5, 0.2, 0.3, 0.1, 0.1)
+    sheet.disc(1.5, 0.5, 0.2, 0.9)
+    rows, columns = np.nonzero(sheet.image == np.float32(0.1))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (20, 29, 50, 79)
+    rows, columns = np.nonzero(sheet.image == np.float32(0.9))
+    assert (rows.mean(), columns.mean()) == pytest.approx((49.5, 149.5), abs=0.5)
+    assert len(rows) == pytest.approx(np.pi * 20**2, rel=0.1)
+    assert max(Sheet((40.0, 3.0), 250.0).shape) == MAX_SIDE_PX
+    assert Sheet((0.001, 0.001), 250.0).shape == (1, 1)
+
+
+def test_noise_has_its_size():
+    assert grain(seeded(), (300, 700)).std() == pytest.approx(1.0, abs=0.05)
+    for cell in (4.0, 12.0):
+        noise = clouds(seeded(), (400, 400), cell)
+        assert noise.std() == pytest.approx(1.0, abs=0.1)
+        correlated = np.corrcoef(noise[:, :-1].ravel(), noise[:, 1:].ravel())[0, 1]
+        assert correlated > (0.7 if cell == 4.0 else 0.95)
+
+
+# Bodies
+
+
+def check_convex(body):
+    """Faces look outwards, are flat, and show their pictures the right way round."""
+    for face in body.faces:
+        beyond = (body.corners_m - face.corners_m[0]) @ face.normal
+        assert beyond.max() < 1e-9, body.name
+        assert (face.corners_m - face.corners_m[0]) @ face.normal == pytest.approx(0, abs=1e-9)
+        assert np.cross(face.down_m, face.right_m) @ face.normal > 0
+        assert face.right_m @ face.down_m == pytest.approx(0, abs=1e-9)
+        around = np.roll(face.corners_m, -1, axis=0) - face.corners_m
+        turns = np.cross(around, np.roll(around, -1, axis=0)) @ face.normal
+        assert (turns > 0).all()
+        assert 0.3 <= face.gain <= 1.0
+
+
+def test_a_block_shows_each_side_where_it_is():
+    by_side = {
+        side: Skin(Texture(np.full((1, 1), 0.1 * number, np.float32)))
+        for number, side in enumerate(("front", "back", "left", "right", "top", "bottom"))
+    }
+    low, high = (-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)
+    body = block("b", spot((0, 0)), low, high, by_side["front"], others=by_side)
+    looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
+    expected = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    assert [tuple(looks[round(0.1 * i, 1)]) for i in range(6)] == expected
+    high_m, low_m = reach_m([body])
+    assert tuple(high_m) == high and tuple(low_m) == low
+    lid = block("b", spot((0, 0)), low, high, by_side["top"], sides=("top",), others=by_side)
+    assert lid.normals.tolist() == [[0, 0, 1]]
+
+
+def test_a_skin_that_is_cut_keeps_its_scale_and_runs_along_the_longer_side():
+    covered = skin(plain(0.3), (0.5, 2.0))
+    body = block("b", spot((0, 0)), (0, 0, 0), (0.1, 1.5, 0.2), covered, sides=("front", "left"))
+    front, left = body.faces
+    assert np.abs(front.down_m) == pytest.approx([0, 2.0, 0])
+    assert np.abs(front.right_m) == pytest.approx([0, 0, 0.5])
+    assert np.abs(left.down_m) == pytest.approx([0, 0, 2.0])
+    for face in (front, left):
+        on = (face.corners_m - face.origin_m) @ np.stack([face.right_m, face.down_m], axis=1)
+        assert on.min() >= -1e-9  # no corner is where the picture has nothing
+
+
+def test_light_comes_from_above():
+    top, bottom = light_on(np.array([0, 0, 1.0])), light_on(np.array([0, 0, -1.0]))
+    sides = [light_on(np.array([np.cos(a), np.sin(a), 0])) for a in np.linspace(0, 6, 20)]
+    assert top == pytest.approx(1.0) and bottom == pytest.approx(0.45)
+    assert bottom < min(sides) and max(sides) < top and max(sides) - min(sides) > 0.2
+
+
+def test_prisms_are_closed_but_for_their_bottom():
+    body = prism("p", spot((0, 0)), ring(0.5, 8), (0.0, 2.0), skin(plain(0.2)))
+    check_convex(body)
+    assert len(body.faces) == 9
+    sums = sum(area_of(face) * face.normal for face in body.faces)
+    assert sums == pytest.approx([0, 0, area_of(body.faces[-1])], abs=1e-9)
+
+
+# Furniture
+
+
+@pytest.mark.parametrize("name", [*catalogue()["pieces"], *DRAWN])
+def test_furniture_is_convex_bodies_apart_from_each_other(name):
+    bodies = furniture(name, seeded(), spot((2.0, -1.0), 137.0), detail=0.2)
+    for body in solids(bodies):
+        check_convex(body)
+    assert Order(bodies).is_exact
+    high, low = reach_m(bodies)
+    assert low[2] >= -1e-9 and high[2] <= 2.8 + 1e-9
+    assert np.abs((high + low)[:2] / 2 - (2.0, -1.0)).max() < 0.3
+    named = {catalogue()["pieces"].get(name, {}).get("name", name)}
+    assert {body.name for body in bodies} & (named | {"notebook", "carton"})
+    again = furniture(name, seeded(), spot((2.0, -1.0), 137.0), detail=0.2)
+    assert fingerprint(bodies) == fingerprint(again)
+
+
+@pytest.mark.parametrize("name", catalogue()["at_walls"])
+def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
+    entry = catalogue()["at_walls"][name]
+    for seed in range(3):
+        high, low = reach_m(furniture_at_wall(name, seeded(seed), spot((0, 0))))
+        assert low[0] >= 0.0 and high[0] <= entry["depth_m"] + 0.031
+        assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
+
+
+def test_furniture_is_turned_lifted_and_enlarged_by_its_spot():
+    plain_one = furniture("notebook", seeded(), spot((0, 0)), detail=0.2)
+    turned = furniture("notebook", seeded(), spot((3, 1, 0.5), 90, 2.0), detail=0.2)
+    for one, other in zip(plain_one, turned, strict=True):
+        x, y, z = 2.0 * one.corners_m.T
+        assert other.corners_m == pytest.approx(np.stack([3 - y, 1 + x, z + 0.5], axis=1))
+
+
+def test_a_chair_has_legs_a_seat_and_a_back_and_one_colour():
+    bodies = furniture("chair", seeded(), spot((0.0, 0.0)))
+    boxes = [reach_m([body]) for body in bodies]
+    sizes = [high - low for high, low in boxes]
+    legs = [i for i, (_, low) in enumerate(boxes) if low[2] == 0]
+    assert len(legs) == 4 and all(sizes[i][2] > 5 * sizes[i][:2].max() for i in legs)
+    (seat,) = [i for i, size in enumerate(sizes) if size[:2].min() > 0.4]
+    assert boxes[seat][0][2] == pytest.approx(0.46)
+    back = [i for i, (_, low) in enumerate(boxes) if low[2] >= 0.46 - 1e-9]
+    assert len(back) == 5 and all(boxes[i][0][0] < -0.15 for i in back)
+    assert max(high[2] for high, _ in boxes) == pytest.approx(0.92)
+    assert len({id(face.texture) for body in bodies for face in body.faces}) == 1
+
+
+def test_shelves_side_by_side_are_told_apart():
+    where = spot((2.0, 0.0), 30.0)
+    both = [
+        part for y in (-0.5, 0.5) for part in furniture("shelf", seeded(), where.inside((0, y, 0)))
+    ]
+    assert Order(both).is_exact
+
+
+def test_a_notebook_leans_back_on_its_hinge():
+    base, lid = furniture("notebook", seeded(), spot((0, 0)), detail=0.2)
+    screen = lid.faces[0]
+    assert screen.normal == pytest.approx([np.cos(np.radians(15)), 0, np.sin(np.radians(15))])
+    assert reach_m([lid])[1][2] == pytest.approx(reach_m([base])[0][2], abs=1e-3)
+
+
+def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
+    def motion(time_s):
+        return (0.0, time_s, 0.0)
+
+    walker = furniture("person", seeded(), spot((2.0, 0.0)), motion=motion)
+    assert all(body.motion is motion for body in walker)
+    assert sum(isinstance(body, Round) for body in walker) == 1
+    high, low = reach_m(walker)
+    assert high[2] == pytest.approx(1.75, abs=0.03) and low[2] == pytest.approx(0, abs=0.03)
+    floor, light = rooms.Hall((4.0, 4.0, 2.5)).walls()["floor"], np.ones((100, 100), np.float32)
+    bare = shaded(light, floor, [])
+    assert np.array_equal(shaded(light, floor, walker), bare)
+    at_rest = furniture("person", seeded(), spot((2.0, 0.0)))
+    assert shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
+
+
+def test_a_doorway_is_open():
+    left, right, lintel = furniture("doorway", seeded(), spot((4.0, 0.0)))
+    assert reach_m([left])[1][1] == pytest.approx(0.55)
+    assert reach_m([right])[0][1] == pytest.approx(-0.55)
+    assert reach_m([lintel])[1] == pytest.approx([4.0, -0.55, 2.1])
+    high, low = reach_m([left, right, lintel])
+    assert low == pytest.approx([4.0, -2.8, 0]) and high == pytest.approx([4.15, 2.8, 2.8])
+
+
+# Rooms
+
+
+def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
+    hall = rooms.Hall((4.0, 3.0, 2.5))
+    inside = rooms.room(hall.size_m, seeded())
+    middle = np.array([2.0, 0.0, 1.25])
+    for (side, wall), face in zip(hall.walls().items(), inside.faces, strict=True):
+        assert (middle - face.corners_m[0]) @ face.normal > 0
+        assert np.cross(face.down_m, face.right_m) @ face.normal > 0
+        assert np.array_equal(face.origin_m, wall.origin_m)
+        if side in ("floor", "ceiling"):
+            continue
+        where = hall.on(side, 1.0, 1.5)
+        assert where.axes[:, 0] == pytest.approx(face.normal)
+        assert (where.at_m - face.corners_m[0]) @ face.normal == pytest.approx(0.01)
+        along = where.at_m[0] if side in ("left", "right") else where.at_m[1]
+        assert (along, where.at_m[2]) == (1.0, 1.5)
+    assert sum(area_of(face) * face.normal for face in inside.faces) == pytest.approx(0, abs=1e-9)
+    high, low = reach_m([inside])
+    assert low == pytest.approx([0, -1.5, 0]) and high == pytest.approx([4, 1.5, 2.5])
+
+
+def test_what_walls_are_made_of_can_be_told():
+    plastered, bricked = (
+        rooms.room((3.0, 3.0, 2.5), seeded(), wall=wall).faces[0].texture.image[200:400, 200:400]
+        for wall in ("plaster", "brick")
+    )
+    assert bricked.std() > 2.0 * plastered.std()
+
+
+def test_furniture_darkens_the_floor_and_the_wall_behind_it():
+    hall = rooms.Hall((4.0, 4.0, 2.5))
+    walls = hall.walls()
+    stands = furniture("cupboard", seeded(), spot(*hall.stand("left", 1.0, 0.25)))
+    light = np.ones((400, 400), np.float32)
+    for side in ("floor", "left"):
+        bare, dark = (shaded(light, walls[side], bodies) for bodies in ([], stands))
+        # The cupboard stands at x = 0.5 to 1.5 m and y = 1.5 to 2 m, and is 1.9 m high.
+        rows, columns = np.nonzero(dark / bare < 0.75)
+        assert (columns.min(), columns.max()) == pytest.approx((50, 149), abs=4)
+        top, bottom = (0, 50) if side == "floor" else (0.6 / 2.5 * 400, 399)
+        assert (rows.min(), rows.max()) == pytest.approx((top, bottom), abs=5)
+        assert (dark / bare)[:, 200:] == pytest.approx(1.0, abs=1e-3)
+    # Rooms are darker in their corners.
+    assert bare[0, 0] < bare[0, 200] < bare[200, 200]
+    assert bare == pytest.approx(bare[:, ::-1], abs=1e-5)
+
+
+# Furnished places
+
+
+def check_place(place, free_m, end_m):
+    """All is in the room, apart, and out of the way of a drone up to `end_m` before its end."""
+    length, width, height = place.hall.size_m
+    high, low = reach_m(place.bodies)
+    assert (high <= np.array([length, width / 2, height]) + 1e-6).all()
+    assert (low >= np.array([0, -width / 2, 0]) - 1e-6).all()
+    assert Order([*place.bodies, *GUESTS]).is_exact
+    for body in place.bodies:
+        (x, y, _), (low_x, low_y, _) = reach_m([body])
+        is_beside = min(abs(y), abs(low_y)) >= free_m / 2 and y * low_y > 0
+        assert is_beside or low_x >= length - end_m or x <= 0.15, body.name
+    assert "chair" not in {body.name for body in place.bodies}
+
+
+@pytest.mark.parametrize(
+    ("name", "free_m", "end_m", "size"),
+    [
+        ("cluttered_room", 2.4, 1.1, {}),
+        ("cluttered_room", 2.0, 1.1, {"length_m": 8.0, "width_m": 3.6, "free_width_m": 2.0}),
+        ("cluttered_room", 2.6, 1.1, {"length_m": 10.0, "width_m": 7.0, "free_width_m": 2.6}),
+        ("simple_room", 2.6, 0.0, {}),
+        ("corridor", 2.1, 0.1, {}),
+    ],
+)
+def test_places_are_free_to_fly_through_and_can_be_painted_in_order(
+    name, free_m, end_m, size, furnished
+):
+    for seed in range(2):
+        check_place(furnished(name, seed, **size), free_m, end_m)
+
+
+def test_clutter_is_clutter_but_not_too_much_to_paint(furnished):
+    for seed in range(2):
+        cluttered, simple = (furnished(name, seed) for name in ("cluttered_room", "simple_room"))
+        assert len({body.name for body in cluttered.bodies}) >= 10
+        assert 45 <= len(cluttered.bodies) <= 80
+        assert sum(len(body.faces) for body in cluttered.bodies) <= 260
+        assert len(simple.bodies) < len(cluttered.bodies) / 2
+        # Only a simple room is bare at its far wall.
+        at_far = [
+            sum(reach_m([body])[0][0] > 10.8 for body in place.bodies)
+            for place in (cluttered, simple)
+        ]
+        assert at_far[0] >= 3 and at_far[1] == 0
+    names = Counter(body.name for body in furnished("corridor", 0).bodies)
+    assert set(names) == {"door", "poster"} and names["door"] >= 8
+
+
+def test_nothing_is_put_where_something_stands():
+    def stool(x, y):
+        return furniture("stool", seeded(), spot((x, y)))
+
+    furnishing = rooms.Furnishing(rooms.Hall((5.0, 4.0, 2.5)), guests=stool(1.0, 1.8))
+    assert not furnishing.add(stool(1.2, 1.8)) and furnishing.bodies == []
+    free = stool(3.0, 1.8)
+    assert furnishing.add(free) and furnishing.bodies == free
+    assert not furnishing.add(stool(3.2, 1.6))
+    assert not furnishing.add(stool(4.9, 0.0)), "half in the wall"
+
+
+def test_a_place_comes_from_its_seed_and_reflects_what_things_do(clutter):
+    again, other = (rooms.cluttered_room(seeded(seed), length_m=4.0) for seed in (3, 4))
+    assert fingerprint([clutter.room]) == fingerprint([again.room])
+    assert fingerprint(clutter.bodies) == fingerprint(again.bodies)
+    assert fingerprint([clutter.room]) != fingerprint([other.room])
+    assert fingerprint(clutter.bodies) != fingerprint(other.bodies)
+    for face in (face for body in [clutter.room, *clutter.bodies] for face in body.faces):
+        image = face.texture.image
+        assert image.dtype == np.float32 and image.min() >= 0.015 and image.max() <= 0.95
