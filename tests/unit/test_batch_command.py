@@ -258,13 +258,15 @@ def test_another_input_of_the_same_name(dlgmd, flights, here):
 
 
 def test_a_comparison_of_another_input_is_not_removed_unasked(dlgmd, flights, here):
-    write_video(Path("loom.avi"), looming_frames(15))
-    dlgmd("compare", "loom.avi", "--set", 3, "--no-plots")
+    folder = Path("dlgmd-out/loom")
+    folder.mkdir(parents=True)
+    (folder / "compare.csv").touch()
+    (folder / "compare.yaml").write_text("input: {path: /elsewhere/loom.avi}\n")
     assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
     assert "the result of another input (compare.yaml)" in summary()["loom.avi"]["error"]
-    assert os.path.exists("dlgmd-out/loom/compare.yaml")
+    assert sorted(os.listdir(folder)) == ["compare.csv", "compare.yaml"]
     assert dlgmd("batch", flights / "a/loom.avi", *QUICK, "--overwrite").exit_code == 0
-    assert not os.path.exists("dlgmd-out/loom/compare.csv")
+    assert not (folder / "compare.csv").exists()
 
 
 def test_several_models_on_one_decoding(dlgmd, flights, here):
@@ -444,29 +446,23 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
-def test_a_decoder_takes_only_its_own_video_along(dlgmd, clips, tmp_path, monkeypatch):
+def test_a_crash_costs_one_video(dlgmd, clips, tmp_path, monkeypatch):
     faults = {
         "segfault.avi": ("crashed", "its process crashed (signal 11)"),
-        "killed.avi": ("killed", "its process was killed, as happens when memory runs out"),
-        "hangs.avi": ("timeout", "not done after 1.5 s. Raise --timeout."),
         "bug.avi": ("failed", "internal error (IndexError)"),
     }
     folder = tmp_path / "flights"
     folder.mkdir()
-    for name in (*faults, "first.avi", "good.avi", "zenith.avi"):
+    for name in (*faults, "good.avi", "zenith.avi"):
         shutil.copy(clips / "loom.avi", folder / name)
     with monkeypatch.context() as patch:
         patch.setattr("dlgmd_cli.runs.batch.run_video", faulty)
-        result = dlgmd("batch", folder, "--no-plots", "--jobs", 2, "--timeout", 1.5)
+        result = dlgmd("batch", folder, "--no-plots", "--jobs", 1)
     assert result.exit_code == 1
-    assert "Error: 4 of 7 videos failed; the other 3 results are in dlgmd-out." in result.stderr
+    assert "Error: 2 of 4 videos failed; the other 2 results are in dlgmd-out." in result.stderr
     rows = summary()
-    assert len(rows) == 7
+    assert len(rows) == 4
     for name, row in rows.items():
         status, error = faults.get(name, ("done", ""))
         assert row["status"] == status and error in row["error"], row
-    assert sorted(os.listdir("dlgmd-out")) == ["first", "good", "summary.csv", "zenith"]
-    # The same command, where nothing of the kind happens, does the rest.
-    result = dlgmd("batch", folder, *QUICK)
-    assert result.exit_code == 0 and "3 of 7 videos are done already." in result.stderr
-    assert set(statuses().values()) == {"done"}
+    assert sorted(os.listdir("dlgmd-out")) == ["good", "summary.csv", "zenith"]
