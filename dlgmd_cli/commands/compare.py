@@ -247,7 +247,8 @@ def _files(
     from dlgmd_cli.results import csv, store
     from dlgmd_cli.results.record import record_text
 
-    files: dict[str, Write] = {"compare.csv": partial(csv.write_comparison, results=results)}
+    columns = {label: result.columns(csv.COMPARISON[1:]) for label, result in results.items()}
+    files: dict[str, Write] = {"compare.csv": partial(csv.write_comparison, columns=columns)}
     if output.formats:
         from dlgmd_cli.plots.style import figure_files
 

@@ -154,9 +154,13 @@ class Film:
         header = np.s_[: _HEADER_PX - 15, : middle + 80]
         self._canvas[header] = self._ground[header]
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
-        cv2.putText(self._canvas, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **_LETTERS)
+        cv2.putText(
+            self._canvas, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **_LETTERS
+        )
         if result.alarms[row]:
-            cv2.rectangle(self._canvas, (middle - 65, 10), (middle + 65, 44), _VERMILION, cv2.FILLED)
+            cv2.rectangle(
+                self._canvas, (middle - 65, 10), (middle + 65, 44), _VERMILION, cv2.FILLED
+            )
             look = {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2, **_LETTERS}
             cv2.putText(self._canvas, "ALARM", (middle - 47, 37), **look)
 

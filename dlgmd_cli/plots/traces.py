@@ -283,7 +283,12 @@ def _draw_raster(axes: Axes, traces: list[_Trace]) -> Entries:
         _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
         _draw_bars(axes, trace.result, trace.result.alarms, (row - 0.4, row - 0.15), VERMILION)
         # A sample of the line left of the axes says whose row it is.
-        sample = {**look, "clip_on": False, "markevery": [1], "transform": axes.get_yaxis_transform()}
+        sample = {
+            **look,
+            "clip_on": False,
+            "markevery": [1],
+            "transform": axes.get_yaxis_transform(),
+        }
         axes.plot([-0.1, -0.06, -0.02], [row] * 3, **sample)
     axes.set_yticks([])
     axes.set_ylim(-0.6, len(traces) - 0.4)

@@ -9,15 +9,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ResultError, printable
-
-if TYPE_CHECKING:
-    from dlgmd_cli.results.result import Result
 
 Series = npt.NDArray[np.float64]
 
@@ -78,13 +75,12 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
     write_rows(path, list(columns), zip(*cells, strict=True))
 
 
-def write_comparison(path: Path, results: "Mapping[str, Result]") -> None:
-    """Write compare.csv: every frame of every result, label by label; OSError passes through."""
+def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:
+    """Write compare.csv, label by label, given its columns by label; OSError passes through."""
 
     def rows() -> Iterator[list[str]]:
-        for label, result in results.items():
-            columns = result.columns(COMPARISON[1:]).values()
-            for values in zip(*(column.tolist() for column in columns), strict=True):
+        for label, found in columns.items():
+            for values in zip(*(found[name].tolist() for name in COMPARISON[1:]), strict=True):
                 yield [text_cell(label), *map(cell, values)]
 
     write_rows(path, COMPARISON, rows())

@@ -302,7 +302,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     for label, columns in by_label.items():
         own = described[label]
         sums = np.full(len(columns["frame"]), np.nan)
-        common = {key: record[key] for key in ("input", "options") if key in record}
+        common: dict[str, Any] = {key: record[key] for key in ("input", "options") if key in record}
         size = {"width": own.get("width"), "height": own.get("height")}
         results[label] = _result(
             folder / store.COMPARISON,
@@ -342,6 +342,13 @@ def _result(
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):
         raise ResultError(str(path), "it does not say the processed size", "Run again.") from None
-    names = ("time_s", "mp", "p_sum", "s_sum", "attenuation_db")
-    arrays = [columns[name] for name in names]
-    return Result(columns["frame"].astype(np.int64), *arrays, params=params, record=record)
+    return Result(
+        columns["frame"].astype(np.int64),
+        columns["time_s"],
+        columns["mp"],
+        columns["p_sum"],
+        columns["s_sum"],
+        columns["attenuation_db"],
+        params,
+        record,
+    )
