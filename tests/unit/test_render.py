@@ -65,20 +65,6 @@ def test_projection_has_left_on_the_left_and_up_at_the_top():
     assert (x, y) == pytest.approx((100.0, 50.0 - 100.0 * math.tan(math.radians(10.0))))
 
 
-@settings(max_examples=20, deadline=None)
-@given(
-    position=st.tuples(*[st.floats(-3, 3)] * 3),
-    angles=st.tuples(*[st.floats(-180, 180)] * 3),
-    at=st.tuples(st.floats(0, 160), st.floats(0, 120)),
-    depth=st.floats(0.05, 50),
-)
-def test_rays_are_the_inverse_of_projection(position, angles, at, depth):
-    pose = Pose(np.array(position), rotation(*angles))
-    point = pose.position_m + depth * CAMERA.rays(np.array(at), pose)
-    assert CAMERA.project(point, pose) == pytest.approx(np.array(at), abs=1e-6)
-    assert CAMERA.view(point, pose)[2] == pytest.approx(depth)
-
-
 # Edges
 
 
