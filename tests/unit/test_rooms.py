@@ -24,12 +24,12 @@ SURFACES = {
     made.__name__: made
     for made in (
         *PICTURES.values(),
-        *(textures.plaster, textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
+        *(textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
         *(pictures.spines, pictures.ceiling_panels),
     )
     if made is not pictures.gridded
 }
-DRAWN = ("shelf", "cartons", "plant", "poster", "doorway")
+DRAWN = ("shelf", "cartons", "plant", "poster")
 GUESTS = tuple(furniture("chair", np.random.default_rng(0), spot((5.0, 0.0), 170.0)))
 
 
@@ -230,12 +230,20 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
 
 
 def test_a_doorway_is_open():
-    left, right, lintel = furniture("doorway", seeded(), spot((4.0, 0.0)))
-    assert reach_m([left])[1][1] == pytest.approx(0.55)
-    assert reach_m([right])[0][1] == pytest.approx(-0.55)
-    assert reach_m([lintel])[1] == pytest.approx([4.0, -0.55, 2.1])
-    high, low = reach_m([left, right, lintel])
-    assert low == pytest.approx([4.0, -2.8, 0]) and high == pytest.approx([4.15, 2.8, 2.8])
+    parts = furniture("doorway", seeded(), spot((4.0, 0.0)))
+    high, low = reach_m(parts)
+    assert low == pytest.approx([3.99, -2.8, 0]) and high == pytest.approx([4.16, 2.8, 2.8])
+    for y, z, is_open in (
+        (0.0, 2.05, True),
+        (0.5, 0.1, True),
+        (0.6, 1.0, False),
+        (0.0, 2.15, False),
+    ):
+        inside = [
+            np.all((reach_m([part])[1] < (4.05, y, z)) & ((4.05, y, z) < reach_m([part])[0]))
+            for part in parts
+        ]
+        assert any(inside) != is_open
 
 
 # Rooms
