@@ -98,7 +98,7 @@ class Approach(Scene[ApproachOptions]):
         )
 
     def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
-        """What is so at each frame, from the geometry alone."""
+        """The ground truth of each frame, from the geometry alone."""
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance = self._distance(options, index)
