@@ -134,7 +134,7 @@ def test_collisions_are_black_and_alarms_are_not():
     assert sorted(colours) == [(0, 0, 0), (0, 0, 0), to_rgb(VERMILION)]  # two spans, the alarm
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(0, 39), st.text("abW i.$_", min_size=1, max_size=60)), max_size=9

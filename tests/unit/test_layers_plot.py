@@ -171,9 +171,13 @@ def test_painting_agrees_with_matplotlib():
     assert Scale.of(np.full((2, 2), np.nan, np.float32)) is None
 
 
-@pytest.mark.parametrize("width", ["one", "two"])
-@pytest.mark.parametrize("shape", [(270, 480), (480, 270), (400, 4), (4, 400), (1, 1)])
-@pytest.mark.parametrize("n", [1, 5])
+@pytest.mark.parametrize(
+    ("n", "shape", "width"),
+    [
+        *[(1, (270, 480), "one"), (5, (480, 270), "two"), (5, (270, 480), "one")],
+        *[(1, (400, 4), "two"), (5, (4, 400), "one"), (1, (1, 1), "two")],
+    ],
+)
 def test_sizes_and_proportions(n, shape, width):
     figure = plot_layers(make_sheet(n, shape, label="x" * 200), width=width)
     figure_width, figure_height = figure.get_size_inches()
