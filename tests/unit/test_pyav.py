@@ -1,0 +1,293 @@
+"""What PyAV gives: luma planes of every kind, times, turned and damaged pictures."""
+
+import struct
+import wave
+from fractions import Fraction
+
+import cv2
+import numpy as np
+import pytest
+from conftest import looming_frames, write_video
+
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.video.frames import Frame, open_video
+from dlgmd_cli.video.luma import Luma, levels_of, luma_of, to_grey
+from dlgmd_cli.video.pyav import picture_of
+
+av = pytest.importorskip("av", reason="PyAV is not installed")
+
+UNSPECIFIED, LIMITED, FULL = 0, 1, 2
+# All levels of 8 bits; as wide as no line of a decoder is without padding.
+RAMP = np.tile(np.arange(256, dtype=np.uint8)[:250], (36, 1))
+
+
+def filled(pixel_format, luma):
+    """A frame with this luma plane and without colour."""
+    height, width = luma.shape
+    frame = av.VideoFrame(width, height, pixel_format)
+    for index, plane in enumerate(frame.planes):
+        rows = np.frombuffer(plane, luma.dtype).reshape(plane.height, -1)
+        is_colour = index in (1, 2)
+        depth = frame.format.components[0].bits
+        rows[:, : plane.width] = 1 << (depth - 1) if is_colour else luma if index == 0 else 255
+    return frame
+
+
+def encode(path, frames, codec="ffv1", colour_range=UNSPECIFIED, stamps=None, options=None):
+    """Write frames as a video of 25 frames per second, or with stamps in ms."""
+    try:
+        av.Codec(codec, "w")
+    except ValueError:
+        pytest.skip(f"this PyAV cannot write {codec}")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options=options or {})
+        stream.width, stream.height = frames[0].width, frames[0].height
+        stream.pix_fmt = frames[0].format.name
+        stream.codec_context.color_range = colour_range
+        if stamps is not None:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for number, frame in enumerate(frames):
+            frame.color_range = colour_range
+            if stamps is not None:
+                frame.pts, frame.time_base = stamps[number], Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+def read(path, decoder="pyav", **options):
+    """All frames and warnings."""
+    with open_video(path, decoder=decoder, **options) as source:
+        return list(source), source.progress.warnings
+
+
+def first_grey(path, decoder="pyav"):
+    return read(path, decoder)[0][0].grey
+
+
+def stretched(levels, black, white):
+    return np.clip((levels.astype(np.float64) - black) / (white - black), 0.0, 1.0)
+
+
+LOSSLESS = {"qp": "0", "preset": "ultrafast"}
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixel_format", "colour_range", "levels"),
+    [
+        ("ffv1", "yuv420p", UNSPECIFIED, (16, 235)),
+        ("ffv1", "yuv420p", LIMITED, (16, 235)),
+        ("ffv1", "yuv420p", FULL, (0, 255)),
+        ("ffv1", "yuva420p", UNSPECIFIED, (16, 235)),
+        ("ffv1", "gray", UNSPECIFIED, (0, 255)),
+        ("libx264", "yuv420p", UNSPECIFIED, (16, 235)),
+        ("libx264", "yuv420p", LIMITED, (16, 235)),
+        ("libx264", "yuv420p", FULL, (0, 255)),
+    ],
+)
+def test_levels_follow_the_colour_range(tmp_path, codec, pixel_format, colour_range, levels):
+    options = LOSSLESS if codec == "libx264" else None
+    frames = [filled(pixel_format, RAMP)] * 3
+    path = encode(tmp_path / "x.mkv", frames, codec, colour_range, options=options)
+    grey = first_grey(path)
+    assert grey.dtype == np.uint8
+    assert np.array_equal(grey, np.rint(255 * stretched(RAMP, *levels)).astype(np.uint8))
+
+
+@pytest.mark.parametrize("n_bits", [10, 12, 16])
+@pytest.mark.parametrize("colour_range", [LIMITED, FULL])
+def test_deep_levels(tmp_path, n_bits, colour_range):
+    scale = 1 << (n_bits - 8)
+    deep = np.linspace(0, 256 * scale - 1, RAMP.size).astype(np.uint16).reshape(RAMP.shape)
+    frames = [filled(f"yuv420p{n_bits}le", deep)] * 2
+    path = encode(tmp_path / "x.mkv", frames, colour_range=colour_range)
+    grey = first_grey(path)
+    assert grey.dtype == np.float32
+    black, white = (16 * scale, 235 * scale) if colour_range == LIMITED else (0, 256 * scale - 1)
+    assert grey == pytest.approx(stretched(deep, black, white), abs=1e-6)
+
+
+def test_grey_content_is_as_opencv_has_it(tmp_path):
+    frames = [filled("yuv420p", RAMP)] * 3
+    path = encode(tmp_path / "x.mkv", frames)
+    ours, theirs = first_grey(path).astype(int), first_grey(path, "opencv").astype(int)
+    assert np.abs(ours - theirs).max() <= 2
+
+
+@pytest.mark.parametrize(("codec", "pixel_format"), [("ffv1", "bgra"), ("qtrle", "rgb24")])
+def test_rgb_is_converted(tmp_path, codec, pixel_format):
+    frames = [av.VideoFrame.from_ndarray(RAMP, "gray").reformat(format=pixel_format)] * 3
+    suffix = "mkv" if codec == "ffv1" else "mov"
+    assert np.array_equal(first_grey(encode(tmp_path / f"x.{suffix}", frames, codec)), RAMP)
+
+
+def through(pixel_format, ramp):
+    """Luminance of a grey picture in another format; None where FFmpeg cannot convert it."""
+    try:
+        frame = av.VideoFrame.from_ndarray(ramp, "gray").reformat(format=pixel_format)
+    except (ValueError, OSError):
+        return None
+    decoded = picture_of(frame)
+    if decoded is None:
+        return None
+    grey = to_grey(decoded.image, ramp.shape[::-1], decoded.levels)
+    return Frame(0, 0.0, grey).luminance
+
+
+def test_every_pixel_format():
+    # In pairs, because some formats halve the resolution.
+    ramp = np.tile(np.repeat(np.arange(0, 256, 2, dtype=np.uint8), 2), (36, 1))
+    seen = []
+    for name in sorted(av.video.format.names):
+        bits = [component.bits for component in av.VideoFormat(name).components]
+        # FFmpeg itself errs in the range of floating-point grey.
+        if bits and min(bits) >= 8 and not name.startswith("grayf"):
+            luminance = through(name, ramp)
+            if luminance is not None:
+                seen.append(name)
+                assert np.abs(luminance - ramp / 255.0).max() < 4 / 255, name
+    assert len(seen) > 100 and {"yuv420p", "nv12", "p010le", "yuv420p10be", "gbrp"} <= set(seen)
+
+
+def test_which_formats_have_a_luma_plane():
+    assert luma_of("yuv420p") == luma_of("nv12") == luma_of("gray") == Luma(8, 0)
+    assert luma_of("yuv422p10le") == Luma(10, 0) and luma_of("p010le") == Luma(10, 6)
+    assert levels_of("p010le", Luma(10, 6), LIMITED) == (64 << 6, 940 << 6)
+    assert levels_of("yuvj420p", Luma(8, 0), LIMITED) is None  # its name says full
+    for name in ("rgb24", "pal8", "yuyv422", "yuv420p10be", "grayf32le", "ya8", "bayer_rggb8"):
+        assert luma_of(name) is None
+
+
+def test_the_plane_is_no_copy():
+    frame = filled("yuv420p", RAMP)
+    image = picture_of(frame).image
+    assert np.shares_memory(image, np.frombuffer(frame.planes[0], np.uint8))
+
+
+def test_interlaced_h264(tmp_path):
+    frames = [filled("yuv420p", np.roll(RAMP, 4 * i, axis=1)) for i in range(6)]
+    options = {"qp": "0", "flags": "+ildct+ilme", "x264-params": "interlaced=1"}
+    path = encode(tmp_path / "x.mkv", frames, "libx264", options=options)
+    with av.open(str(path)) as container:
+        assert next(container.decode(video=0)).interlaced_frame
+    greys = [frame.grey for frame in read(path)[0]]
+    assert len(greys) == 6
+    for number, grey in enumerate(greys):
+        expected = np.rint(255 * stretched(np.roll(RAMP, 4 * number, axis=1), 16, 235))
+        assert np.array_equal(grey, expected)
+
+
+def test_times_are_the_same_with_every_decoder(tmp_path, decoder):
+    stamps = [0, 40, 80, 250, 300, 301, 900]
+    frames = [filled("yuv420p", np.roll(RAMP, i, axis=1)) for i in range(len(stamps))]
+    path = encode(tmp_path / "x.mkv", frames, stamps=stamps)
+    times = [frame.time_s for frame in read(path, decoder)[0]]
+    assert times == pytest.approx([stamp / 1000 for stamp in stamps], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "matrix", [(1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)], ids=str
+)
+def test_turned_as_opencv_turns_it(tmp_path, matrix):
+    picture = np.zeros((48, 64), np.uint8)
+    picture[:8], picture[:, :8] = 250, 120
+    data = bytearray(write_video(tmp_path / "x.mp4", [picture] * 3, fourcc="mp4v").read_bytes())
+    at = data.index(b"tkhd") + 4 + 40  # of a version-0 track header
+    a, b, c, d = (value << 16 for value in matrix)
+    data[at : at + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    (tmp_path / "x.mp4").write_bytes(data)
+    ours, theirs = (first_grey(tmp_path / "x.mp4", name) for name in ("pyav", "opencv"))
+    assert ours.shape == theirs.shape
+    assert np.abs(ours.astype(int) - theirs).mean() < 3
+
+
+# Damage
+
+
+def noise(n_frames):
+    rng = np.random.default_rng(1)
+    return [rng.integers(0, 255, (48, 64), dtype=np.uint8) for _ in range(n_frames)]
+
+
+@pytest.mark.parametrize("fill", [b"\0", b"\xff", b"\x5a"])
+def test_pictures_before_damage_are_whole(tmp_path, fill, capfd):
+    path = write_video(tmp_path / "x.mp4", noise(40), fourcc="mp4v")
+    whole, _ = read(path)
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 400] = fill * 400
+    path.write_bytes(data)
+    with open_video(path, decoder="pyav") as source:
+        frames, again = list(source), list(source)
+        warnings = source.progress.warnings
+    assert 5 < len(frames) < 35 and len(again) == len(frames)
+    for frame, other in zip(frames, whole, strict=False):
+        assert np.array_equal(frame.grey, other.grey)
+    assert all("the file is damaged" in line for line in warnings) and warnings
+    assert f"decoded and used {len(frames)} of about 40 frames" in warnings[0]
+    assert capfd.readouterr() == ("", "")  # FFmpeg's own messages are kept away
+
+
+def test_an_error_at_the_very_end_is_told(tmp_path):
+    path = tmp_path / "x.mjpeg"
+    pictures = [cv2.imencode(".jpg", frame)[1].tobytes() for frame in noise(5)]
+    path.write_bytes(b"".join(pictures) + b"\xff\xd8\xff\xd9")
+    frames, warnings = read(path)
+    assert len(frames) == 5
+    assert warnings == ["the file is damaged; decoded and used 5 frames, up to 0.160 s"]
+
+
+def test_sound_that_goes_on_is_no_damage(tmp_path):
+    path = tmp_path / "x.mkv"
+    with av.open(str(path), "w") as container:
+        video, sound = (
+            container.add_stream("ffv1", rate=25),
+            container.add_stream("pcm_s16le", 8000),
+        )
+        video.width, video.height, video.pix_fmt = 250, 36, "yuv420p"
+        sound.layout = "mono"
+        for _ in range(20):
+            container.mux(video.encode(filled("yuv420p", RAMP)))
+        for _ in range(30):
+            silence = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), "s16", "mono")
+            silence.sample_rate = 8000
+            container.mux(sound.encode(silence))
+        container.mux(video.encode(None))
+    with open_video(path, decoder="pyav") as source:
+        assert source.info.n_frames == len(list(source)) == 20
+        assert source.progress.warnings == []
+
+
+def test_sound_alone(tmp_path, decoder):
+    with wave.open(str(tmp_path / "x.wav"), "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(8000)
+        sound.writeframes(bytes(8000))
+    with pytest.raises(SourceError, match="no frame could be decoded"):
+        open_video(tmp_path / "x.wav", decoder=decoder)
+
+
+def test_a_cover_is_no_video(tmp_path):
+    picture = cv2.imencode(".jpg", RAMP)[1].tobytes()
+    cover = b"\0image/jpeg\0\x03\0" + picture
+    frame = b"APIC" + struct.pack(">I", len(cover)) + b"\0\0" + cover
+    size = bytes(len(frame) >> shift & 0x7F for shift in (21, 14, 7, 0))
+    silence = (b"\xff\xfb\x90\x00" + bytes(413)) * 40
+    (tmp_path / "x.mp3").write_bytes(b"ID3\x03\0\0" + size + frame + silence)
+    with av.open(str(tmp_path / "x.mp3")) as container:
+        assert len(container.streams.video) == 1
+    with pytest.raises(SourceError, match="no frame could be decoded"):
+        open_video(tmp_path / "x.mp3", decoder="pyav")
+
+
+def test_a_change_of_pixel_format_goes_on(tmp_path):
+    parts = []
+    for sampling in (0x221111, 0x111111):  # 4:2:0 and 4:4:4
+        flags = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
+        bgr = [cv2.cvtColor(f, cv2.COLOR_GRAY2BGR) for f in looming_frames(4)]
+        parts += [cv2.imencode(".jpg", frame, flags)[1].tobytes() for frame in bgr]
+    (tmp_path / "x.mjpeg").write_bytes(b"".join(parts))
+    frames, warnings = read(tmp_path / "x.mjpeg")
+    assert len(frames) == 8 and warnings == []
+    assert np.abs(frames[3].grey.astype(int) - frames[7].grey).max() < 40
