@@ -149,11 +149,6 @@ def test_the_record_repeats_parameters_and_options(dlgmd, clips):
     assert record()["processed"]["width"] == 16 and record()["r"] == 3
 
 
-def test_formats(dlgmd, clips):
-    assert dlgmd("layers", clips / "loom.avi", "--frames", "9", "--format", "pdf").exit_code == 0
-    assert set(os.listdir("dlgmd-out/loom")) == {"layers.yaml", "layers.pdf"}
-
-
 @pytest.mark.parametrize(
     ("options", "warning", "shown"),
     [

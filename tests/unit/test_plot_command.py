@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import result_of_level
+from figures import make_result
 from matplotlib.figure import Figure
-from test_plots import make_result
 from test_read_results import write_comparison
 
 from dlgmd_cli.commands.options import numbered, told_apart
