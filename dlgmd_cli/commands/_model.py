@@ -8,14 +8,13 @@ import click
 
 from dlgmd_cli.commands._types import OptionGroup
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import ENGINES, FORMULATIONS, MODELS, DlgmdParameters, Parameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
     from dlgmd_cli.parameters import Config
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
-ENGINES = ("opencv", "numba")
 
 
 class ModelChoice:
