@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from dlgmd_cli.errors import ParameterError
 
+ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
 MAX_CONFIG_BYTES = 100_000
@@ -235,20 +236,14 @@ class DlgmdParameters(Parameters):
                 f"({centre:.3g} frames at the centre)",
                 "Inhibition cannot come before its cause; raise alpha.",
             )
-        if self.alpha > MAX_LATENCY_FRAMES - 1.0 / (self.beta + 1.0):
+        corner = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
+        longest = self.alpha + 1.0 / corner if corner > 0.0 else math.inf
+        if longest > MAX_LATENCY_FRAMES:
             raise ParameterError(
                 "",
-                f"alpha = {self.alpha:g} makes the latency longer than {MAX_LATENCY_FRAMES:g} "
-                "frames everywhere",
-                "Lower alpha.",
-            )
-        reach = self.beta + math.exp(-(self.lam**2) * 2 * self.r**2)
-        if reach <= 0.0 or self.alpha + 1.0 / reach > MAX_LATENCY_FRAMES:
-            raise ParameterError(
-                "",
-                f"beta = {self.beta:g} with lam = {self.lam:g} and r = {self.r} makes the latency "
-                f"longer than {MAX_LATENCY_FRAMES:g} frames",
-                "Raise beta or lower lam.",
+                f"alpha = {self.alpha:g}, beta = {self.beta:g}, lam = {self.lam:g} and "
+                f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames",
+                "Lower alpha or lam, or raise beta.",
             )
 
 

@@ -90,7 +90,8 @@ def run_tasks(
         If no process lives long enough to begin a task.
     """
     waiting, n_broken = iter(tasks), 0
-    pool, running = _new_pool(function, jobs), {}
+    pool: Any = _new_pool(function, jobs)
+    running: dict[Any, TaskT] = {}
     try:
         while True:
             # One more than there are processes, so that none waits for this loop.

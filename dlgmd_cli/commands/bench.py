@@ -1,37 +1,22 @@
 """`dlgmd bench`: the paper's Table IV, the time the model takes, on this machine."""
 
-import csv
 import math
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._console import (
-    Command,
-    print_json,
-    print_path,
-    print_table,
-    progress,
-    say,
-    warn,
-)
-from dlgmd_cli.commands._input import decoder_option
-from dlgmd_cli.commands._model import engine_option
-from dlgmd_cli.commands._types import FiniteRange
+from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
+from dlgmd_cli.commands.options import FiniteRange, decoder_option, engine_option
+from dlgmd_cli.commands.progress import progress
 
 if TYPE_CHECKING:
-    from dlgmd_cli.paper.speed import Measurement, Timing
+    from dlgmd_cli.runs.benchmark import Measurement
 
 TABLE_IV_SET = 7
-COLUMNS = (
-    *("radius", "scale", "width", "height", "engine", "frames_per_s"),
-    *("core_ms", "decode_ms", "whole_ms", "whole_s", "paper_s", "ratio"),
-)
 
 
 @click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
@@ -66,7 +51,7 @@ COLUMNS = (
     type=click.IntRange(1, 1000),
     default=3,
     show_default=True,
-    help="Times that all is measured; medians are shown.",
+    help="How often everything is measured; medians are shown.",
 )
 @engine_option
 @decoder_option
@@ -75,10 +60,10 @@ COLUMNS = (
     "csv_path",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Write the table as CSV, too.",
+    help="Also write the table as CSV.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an earlier CSV.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object in place of a table.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of a table.")
 def bench(
     input_path: str | None,
     radii: tuple[int, ...],
@@ -94,30 +79,31 @@ def bench(
     """Time the model, as the paper's Table IV does, on this machine.
 
     Runs set 7 with each radius at each scale over INPUT, or over a 1080p clip of a panning camera
-    that it renders. Shows what a frame takes: the core (the model alone), decoding (with grey and
-    resizing), and the whole, in which both go on at once.
+    that it renders. Shows how long a frame takes: the core (the model alone), decoding (with
+    conversion to grey and resizing), and the whole, in which both run at once.
     """
-    from dlgmd_cli.paper.speed import RADII, SCALES, measure
     from dlgmd_cli.parameters import load_set
+    from dlgmd_cli.results.store import appearing, refuse_existing
+    from dlgmd_cli.runs.benchmark import RADII, SCALES, measure
+    from dlgmd_cli.video.frames import open_video
 
-    chosen_radii = tuple(dict.fromkeys(radii)) or RADII
-    chosen_scales = tuple(dict.fromkeys(scales)) or SCALES
-    with _room_for(csv_path, overwrite=overwrite) as file:
-        with (
-            _clip(input_path, n_frames) as path,
-            progress(
-                "bench", repeats * len(chosen_radii) * len(chosen_scales), unit="step"
-            ) as on_step,
-        ):
-            from dlgmd_cli.video.frames import open_video
-
+    radii = tuple(dict.fromkeys(radii)) or RADII
+    scales = tuple(dict.fromkeys(scales)) or SCALES
+    csv_paths = () if csv_path is None else (csv_path,)
+    for path in csv_paths:
+        refuse_existing(path, overwrite=overwrite, option="--csv")
+    with appearing(*csv_paths, option="--csv") as files:
+        for file in files:  # refused at once, not after minutes
+            file.touch()
+        n_steps = repeats * len(radii) * len(scales)
+        with _clip(input_path, n_frames) as clip, progress("bench", n_steps, "step") as on_step:
             measured = measure(
                 lambda scale: open_video(
-                    path, scale=scale, max_frames=n_frames, decoder=decoder or "opencv"
+                    clip, scale=scale, max_frames=n_frames, decoder=decoder or "opencv"
                 ),
                 load_set(TABLE_IV_SET),
-                radii=chosen_radii,
-                scales=chosen_scales,
+                radii=radii,
+                scales=scales,
                 repeats=repeats,
                 engine=engine or "auto",
                 on_step=on_step,
@@ -125,26 +111,11 @@ def bench(
             )
         for warning in measured.warnings:
             warn(f"{input_path or 'the clip'}: {warning}")
-        rows = [_row(timing) for timing in measured.timings]
-        _show(measured, rows, as_json=as_json)
-        if file is not None:  # last, so that a full disk takes nothing but the file
-            _write_csv(file, rows)
+        _show(measured, as_json=as_json)
+        for file in files:
+            _write_csv(file, measured.rows)
     if csv_path is not None and not as_json:
         print_path(csv_path)
-
-
-@contextmanager
-def _room_for(path: Path | None, *, overwrite: bool) -> Iterator[Path | None]:
-    """A stand-in for the CSV, refused at once if it cannot be had."""
-    if path is None:
-        yield None
-        return
-    from dlgmd_cli.results.files import appearing, refuse_existing
-
-    refuse_existing(path, overwrite=overwrite)
-    with appearing(path, option="--csv") as (file,):
-        file.touch()
-        yield file
 
 
 @contextmanager
@@ -153,41 +124,38 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
     if given is not None:
         yield given
         return
-    from dlgmd_cli.paper.speed import PAPER_SIZE_WH
+    from dlgmd_cli.runs.benchmark import PAPER_SIZE_WH
     from dlgmd_cli.stimuli.pan import pan_frames
     from dlgmd_cli.video.writer import write_video
 
+    width, height = PAPER_SIZE_WH
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
-        shape = PAPER_SIZE_WH[1], PAPER_SIZE_WH[0]
-        say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
-        write_video(path, pan_frames(shape, n_frames), shape, 30.0)
+        say(f"Rendering {n_frames} frames of {width}x{height}.")
+        frames = pan_frames((height, width), n_frames)
+        write_video(path, frames, (height, width), 30.0)
         yield str(path)
 
 
-def _row(timing: "Timing") -> dict[str, Any]:
-    """A timing by the columns of the CSV."""
-    derived = {name: getattr(timing, name) for name in ("frames_per_s", "whole_s", "ratio")}
-    values = {**asdict(timing), **derived}
-    return {name: values[name] for name in COLUMNS}
-
-
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from dlgmd_cli.results.cells import cell
+    from dlgmd_cli.results.csv import cell, write_rows
 
-    with path.open("w", newline="", encoding="ascii") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for row in rows:
-            writer.writerow(
+    write_rows(
+        path,
+        list(rows[0]),
+        (
+            [
                 value if isinstance(value, str) else cell(math.nan if value is None else value)
                 for value in row.values()
-            )
+            ]
+            for row in rows
+        ),
+    )
 
 
-def _show(measured: "Measurement", rows: list[dict[str, Any]], *, as_json: bool) -> None:
-    """The table, and what the whole comes to beside decoding alone."""
-    alone_ms = measured.decoding_alone_ms
+def _show(measured: "Measurement", *, as_json: bool) -> None:
+    """The table, and how long the whole takes compared with decoding alone."""
+    rows, alone_ms = measured.rows, measured.decoding_alone_ms
     if as_json:
         facts = {
             "frames": measured.n_frames,
@@ -217,13 +185,13 @@ def _show(measured: "Measurement", rows: list[dict[str, Any]], *, as_json: bool)
         ],
     )
     shares = ", ".join(
-        f"{row['whole_ms'] / alone_ms:.2f} at {row['width']}x{row['height']}"
+        f"{row['whole_ms'] / alone_ms:.2f} times as long at {row['width']}x{row['height']}"
         for row in rows
         if row["radius"] == rows[0]["radius"]
     )
     width, height = measured.input_wh
     click.echo(
         f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"a frame ({measured.decoder}). Beside it the whole takes, with r = {rows[0]['radius']}: "
+        f"per frame ({measured.decoder}). With r = {rows[0]['radius']}, the whole takes "
         f"{shares}."
     )

@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,7 +51,10 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
-        with errors_as_one_line():
+        with errors_as_one_line(), warnings.catch_warnings():
+            # What the library warns of, such as letters that a figure's font lacks.
+            warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
+            warnings.showwarning = lambda message, *_, **__: warn(str(message))
             return super().invoke(ctx)
 
 

@@ -127,7 +127,7 @@ engine_option = click.option(
     help="What computes the model; numba needs dlgmd[fast].  "
     "[default: numba for large frames if installed, else opencv]",
 )
-_ONE_MODEL = (
+ONE_MODEL = (
     click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
     click.option(
         "--config",
@@ -158,8 +158,8 @@ def _setup(
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", _setup, *_ONE_MODEL, engine_option)
-parameter_options = option_group("setup", _setup, *_ONE_MODEL)
+model_options = option_group("setup", _setup, *ONE_MODEL, engine_option)
+parameter_options = option_group("setup", _setup, *ONE_MODEL)
 
 
 def setup_options(

@@ -1,28 +1,102 @@
 """`dlgmd plot`: figures from stored results, without decoding."""
 
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._annotations import annotation_options
-from dlgmd_cli.commands._console import Command, print_path, say, warn
-from dlgmd_cli.commands._figures import letters_checked
-from dlgmd_cli.commands._labels import numbered, told_apart
-from dlgmd_cli.commands._types import format_option, overwrite_option, width_option
-from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.options import (
+    format_option,
+    numbered,
+    option_group,
+    overwrite_option,
+    told_apart,
+    width_option,
+)
+from dlgmd_cli.errors import ResultError, printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.plots.style import Width
-    from dlgmd_cli.results.tables import Result
+    from dlgmd_cli.plots.annotations import Annotations
+    from dlgmd_cli.results.result import Result
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
 _FORMATS = ("png", "pdf", "svg")
-_COLUMNS = {None: "level", "absolute": "mp_abs", "sequence": "mp_seq"}
+_COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 _MAX_NAME = 100
+# A figure has room for about as much.
+_MAX_TEXT, _MAX_COUNT = 60, 40
+_frame = click.IntRange(0, 999_999_999)
+
+
+class _Remark(click.ParamType):
+    """Frames and a text with a colon between them: `40:pitching` -> (40, "pitching")."""
+
+    def __init__(self, name: str, pattern: str, example: str) -> None:
+        self.name, self._pattern, self._example = name, pattern, example
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """What stands before the colon as numbers, then the text."""
+        if isinstance(value, tuple):
+            return value
+        given = printable(str(value))
+        match = re.fullmatch(f"{self._pattern}:(.*)", given.strip(), re.ASCII | re.DOTALL)
+        text = match[match.lastindex or 0].strip() if match else ""
+        if match is None or not text:
+            shown = given if len(given) <= _MAX_TEXT else f"{given[:_MAX_TEXT]}…"
+            self.fail(f"{shown!r} is not {self.name}. Write {self._example}.", param, ctx)
+        if len(text) > _MAX_TEXT:
+            self.fail(f"a text may have {_MAX_TEXT} characters, not {len(text)}.", param, ctx)
+        frames = [int(number) for number in match.groups()[:-1]]
+        if frames != sorted(frames):
+            self.fail(f"{given!r} ends before it starts. Write {self._example}.", param, ctx)
+        return (*frames, text)
+
+
+def _annotations(
+    marks: tuple[tuple[int, str], ...],
+    spans: tuple[tuple[int, int, str], ...],
+    collision_frame: int | None,
+    false_positive_frame: int | None,
+) -> "Annotations":
+    """What the options ask for."""
+    from dlgmd_cli.plots.annotations import Annotations
+
+    n_given = len(marks) + len(spans)
+    if n_given > _MAX_COUNT:
+        raise click.UsageError(
+            f"a figure has room for {_MAX_COUNT} times --mark and --span, not {n_given}."
+        )
+    return Annotations(marks, spans, collision_frame, false_positive_frame)
+
+
+annotation_options = option_group(
+    "annotations",
+    _annotations,
+    click.option(
+        "--mark",
+        "marks",
+        type=_Remark("FRAME:TEXT", r"(\d{1,9})", "40:pitching"),
+        multiple=True,
+        help="A line at a frame, with a text: 40:pitching; repeatable.",
+    ),
+    click.option(
+        "--span",
+        "spans",
+        type=_Remark("FRAME-FRAME:TEXT", r"(\d{1,9})-(\d{1,9})", "40-75:accelerating"),
+        multiple=True,
+        help="A band from one frame to another: 40-75:accelerating; repeatable.",
+    ),
+    click.option(
+        "--collision-frame", type=_frame, metavar="N", help="Where the camera truly collides."
+    ),
+    click.option(
+        "--false-positive-frame", type=_frame, metavar="N", help="Where an alarm is a false one."
+    ),
+)
 
 
 @click.command(
@@ -44,9 +118,9 @@ _MAX_NAME = 100
 )
 @click.option(
     "--normalise",
-    type=click.Choice(["absolute", "sequence"]),
+    type=click.Choice(list(_COLUMNS)),
     help="Which MP is drawn.  [default: the one that drove the spikes; of comparisons alone, "
-    "sequence]",
+    "the one that 'dlgmd compare' drew]",
 )
 @width_option
 @click.option(
@@ -61,10 +135,10 @@ _MAX_NAME = 100
 def plot(
     kind: str,
     paths: tuple[Path, ...],
-    annotations: Annotations,
+    annotations: "Annotations",
     labels: tuple[str, ...],
     normalise: str | None,
-    width: "Width",
+    width: Any,
     out: Path,
     formats: tuple[str, ...],
     overwrite: bool,
@@ -72,38 +146,35 @@ def plot(
     """Draw stored results: membrane potential, attenuation, spikes, or all of them.
 
     KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run' or 'dlgmd
-    compare' wrote, or a compare.csv; several are drawn on the same axes.
+    compare' wrote, or the compare.csv in it; several are drawn on the same axes.
 
     Writes OUT/KIND-NAME.png, or what --out and --format say.
     """
     if normalise and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
-    _check_labels(labels)
-    targets = _targets(out, f"{kind}-{_file_name(paths)}", formats)
-    from dlgmd_cli.results.files import appearing, refuse_existing
-
-    for target in targets:
-        refuse_existing(target, overwrite=overwrite)
-    results = _named(_read(paths), labels)
-    column = _COLUMNS[normalise]
-    if column == "level" and not any(result.has_spikes for result in results.values()):
-        column = "mp_seq"  # as in the figure that 'dlgmd compare' draws
-    _look_for_spikes(kind, paths, results)
-    if column == "level" and kind != "attenuation":
-        _look_for_normalisations(results)
-    _warn_of_annotations(annotations, results)
-    with letters_checked(), appearing(*targets) as files:
-        _write(files, kind, results, annotations, column, width)
-    for target in targets:
-        print_path(target)
-
-
-def _check_labels(labels: tuple[str, ...]) -> None:
-    """Refuse labels that name nothing, or two things."""
     if not all(label.strip() for label in labels):
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
+    targets = _targets(out, f"{kind}-{_file_name(paths)}", formats)
+    from dlgmd_cli.results.store import appearing, refuse_existing
+
+    for target in targets:
+        refuse_existing(target, overwrite=overwrite)
+    found, are_compared = _read(paths)
+    results = _named(found, labels)
+    column = _column(kind, normalise, results, are_compared)
+    _warn_of_annotations(annotations, results)
+    from dlgmd_cli.plots.style import figure_files
+    from dlgmd_cli.plots.traces import plot as draw
+
+    figure = {kind: lambda: draw(kind, results, annotations, column=column, width=width)}
+    suffixes = [target.suffix.lower()[1:] for target in targets]
+    with appearing(*targets) as files:
+        for file, write in zip(files, figure_files(figure, suffixes).values(), strict=True):
+            write(file)
+    for target in targets:
+        print_path(target)
 
 
 def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
@@ -119,42 +190,49 @@ def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     return [out]
 
 
-def _home(path: Path) -> Path:
-    """What a result is named after: its folder, or the file if that has a name of its own."""
-    if path.suffix.lower() != ".csv":
-        return path
-    return path.absolute().parent if path.stem == "compare" else path.with_suffix("")
+def _folder(path: Path) -> Path:
+    """The folder of a result; that of the compare.csv in it, too."""
+    return path.absolute().parent if path.name == "compare.csv" else path
 
 
 def _file_name(paths: Iterable[Path]) -> str:
     """The names of all results, cut off where they get too long for a file."""
-    from dlgmd_cli.results.files import fitting
+    from dlgmd_cli.results.store import fitting
 
-    names = [Path(os.path.abspath(_home(path))).name or "root" for path in paths]
+    names = [Path(os.path.abspath(_folder(path))).name or "root" for path in paths]
     return fitting("-".join(names)[:_MAX_NAME])
 
 
-def _read(paths: Sequence[Path]) -> list[tuple[str, "Result"]]:
-    """Every result with a name; those of several comparisons say which one they are from."""
-    from dlgmd_cli.results.read import comparison_at, read_comparison, read_result
+def _read(paths: Sequence[Path]) -> tuple[list[tuple[str, "Result"]], bool]:
+    """Every result with a name, and whether all are from comparisons.
 
-    comparisons = [comparison_at(path) for path in paths]
-    n_comparisons = len(paths) - comparisons.count(None)
+    Those of several comparisons say which one they are from.
+    """
+    from dlgmd_cli.results import store
+    from dlgmd_cli.results.result import read_comparison, read_result
+
+    folders = [_folder(path) for path in paths]
+    are_compared = []
+    for path, folder in zip(paths, folders, strict=True):
+        if path.suffix.lower() == ".csv" and path.name != "compare.csv":
+            why = "it is one file of a result"
+            raise ResultError(str(path), why, "Give the folder that holds it.")
+        has_run, has_comparison = (
+            (folder / record).exists() for record in (store.RUN, store.COMPARISON)
+        )
+        are_compared.append(folder is not path or (has_comparison and not has_run))
+        if has_run and has_comparison and folder is path:
+            say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
     results = []
-    for path, comparison, name in zip(
-        paths, comparisons, told_apart([_home(path) for path in paths]), strict=True
-    ):
-        if comparison is None:
-            results.append((name, read_result(path)))
-            if (path / "compare.csv").exists():
-                say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
+    names = told_apart(folders)
+    for folder, name, is_compared in zip(folders, names, are_compared, strict=True):
+        if is_compared:
+            prefix = f"{name}: " if sum(are_compared) > 1 else ""
+            compared = read_comparison(folder).items()
+            results += [(f"{prefix}{label}", result) for label, result in compared]
         else:
-            prefix = f"{name}: " if n_comparisons > 1 else ""
-            results += [
-                (f"{prefix}{label}", result)
-                for label, result in read_comparison(comparison).items()
-            ]
-    return results
+            results.append((name, read_result(folder)))
+    return results, all(are_compared)
 
 
 def _named(results: list[tuple[str, "Result"]], labels: tuple[str, ...]) -> dict[str, "Result"]:
@@ -168,66 +246,27 @@ def _named(results: list[tuple[str, "Result"]], labels: tuple[str, ...]) -> dict
     return {name: result for name, (_, result) in zip(names, results, strict=True)}
 
 
-def _look_for_spikes(kind: str, paths: Sequence[Path], results: dict[str, "Result"]) -> None:
-    """Say which results hold no spikes, if they are to be drawn."""
-    if kind not in ("spikes", "overview"):
-        return
-    without = [name for name, result in results.items() if not result.has_spikes]
-    if kind == "spikes" and len(without) == len(results):
-        raise ResultError(
-            str(paths[0]),
-            "a comparison holds no spikes",
-            "Draw its mp or attenuation, or the spikes of a run.",
-        )
-    if without:
-        shown = ", ".join(name[:40] for name in without[:3])
-        more = f" and {len(without) - 3} more" if len(without) > 3 else ""
-        warn(f"no spikes are drawn of {shown}{more}: a comparison holds none")
-
-
-def _look_for_normalisations(results: dict[str, "Result"]) -> None:
-    """Say that levels are not alike."""
-    import numpy as np
-
-    by_sequence = {
-        np.array_equal(result.level, result.mp_seq, equal_nan=True)
-        for result in results.values()
-        if result.has_spikes
-    }
-    if len(by_sequence) > 1:
+def _column(
+    kind: str, normalise: str | None, results: dict[str, "Result"], are_compared: bool
+) -> str:
+    """Which potential is drawn; warns of several that are not alike."""
+    if normalise:
+        return _COLUMNS[normalise]
+    if are_compared and kind in ("mp", "overview"):
+        options = [result.record.get("options") or {} for result in results.values()]
+        absolute = all(given.get("normalise") == "absolute" for given in options)
+        return "mp_abs" if absolute else "mp_seq"
+    if kind != "attenuation" and len({result.by_sequence for result in results.values()}) > 1:
         warn(
-            "the results were normalised in different ways before they were held against the "
-            "threshold; --normalise draws them alike"
+            "the results were normalised in different ways before the threshold was applied; "
+            "--normalise draws them alike"
         )
+    return "level"
 
 
-def _warn_of_annotations(annotations: Annotations, results: dict[str, "Result"]) -> None:
+def _warn_of_annotations(annotations: "Annotations", results: dict[str, "Result"]) -> None:
     """Say which annotations the figure cannot show."""
-    from dlgmd_cli.plots.timeline import Timeline
+    from dlgmd_cli.plots.annotations import Timeline
 
     for line in annotations.outside(*Timeline.of(results.values()).frames):
         warn(line)
-
-
-def _write(
-    files: Iterable[Path],
-    kind: str,
-    results: dict[str, "Result"],
-    annotations: Annotations,
-    column: str,
-    width: "Width",
-) -> None:
-    """The figure of that kind, into every file."""
-    from dlgmd_cli.plots.overlays import overlay_attenuation, overlay_mp, overlay_spikes
-    from dlgmd_cli.plots.overview import plot_overview
-    from dlgmd_cli.plots.style import save_figure
-
-    if kind == "attenuation":
-        figure = overlay_attenuation(results, annotations, width=width)
-    elif kind == "spikes":
-        figure = overlay_spikes(results, annotations, width=width)
-    else:
-        draw = overlay_mp if kind == "mp" else plot_overview
-        figure = draw(results, annotations, column=column, width=width)
-    for file in files:
-        save_figure(figure, file)

@@ -24,73 +24,46 @@ if TYPE_CHECKING:
     from dlgmd_cli.stimuli.base import Scene
     from dlgmd_cli.stimuli.clip import DrawSheet, Form
 
-# What a scene can be told: flag, type, metavar, help. The scene checks ranges, and has defaults.
-_OF_ALL = (
-    ("--size", Size(), None, "Size of the frames.  [default: the scene's own; flat 480x270]"),
-    ("--fps", float, "F", "Frames per second.  [default: 30]"),
-    (
-        *("--frames", int, "N"),
-        "Length of the clip.  [default: the whole flight; flat scenes: all before contact, 75 "
-        "where there is none]",
-    ),
-    (
-        *("--fov", float, "DEG"),
-        "Horizontal field of view of the camera.  [default: flights 80, flat scenes 60]",
-    ),
-    (
-        *("--noise", float, "SD"),
-        "Standard deviation of the noise that every pixel gets, as a share of white: of linear "
-        "light in a flight, of luminance in a flat scene.  [default: 0.002; flat 0]",
-    ),
-    (
-        *("--seed", int, "N"),
-        "Seed of the noise; of a flight, of all that is random in it.  [default: 0]",
-    ),
-)
-_OF_FLIGHTS = (
-    (
-        *("--exposure", float, "MS"),
-        "How long the shutter is open, which blurs what moves.  [default: 0]",
-    ),
-    (
-        *("--rolling-shutter", float, "MS"),
-        "How much later the last row is taken than the first.  [default: 0]",
-    ),
-    (
-        *("--vignette", float, "V"),
-        "Share of the light that the corners lose, 0 to 1.  [default: 0.3]",
-    ),
-    (
-        *("--shot-noise", float, "SD"),
-        "Standard deviation of the noise that comes with light, where it is full; the variance is "
-        "proportional to the light.  [default: 0.01]",
-    ),
-    ("--gamma", float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
-)
-_OF_FLAT_SCENES = (
-    (
-        *("--object-size", float, "S"),
-        "Side or diameter: m, or px for translating-cubes.  [default: 0.5 m; a ninth of the "
-        "height]",
-    ),
-    (
-        *("--speed", float, "V"),
-        "Speed in m/s; for translating-cubes in px/frame, negative to the left, and repeatable for "
-        "more cubes.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]",
-    ),
-    (
-        *("--distance", float, "D"),
-        "Distance in m at the first frame.  [default: 7.5; 0.1 for receding-cube]",
-    ),
-    (
-        *("--contrast", float, "C"),
-        "Weber contrast: the object is 1 + C times as bright as the background.  [default: -0.75]",
-    ),
-    (
-        *("--background", float, "L"),
-        "Luminance of the background, 0 to 1.  [default: 0.8]",
-    ),
-)
+_FLIGHTS = "Of flights only"
+# What a scene can be told, by section of the help: type and metavar of each flag, and its help. The
+# scenes check ranges, and have the defaults.
+_TOLD: dict[str, dict[str, tuple[Any, str | None, str]]] = {
+    "Options": {
+        "size": (Size(), None, "Size of the frames.  [default: the scene's own; flat 480x270]"),
+        "fps": (float, "F", "Frames per second.  [default: 30]"),
+        "frames": (int, "N", "Length of the clip.  [default: the whole flight; flat scenes: all "
+            "before contact, 75 where there is none]"),
+        "fov": (float, "DEG", "Horizontal field of view of the camera.  [default: flights 80, flat "
+            "scenes 60]"),
+        "noise": (float, "SD", "Standard deviation of the noise that every pixel gets, as a share "
+            "of white: of linear light in a flight, of luminance in a flat scene.  "
+            "[default: 0.002; flat 0]"),
+        "seed": (int, "N", "Seed of the noise; of a flight, of all that is random in it.  "
+            "[default: 0]"),
+    },
+    _FLIGHTS: {
+        "exposure": (float, "MS", "How long the shutter is open, which blurs what moves.  "
+            "[default: 0]"),
+        "rolling-shutter": (float, "MS", "How much later the last row is taken than the first.  "
+            "[default: 0]"),
+        "vignette": (float, "V", "Share of the light that the corners lose, 0 to 1.  "
+            "[default: 0.3]"),
+        "shot-noise": (float, "SD", "Standard deviation of the noise that comes with light, where "
+            "it is full; the variance is proportional to the light.  [default: 0.01]"),
+        "gamma": (float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
+    },
+    "Of flat scenes only": {
+        "object-size": (float, "S", "Side or diameter: m, or px for translating-cubes.  "
+            "[default: 0.5 m; a ninth of the height]"),
+        "speed": (float, "V", "Speed in m/s; for translating-cubes in px/frame, negative to the "
+            "left, and repeatable for more cubes.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]"),
+        "distance": (float, "D", "Distance in m at the first frame.  [default: 7.5; 0.1 for "
+            "receding-cube]"),
+        "contrast": (float, "C", "Weber contrast: the object is 1 + C times as bright as the "
+            "background.  [default: -0.75]"),
+        "background": (float, "L", "Luminance of the background, 0 to 1.  [default: 0.8]"),
+    },
+}  # fmt: skip
 
 
 class _SectionOption(click.Option):
@@ -118,21 +91,12 @@ class _SectionedCommand(Command):
 
 def _scene_options(command: Any) -> Any:
     """The options of scenes, in the order of the help."""
-    for section, options in (
-        ("Of flat scenes only", _OF_FLAT_SCENES),
-        ("Of flights only", _OF_FLIGHTS),
-        ("Options", _OF_ALL),
-    ):
-        for flag, kind, metavar, text in reversed(options):
-            command = click.option(
-                flag,
-                cls=_SectionOption,
-                section=section,
-                type=kind,
-                metavar=metavar,
-                help=text,
-                multiple=flag == "--speed",
-            )(command)
+    for section in reversed(_TOLD):
+        for name, (kind, metavar, text) in reversed(_TOLD[section].items()):
+            told = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
+            command = click.option(f"--{name}", cls=_SectionOption, section=section, **told)(
+                command
+            )
     return command
 
 
@@ -152,17 +116,13 @@ def _scene_options(command: Any) -> Any:
 )
 @click.option("--lossless", is_flag=True, help="Write FFV1 in .avi, which keeps every grey level.")
 @click.option("--png", is_flag=True, help="Write a folder of PNG, which keeps every grey level.")
-@click.option(
-    "--sheet",
-    is_flag=True,
-    help="Draw a contact sheet, too, of up to 12 frames, the collision's among them.",
-)
+@click.option("--sheet", is_flag=True, help="Draw a contact sheet, too, of up to 12 frames.")
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
 @_scene_options
 @click.option(
     "--count",
     cls=_SectionOption,
-    section="Of flights only",
+    section=_FLIGHTS,
     type=click.IntRange(1, 1_000_000),
     metavar="N",
     help="Render N flights, each with the next seed, and DIR/labels.csv.",
@@ -170,7 +130,7 @@ def _scene_options(command: Any) -> Any:
 @click.option(
     "--jobs",
     cls=_SectionOption,
-    section="Of flights only",
+    section=_FLIGHTS,
     type=click.IntRange(1, 512),
     metavar="N",
     help="Processes that share the flights of --count.  [default: all processors]",

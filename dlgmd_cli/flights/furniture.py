@@ -271,7 +271,7 @@ def _poster(rng: Rng, where: Spot) -> list[Solid]:
     wide = rng.uniform(0.5, 0.8)
     size = (wide, wide * rng.uniform(0.7, 1.4))
     at = where.inside((0.0, 0.0, rng.uniform(1.0, 1.3)))
-    return [panel("poster", at, size, skin(pictures.poster(rng, size)))]
+    return [panel("poster", at, size, skin(pictures.poster(rng, size, 500.0)))]
 
 
 def _doorway(rng: Rng, where: Spot) -> list[Solid]:

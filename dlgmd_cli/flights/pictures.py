@@ -8,7 +8,6 @@ import numpy as np
 
 from dlgmd_cli.flights.renderer.texture import FloatImage
 from dlgmd_cli.flights.textures import (
-    THING_PX_PER_M,
     Rng,
     Sheet,
     Size,
@@ -18,34 +17,21 @@ from dlgmd_cli.flights.textures import (
     limited,
 )
 
-NEAR_PX_PER_M = 1600.0
 
-
-def gridded(
-    rng: Rng,
-    size_m: Size = (0.9, 0.9),
-    px_per_m: float = NEAR_PX_PER_M,
-    lines: int = 9,
-    line_m: float = 0.02,
-    dark: float = 0.04,
-    bright: float = 0.82,
-) -> FloatImage:
-    """Black lines on white: `lines` upright ones, and level ones as far apart as those.
-
-    The outermost lines lie along the edges. Nothing of it is random.
-    """
-    sheet = Sheet(size_m, px_per_m, bright)
+def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
+    """Black lines on white: nine upright ones, and level ones as far apart; nothing is random."""
+    sheet = Sheet(size_m, px_per_m, 0.82)
     width, height = size_m
-    pitch = (width - line_m) / (lines - 1)
-    across = max(2, round((height - line_m) / pitch) + 1)
-    for x in np.linspace(0.0, width - line_m, lines):
-        sheet.rectangle(x, 0.0, line_m, height, dark)
-    for y in np.linspace(0.0, height - line_m, across):
-        sheet.rectangle(0.0, y, width, line_m, dark)
+    n_lines, line = 9, 0.02
+    n_level = max(2, round((height - line) / (width - line) * (n_lines - 1)) + 1)
+    for x in np.linspace(0.0, width - line, n_lines):
+        sheet.rectangle(x, 0.0, line, height, 0.04)
+    for y in np.linspace(0.0, height - line, n_level):
+        sheet.rectangle(0.0, y, width, line, 0.04)
     return sheet.finished()
 
 
-def poster(rng: Rng, size_m: Size = (0.6, 0.85), px_per_m: float = THING_PX_PER_M) -> FloatImage:
+def poster(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """An abstract picture with some lines like writing, on paper with a frame."""
     paper, ground = rng.uniform(0.6, 0.85), rng.uniform(0.08, 0.6)
     width, height = size_m
@@ -77,7 +63,7 @@ def poster(rng: Rng, size_m: Size = (0.6, 0.85), px_per_m: float = THING_PX_PER_
     return sheet.finished()
 
 
-def spines(rng: Rng, size_m: Size = (0.9, 0.28), px_per_m: float = THING_PX_PER_M) -> FloatImage:
+def spines(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """A row of books seen from their backs; over the shorter ones the shelf's dark shows."""
     sheet = Sheet(size_m, px_per_m, 0.03)
     width, height = size_m
@@ -97,9 +83,7 @@ def spines(rng: Rng, size_m: Size = (0.9, 0.28), px_per_m: float = THING_PX_PER_
     return sheet.finished()
 
 
-def bookcase_front(
-    rng: Rng, size_m: Size = (1.0, 1.9), px_per_m: float = 400.0, tone: float = 0.3
-) -> FloatImage:
+def bookcase_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Five rows of books behind the two glass doors of a bookcase."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
@@ -115,7 +99,7 @@ def bookcase_front(
     return sheet.finished()
 
 
-def whiteboard(rng: Rng, size_m: Size = (1.8, 1.1), px_per_m: float = THING_PX_PER_M) -> FloatImage:
+def whiteboard(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """Scribbled notes, boxes with arrows between them, and a curve, in a metal frame."""
     sheet = Sheet(size_m, px_per_m, 0.78)
     width, height = size_m
@@ -136,9 +120,7 @@ def whiteboard(rng: Rng, size_m: Size = (1.8, 1.1), px_per_m: float = THING_PX_P
     return sheet.finished()
 
 
-def carton_side(
-    rng: Rng, size_m: Size = (0.5, 0.4), px_per_m: float = NEAR_PX_PER_M, tone: float = 0.3
-) -> FloatImage:
+def carton_side(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Cardboard with tape down its middle, arrows that say which way is up, and lines of print."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
@@ -167,9 +149,7 @@ def carton_side(
     return limited(sheet.finished(0.8) * (1.0 + 0.025 * waves + 0.05 * worn))
 
 
-def notebook_screen(
-    rng: Rng, size_m: Size = (0.42, 0.29), px_per_m: float = NEAR_PX_PER_M
-) -> FloatImage:
+def notebook_screen(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """A screen with a few windows of text and a picture on it, in a dark rim."""
     sheet = Sheet(size_m, px_per_m, 0.035)
     width, height = size_m
@@ -192,7 +172,7 @@ def notebook_screen(
     return sheet.finished()
 
 
-def keyboard(rng: Rng, size_m: Size = (0.42, 0.28), px_per_m: float = NEAR_PX_PER_M) -> FloatImage:
+def keyboard(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """Dark keys in rows on a grey case, and a touch pad towards the one who types."""
     sheet = Sheet(size_m, px_per_m, 0.25)
     width, height = size_m
@@ -207,9 +187,7 @@ def keyboard(rng: Rng, size_m: Size = (0.42, 0.28), px_per_m: float = NEAR_PX_PE
     return limited(sheet.finished() * (1.0 + 0.02 * layered(rng, sheet, (0.05,))))
 
 
-def door_leaf(
-    rng: Rng, size_m: Size = (0.95, 2.05), px_per_m: float = 400.0, tone: float = 0.5
-) -> FloatImage:
+def door_leaf(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
     """A door with its frame, two sunk panels and a handle."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
@@ -223,9 +201,7 @@ def door_leaf(
     return limited(sheet.finished() * (1.0 + 0.03 * layered(rng, sheet, (0.4, 0.08, 0.02))))
 
 
-def window_pane(
-    rng: Rng, size_m: Size = (1.4, 1.3), px_per_m: float = 300.0, light: float = 0.9
-) -> FloatImage:
+def window_pane(rng: Rng, size_m: Size, px_per_m: float, light: float = 0.9) -> FloatImage:
     """A bright window: blurred trees, houses and sky behind its bars, and a sill."""
     sheet = Sheet(size_m, px_per_m, light)
     width, height = size_m
@@ -247,9 +223,7 @@ def window_pane(
     return sheet.finished()
 
 
-def cupboard_front(
-    rng: Rng, size_m: Size = (1.0, 1.9), px_per_m: float = THING_PX_PER_M, tone: float = 0.35
-) -> FloatImage:
+def cupboard_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.35) -> FloatImage:
     """Two leaves of wood with a gap between them, handles, and two drawers at the bottom."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
@@ -268,9 +242,7 @@ def cupboard_front(
     return sheet.finished()
 
 
-def radiator_front(
-    rng: Rng, size_m: Size = (1.2, 0.55), px_per_m: float = 400.0, tone: float = 0.7
-) -> FloatImage:
+def radiator_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.7) -> FloatImage:
     """White ribs with dark between them."""
     sheet = Sheet(size_m, px_per_m, tone)
     for x in np.arange(0.04, size_m[0] - 0.04, 0.06):
@@ -281,11 +253,7 @@ def radiator_front(
 
 
 def ceiling_panels(
-    rng: Rng,
-    size_m: Size,
-    px_per_m: float = 120.0,
-    tone: float = 0.6,
-    lamps: tuple[int, int] = (4, 2),
+    rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.7, lamps: tuple[int, int] = (4, 2)
 ) -> FloatImage:
     """Square panels with speckles, and lamps in columns and rows, with light around them."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -301,13 +269,8 @@ def ceiling_panels(
     rows = (np.arange(lamps[1]) + 0.5) * height / lamps[1]
     spots = [(x, y) for x in columns for y in rows]
     for x, y in spots:
-        cv2.circle(
-            shine,
-            (round(x * sheet.scale), round(y * sheet.scale)),
-            round(0.6 * sheet.scale),
-            1.0,
-            -1,
-        )
+        middle = round(x * sheet.scale), round(y * sheet.scale)
+        cv2.circle(shine, middle, round(0.6 * sheet.scale), 1.0, -1)
     small = cv2.resize(shine, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), 0.05 * sheet.scale)
     sheet.image *= 0.8 + 0.35 * cv2.resize(small, sheet.shape[::-1])
@@ -326,7 +289,7 @@ def _sunk(sheet: Sheet, box: tuple[float, float, float, float], tone: float) -> 
     sheet.rectangle(x, y + height - 0.014, width, 0.014, min(0.85, 1.3 * tone))
 
 
-def shirt(rng: Rng, size_m: Size, px_per_m: float = 300.0, tone: float = 0.4) -> FloatImage:
+def shirt(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
     """Striped cloth."""
     image = cloth(rng, size_m, px_per_m, tone)
     rows = np.arange(image.shape[0]) / image.shape[0]

@@ -178,9 +178,7 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
     sides = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     widest = max([np.abs(track[:, 1]).max(), *(body.reach(sides).max() for body in guests)])
     if widest < _CORRIDOR_M / 2 - 0.2 and rng.random() < 0.4:
-        return corridor(
-            rng, length_m=length, width_m=_CORRIDOR_M, height_m=_HEIGHT_M, guests=guests
-        )
+        return corridor(rng, length_m=length, width_m=_CORRIDOR_M, guests=guests)
     width = max(5.2, 2.0 * widest + 2.2) + rng.uniform(0.0, 0.8)
     kind = cluttered_room if rng.random() < 0.7 else simple_room
     return kind(rng, length_m=length, width_m=width, guests=guests)

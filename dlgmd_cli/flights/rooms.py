@@ -93,17 +93,7 @@ class Hall:
 
 @dataclass(frozen=True)
 class Place:
-    """A room with what stands in it.
-
-    Attributes
-    ----------
-    hall : Hall
-        How large it is.
-    room : Solid
-        Its walls; see `World`.
-    bodies : list of Body
-        All that is in it.
-    """
+    """A room of some size with its walls, as `World` has them, and what stands in it."""
 
     hall: Hall
     room: Solid
@@ -111,42 +101,27 @@ class Place:
 
 
 def room(
-    size_m: Triple,
+    hall: Hall,
     rng: Rng,
     *,
     wall: str = "plaster",
     floor: str = "parquet",
     lamps: tuple[int, int] = (4, 2),
-    tone: float = 0.55,
     bodies: Sequence[Body] = (),
 ) -> Solid:
-    """Walls, floor and ceiling, with the soft shadows of what stands in front of them.
+    """Walls, floor and ceiling, with the soft shadows of `bodies` that stand in front of them.
 
-    Parameters
-    ----------
-    size_m : (float, float, float)
-        Length along x, width along y, and height; see `Hall`.
-    wall, floor : str
-        What the walls and the floor are made of: "plaster", "wallpaper" or "brick"; "parquet",
-        "tiles" or "carpet".
-    lamps : (int, int)
-        Columns, along x, and rows of lamps in the ceiling.
-    tone : float
-        Reflectance of plaster and wallpaper.
-    bodies : sequence of Body
-        What casts a shadow.
-
-    Returns
-    -------
-    Solid
-        Faces "near", "far", "left", "right", "floor" and "ceiling", in this order.
+    `wall` is plaster, wallpaper or brick, `floor` is parquet, tiles or carpet; there are so many
+    columns, along x, and rows of `lamps` in the ceiling. The faces are in the order of
+    `Hall.walls`.
     """
+    tone = rng.uniform(0.4, 0.7)
     faces = []
-    for side, seen in Hall(size_m).walls().items():
+    for side, seen in hall.walls().items():
         if side == "floor":
             image = _FLOORS[floor](rng, seen.size_m, _FLOOR_PX_PER_M)
         elif side == "ceiling":
-            image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, 0.7, lamps)
+            image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, lamps=lamps)
         else:
             image = _wall(rng, wall, seen, tone)
         picture = Texture(limited(shaded(image, seen, bodies)))
@@ -167,16 +142,7 @@ def _wall(rng: Rng, material: str, seen: Wall, tone: float) -> FloatImage:
 
 @dataclass
 class Furnishing:
-    """What is in a room so far.
-
-    Attributes
-    ----------
-    hall : Hall
-    guests : sequence of Body
-        What stands there already and is kept clear of.
-    bodies : list of Body
-        What was added.
-    """
+    """What is put in a room so far, clear of `guests` that stand there already."""
 
     hall: Hall
     guests: Sequence[Body] = ()
@@ -184,25 +150,10 @@ class Furnishing:
 
     def add(self, bodies: Sequence[Body]) -> bool:
         """Add a thing if all of it is clear of all others and inside the room; say whether."""
-        boxes = np.array([body.reach(_AXES) for body in bodies])
-        if not all(self.is_free(box) for box in boxes):
+        if not all(self._is_free(body.reach(_AXES)) for body in bodies):
             return False
         self.bodies += bodies
         return True
-
-    def is_free(self, box_m: FloatArray) -> bool:
-        """Whether a box is inside the room and clear of all that is in it.
-
-        Parameters
-        ----------
-        box_m : ndarray, shape (6,)
-            Its upper ends along x, y and z, and its lower ends with the sign changed.
-        """
-        length, width, height = self.hall.size_m
-        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
-        others = [body.reach(_AXES) for body in (*self.guests, *self.bodies)]
-        is_inside = bool((box_m <= most + 1e-9).all())
-        return is_inside and not any(_overlap(box_m, other) for other in others)
 
     def line(
         self,
@@ -238,22 +189,42 @@ class Furnishing:
             # What finds its place taken tries farther on.
             for middle in np.arange(at + half, end - half, 0.3).tolist():
                 # Things are drawn as they are made, which takes long: first see whether they fit.
-                if self.is_free(self._ground(side, middle, half, deep)) and self.add(
+                if self._is_free(self._ground(side, middle, half, deep / 2)) and self.add(
                     furniture_at_wall(name, rng, spot(*self.hall.stand(side, middle, 0.0)))
                 ):
                     at = middle + half + rng.uniform(*gap_m)
                     break
 
-    def _ground(self, side: str, along_m: float, half_m: float, deep_m: float) -> FloatArray:
-        """The box, from floor to ceiling, that a thing takes at a wall; see `is_free`."""
-        (x, y), yaw_deg = self.hall.stand(side, along_m, deep_m / 2)
-        deep = deep_m / 2
+    def finished(
+        self, rng: Rng, wall: str, floors: Sequence[str], lamps: tuple[int, int] | None = None
+    ) -> Place:
+        """The room with all that was put in it, on one of some floors."""
+        inside = room(
+            self.hall,
+            rng,
+            wall=wall,
+            floor=str(rng.choice(floors)),
+            lamps=lamps or (max(1, round(self.hall.size_m[0] / 2.5)), 2),
+            bodies=[*self.guests, *self.bodies],
+        )
+        return Place(self.hall, inside, self.bodies)
+
+    def _is_free(self, box_m: FloatArray) -> bool:
+        """Whether a box, (6,), by its reach along `_AXES`, is inside the room and clear of all."""
+        length, width, height = self.hall.size_m
+        most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
+        others = (body.reach(_AXES) for body in (*self.guests, *self.bodies))
+        return bool((box_m <= most + 1e-9).all()) and not any(_meet(box_m, o) for o in others)
+
+    def _ground(self, side: str, along_m: float, half_m: float, deep: float) -> FloatArray:
+        """The box, from floor to ceiling, that a thing takes at a wall; see `_is_free`."""
+        (x, y), yaw_deg = self.hall.stand(side, along_m, deep)
         dx, dy = (deep, half_m) if yaw_deg % 180.0 == 0.0 else (half_m, deep)
         return np.array([x + dx, y + dy, self.hall.size_m[2], dx - x, dy - y, 0.0])
 
 
-def _overlap(one: FloatArray, other: FloatArray) -> bool:
-    """Whether the boxes around two bodies, by how far they reach both ways, nearly meet."""
+def _meet(one: FloatArray, other: FloatArray) -> bool:
+    """Whether the boxes around two bodies, by their reach along `_AXES`, nearly meet."""
     gaps = np.concatenate([one[:3] + other[3:], other[:3] + one[3:]])
     return bool((gaps > -_SPACE_M).all())
 
@@ -261,9 +232,8 @@ def _overlap(one: FloatArray, other: FloatArray) -> bool:
 def cluttered_room(
     rng: Rng,
     *,
-    length_m: float = 11.0,
+    length_m: float,
     width_m: float = 5.6,
-    height_m: float = 2.8,
     free_width_m: float = 2.4,
     end_m: float = 1.1,
     guests: Sequence[Body] = (),
@@ -272,7 +242,7 @@ def cluttered_room(
 
     Parameters
     ----------
-    length_m, width_m, height_m : float
+    length_m, width_m : float
         Of the room; see `Hall`.
     free_width_m : float
         No furniture is within half of this from the x axis, up to `end_m` before the far wall.
@@ -281,11 +251,10 @@ def cluttered_room(
     guests : sequence of Body
         See the head of this module.
     """
-    hall = Hall((length_m, width_m, height_m))
-    furnishing = Furnishing(hall, guests)
-    depth = (width_m - free_width_m) / 2
+    furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
+    depth, half_m = (width_m - free_width_m) / 2, width_m / 2
     ends = list(rng.permutation(_END))
-    furnishing.line(rng, "far", ends, (0.05 - width_m / 2, width_m / 2 - 0.05), depth_m=end_m)
+    furnishing.line(rng, "far", ends, (0.05 - half_m, half_m - 0.05), depth_m=end_m)
     names = list(rng.permutation(_CLUTTER))
     half = len(names) // 2
     for side, share in (("left", names[:half]), ("right", names[half:])):
@@ -293,74 +262,37 @@ def cluttered_room(
         share = [*share, *("poster",) * 4]
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
-    furnishing.line(rng, "near", near, (0.1 - width_m / 2, width_m / 2 - 0.1), depth_m=0.2)
+    furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
     wall = str(rng.choice(["plaster", "wallpaper", "plaster", "brick"]))
-    floor = str(rng.choice(["parquet", "carpet", "tiles"]))
-    return _place(rng, furnishing, wall, floor)
+    return furnishing.finished(rng, wall, ["parquet", "carpet", "tiles"])
 
 
 def simple_room(
-    rng: Rng,
-    *,
-    length_m: float = 9.0,
-    width_m: float = 5.0,
-    height_m: float = 2.8,
-    free_width_m: float = 2.6,
-    guests: Sequence[Body] = (),
+    rng: Rng, *, length_m: float, width_m: float = 5.0, guests: Sequence[Body] = ()
 ) -> Place:
-    """A room with a few things in it, all of them at its side walls; the far wall is bare.
+    """A room with a few things at its side walls, at least 1.3 m from the x axis.
 
-    The parameters are those of `cluttered_room`.
+    The far wall is bare. The parameters are those of `cluttered_room`.
     """
-    hall = Hall((length_m, width_m, height_m))
-    furnishing = Furnishing(hall, guests)
-    depth = (width_m - free_width_m) / 2
+    furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
     names = list(rng.permutation(_LITTLE))
     for side, share in (("left", names[::2]), ("right", names[1::2])):
         span = (rng.uniform(0.3, 1.0), length_m - 0.3)
-        furnishing.line(rng, side, share, span, depth_m=depth, gap_m=(0.3, 1.2))
+        depth_m = width_m / 2 - 1.3
+        furnishing.line(rng, side, share, span, depth_m=depth_m, gap_m=(0.3, 1.2))
     furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
-    floor = str(rng.choice(["parquet", "carpet", "tiles"]))
-    return _place(rng, furnishing, "plaster", floor)
+    return furnishing.finished(rng, "plaster", ["parquet", "carpet", "tiles"])
 
 
 def corridor(
-    rng: Rng,
-    *,
-    length_m: float = 18.0,
-    width_m: float = 2.2,
-    height_m: float = 2.6,
-    guests: Sequence[Body] = (),
+    rng: Rng, *, length_m: float, width_m: float = 2.2, guests: Sequence[Body] = ()
 ) -> Place:
     """A long and narrow place with doors and posters on both sides and lamps along it."""
-    hall = Hall((length_m, width_m, height_m))
-    furnishing = Furnishing(hall, guests)
+    furnishing = Furnishing(Hall((length_m, width_m, 2.6)), guests)
     for side, start in (("left", 0.4), ("right", 1.4)):
         names = [str(rng.choice(["door", "door", "poster"])) for _ in range(int(length_m))]
         furnishing.line(rng, side, names, (start, length_m - 0.2), depth_m=0.1, gap_m=(0.5, 1.3))
     for side in ("far", "near"):
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
     lamps = (max(1, round(length_m / 2.4)), 1)
-    floor = str(rng.choice(["tiles", "carpet"]))
-    return _place(rng, furnishing, "plaster", floor, lamps)
-
-
-def _place(
-    rng: Rng,
-    furnishing: Furnishing,
-    wall: str,
-    floor: str,
-    lamps: tuple[int, int] | None = None,
-) -> Place:
-    """What was furnished, with the shadows of it all."""
-    hall: Triple = furnishing.hall.size_m
-    inside = room(
-        hall,
-        rng,
-        wall=wall,
-        floor=floor,
-        lamps=lamps or (max(1, round(hall[0] / 2.5)), 2),
-        tone=rng.uniform(0.4, 0.7),
-        bodies=[*furnishing.guests, *furnishing.bodies],
-    )
-    return Place(furnishing.hall, inside, furnishing.bodies)
+    return furnishing.finished(rng, "plaster", ["tiles", "carpet"], lamps)

@@ -17,7 +17,6 @@ from dlgmd_cli.flights.renderer.texture import FloatImage
 Rng = np.random.Generator
 Size = tuple[float, float]  # width and height, in m
 MAX_SIDE_PX = 3600
-WALL_PX_PER_M, THING_PX_PER_M = 250.0, 500.0
 DARKEST, BRIGHTEST = 0.02, 0.95
 _SHIFT = 4  # binary places of the fractions of a pixel that OpenCV draws with
 _GRAIN_PX = 256
@@ -155,7 +154,7 @@ def plain(tone: float) -> FloatImage:
 
 
 def plaster(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.6, rough: float = 0.045
+    rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6, rough: float = 0.045
 ) -> FloatImage:
     """Painted plaster, uneven by `rough`, with stains and a few scratches."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -169,9 +168,7 @@ def plaster(
     return limited(sheet.finished(1.2) * (1.0 + rough * uneven - 0.06 * stained))
 
 
-def wallpaper(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.55
-) -> FloatImage:
+def wallpaper(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.55) -> FloatImage:
     """Stripes and a small figure, over and over."""
     sheet = Sheet(size_m, px_per_m, tone)
     pitch = rng.uniform(0.2, 0.3)
@@ -189,7 +186,7 @@ def wallpaper(
     return limited(sheet.finished(0.9) * (1.0 + 0.03 * layered(rng, sheet, (1.0, 0.2))))
 
 
-def brick(rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.3) -> FloatImage:
+def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """A brick wall; its joints are brighter than the bricks."""
     sheet = Sheet(size_m, px_per_m, min(0.8, 1.7 * tone))
     long, high, joint = 0.25, 0.08, 0.012
@@ -200,9 +197,7 @@ def brick(rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float =
     return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
 
 
-def concrete(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.4
-) -> FloatImage:
+def concrete(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
     """Bare concrete with the joints and holes of its moulds."""
     sheet = Sheet(size_m, px_per_m, tone)
     for x in np.arange(1.25, size_m[0], 1.25):
@@ -217,7 +212,7 @@ def concrete(
     )
 
 
-def wood(rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.3) -> FloatImage:
+def wood(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Wood whose fibres run along the height."""
     sheet = Sheet(size_m, px_per_m, tone)
     bent = clouds(rng, sheet.shape, (0.09 * sheet.scale, 0.7 * sheet.scale))
@@ -227,9 +222,7 @@ def wood(rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float =
     return limited(tone * (1.0 + 0.09 * rings + 0.08 * fibres + 0.08 * bent))
 
 
-def parquet(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.2
-) -> FloatImage:
+def parquet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.2) -> FloatImage:
     """A floor of planks that run along the width."""
     sheet = Sheet(size_m, px_per_m, tone)
     long, high = rng.uniform(0.9, 1.4), rng.uniform(0.1, 0.16)
@@ -243,7 +236,7 @@ def parquet(
 
 
 def tiles(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.35, side_m: float = 0.3
+    rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.35, side_m: float = 0.3
 ) -> FloatImage:
     """Square tiles with dark joints."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -256,9 +249,7 @@ def tiles(
     return limited(sheet.finished() * (1.0 + 0.065 * layered(rng, sheet, (0.5, 0.12, 0.04))))
 
 
-def carpet(
-    rng: Rng, size_m: Size, px_per_m: float = WALL_PX_PER_M, tone: float = 0.15
-) -> FloatImage:
+def carpet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatImage:
     """Short pile, trodden, with the joints of its squares."""
     sheet = Sheet(size_m, px_per_m, tone)
     for column, x in enumerate(np.arange(0.0, size_m[0], 0.5)):
@@ -268,9 +259,7 @@ def carpet(
     return limited(sheet.finished(1.0) * (1.0 + 0.16 * pile))
 
 
-def cloth(
-    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.3
-) -> FloatImage:
+def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Woven cloth with slight creases."""
     sheet = Sheet(size_m, px_per_m, tone)
     weave = clouds(rng, sheet.shape, (3.0, 14.0)) + clouds(rng, sheet.shape, (14.0, 3.0))
@@ -278,9 +267,7 @@ def cloth(
     return limited(tone * (1.0 + 0.08 * weave + 0.08 * creased))
 
 
-def metal(
-    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.4
-) -> FloatImage:
+def metal(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
     """Brushed across the width."""
     sheet = Sheet(size_m, px_per_m, tone)
     brushed = clouds(rng, sheet.shape, (0.3 * sheet.scale, 3.0))
@@ -289,9 +276,7 @@ def metal(
     )
 
 
-def curtain(
-    rng: Rng, size_m: Size, px_per_m: float = THING_PX_PER_M, tone: float = 0.5
-) -> FloatImage:
+def curtain(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
     """Cloth in upright folds."""
     sheet = Sheet(size_m, px_per_m, tone)
     width = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale

@@ -74,6 +74,7 @@ class DLGMD:
         self._ffi_delay = 2 if self._released else 1
         self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self._ffi_delay)
         self._receptors = Photoreceptors(self.first_valid_frame)
+        self._engine_is_for: tuple[object, object] | None = None
 
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
@@ -86,7 +87,7 @@ class DLGMD:
         receptors = self._receptors
         receptors.take(luminance)
         if receptors.frame == 0:
-            self._prepare(luminance.size)
+            self._prepare(luminance)
         p_sum = receptors.p_sum(0)
         if receptors.frame < self.first_valid_frame:
             return undefined(p_sum, Layers(self._p_layer()) if layers else None)
@@ -100,8 +101,12 @@ class DLGMD:
         s_sum, mp = self._engine.respond(receptors, grouping, (s, g))
         return Response(p_sum, s_sum, mp, ffi, t_de, Layers(self._p_layer(), s, g))
 
-    def _prepare(self, n_cells: int) -> None:
-        """Make an engine for frames like the first."""
+    def _prepare(self, luminance: Grey) -> None:
+        """Make an engine for frames like the first, unless there is one from before a reset."""
+        kind, n_cells = (luminance.shape, luminance.dtype), luminance.size
+        if kind == self._engine_is_for:
+            return
+        self._engine_is_for = kind
         self._cells = RELEASED_CELLS if self._released else n_cells * self.params.m
         self.engine_name = choose_engine(self._asked_engine, n_cells, self._tell)
         self._engine = create_engine(

@@ -159,7 +159,7 @@ def draw_annotations(
     strip.set_yticks([])
     strip.spines[["left", "bottom"]].set_visible(False)
     room = strip.figure.bbox.width * _AXES_SHARE / (right - left)
-    items = []
+    items: list[tuple[float, float, tuple[float, float], dict[str, Any] | None, Any]] = []
     for frame, text, look in annotations.points():
         if first <= frame <= last:
             time_s = float(timeline.time_of(frame))
@@ -175,16 +175,16 @@ def draw_annotations(
             start = max(left, min(float(ends.mean()) - width / 2, right - width))
             items.append((start, start + width, (float(ends[0]), float(ends[1])), None, drawn))
     placed: list[tuple[float, int]] = []
-    for start, end, (from_s, to_s), look, drawn in sorted(items, key=lambda item: -item[0]):
+    for start, end, (from_s, to_s), line, drawn in sorted(items, key=lambda item: -item[0]):
         row = max((other for begin, other in placed if begin < end), default=-1) + 1
         placed.append((start, row))
         drawn.set_position((start, row + 0.5))
         for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
             up = axes.transData if axes is strip else axes.get_xaxis_transform()
-            if look is None:
+            if line is None:
                 axes.fill_between([from_s, to_s], 0.0, top, transform=up, **_BAND)
             else:
-                axes.plot([from_s, from_s], [0.0, top], transform=up, zorder=0.9, **look)
+                axes.plot([from_s, from_s], [0.0, top], transform=up, zorder=0.9, **line)
     n_rows = max((row + 1 for _, row in placed), default=0)
     strip.set_ylim(0.0, max(n_rows, 1))
     return n_rows

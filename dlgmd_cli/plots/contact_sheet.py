@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from dlgmd_cli.plots.style import BLACK, DPI, GREY, house_style, save_figure, shortened, width_in
-from dlgmd_cli.stimuli.clip import ContactSheet, Still
+from dlgmd_cli.stimuli.clip import ContactSheet
 
 _N_COLUMNS = 4
 # Two columns of a paper; how high frames may be, so that 12 fit on a page; and about what the
@@ -33,9 +34,9 @@ def plot_contact_sheet(sheet: ContactSheet) -> Figure:
     Figure
         Two columns of a paper wide.
     """
-    height, width = sheet.stills[0].image.shape
-    n_columns = min(_N_COLUMNS, len(sheet.stills))
-    n_rows = -(-len(sheet.stills) // n_columns)
+    height, width = sheet.images[0].shape
+    n_columns = min(_N_COLUMNS, len(sheet.images))
+    n_rows = -(-len(sheet.images) // n_columns)
     tile_in = min(_WIDTH_IN / n_columns * height / width, _MAX_TILE_IN)
     with house_style():
         figure = Figure(
@@ -45,17 +46,16 @@ def plot_contact_sheet(sheet: ContactSheet) -> Figure:
         )
         figure.suptitle(_title(sheet), x=0.01, ha="left", fontsize=8, parse_math=False)
         grid = figure.subplots(n_rows, n_columns, squeeze=False).flat
-        for still, axes in zip(sheet.stills, grid, strict=False):
-            rim = BLACK if still.is_collision else GREY
-            axes.imshow(_thumbnail(still.image), cmap="gray", vmin=0, vmax=255)
+        for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
+            is_collision = row.frame == sheet.record.get("collision_frame")
+            rim = BLACK if is_collision else GREY
+            axes.imshow(_thumbnail(image), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
-            axes.spines[:].set(
-                visible=True, color=rim, linewidth=2.5 if still.is_collision else 0.3
-            )
+            axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
             label = axes.set_xlabel(
-                _caption(still), loc="left", fontsize=6.5, color=rim, labelpad=2
+                _caption(row, is_collision), loc="left", fontsize=6.5, color=rim, labelpad=2
             )
-            label.set(parse_math=False, weight="bold" if still.is_collision else "normal")
+            label.set(parse_math=False, weight="bold" if is_collision else "normal")
         for axes in grid:
             axes.set_axis_off()
     return figure
@@ -78,7 +78,7 @@ def _thumbnail(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 
 def _title(sheet: ContactSheet) -> str:
     """What the clip is; and, of a flight, how it ends."""
-    height, width = sheet.stills[0].image.shape
+    height, width = sheet.images[0].shape
     facts = (
         shortened(sheet.name, _LONGEST_NAME),
         f"{width}×{height} px",
@@ -98,13 +98,12 @@ def _title(sheet: ContactSheet) -> str:
     return f"{title}\ntarget: {target} · {outcome}"
 
 
-def _caption(still: Still) -> str:
+def _caption(row: Any, is_collision: bool) -> str:
     """What is true of a frame, as far as its scene defines it."""
-    row = still.truth
     left_s = getattr(row, "time_to_contact_s", math.nan)
     angle_deg = getattr(row, "angular_size_deg", math.nan)
     nearness = []
-    if still.is_collision:
+    if is_collision:
         nearness.append("collision frame")
     elif math.isfinite(left_s):
         # Times that two decimals would make 0 have three.

@@ -20,7 +20,6 @@ from dlgmd_cli.plots.style import (
     GREY,
     LIGHT_GREY,
     ORANGE,
-    VERMILION,
     house_style,
     plain,
     shortened,
@@ -180,7 +179,8 @@ def _static(
     """Draw panels without pictures and a trace that is empty; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
     heights = above_px, HEIGHT - _HEADER_PX - above_px
-    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = parts
     panels: list[Axes] = list(above.subplots(1, 3))
     all_scales, all_units = (INPUT_SCALE, *scales), ("luminance", *units)
     for axes, title, scale, unit in zip(

@@ -88,7 +88,7 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
-def add_legend(figure: Figure, entries: Entries, place: str = "outside upper center") -> None:
+def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper center") -> None:
     """Add a legend beside the axes, in as many columns as fit; the figure grows by its height."""
     if not entries:
         return

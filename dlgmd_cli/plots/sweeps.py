@@ -229,10 +229,11 @@ def _add_bar(figure: Figure, axes: Axes, picture: QuadMesh, unit: str, *, is_cut
     extend = "min" if is_cut else "neither"
     bar = figure.colorbar(picture, ax=axes, extend=extend, fraction=0.07, pad=0.03, aspect=14)
     if isinstance(norm, TwoSlopeNorm):
-        ticks = {0.0}
-        for low, high in ((norm.vmin, 0.0), (0.0, norm.vmax)):
+        lowest, highest = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+        ticks: set[float] = set()
+        for low, high in ((lowest, 0.0), (0.0, highest)):
             ticks |= set(MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high))
-        bar.set_ticks(sorted(tick for tick in ticks if norm.vmin <= tick <= norm.vmax))
+        bar.set_ticks(sorted(tick for tick in ticks if lowest <= tick <= highest))
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)

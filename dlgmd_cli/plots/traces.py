@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -103,9 +102,7 @@ def plot(
     if column not in COLUMNS:
         raise ValueError(f"column is {column!r}, none of {', '.join(COLUMNS)}")
     traces = _traces(results)
-    level = partial(_draw_level, column=column)
-    panels = {_draw_level: level, _draw_attenuation: _draw_attenuation, _draw_raster: _draw_raster}
-    draws = [panels[draw] for draw in KINDS[kind]]
+    draws = KINDS[kind]
     raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(traces))
     heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
     with house_style():
@@ -119,7 +116,7 @@ def plot(
         highest.spines["top"].set_visible(False)
         entries: Entries = []
         for axes, draw in zip(axes_of, draws, strict=True):
-            entries += draw(axes, traces)
+            entries += draw(axes, traces, column)
         timeline.label(axes_of[-1], axes_of[0] if not above else highest)
         if above:
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
@@ -229,7 +226,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
     return entries
 
 
-def _draw_attenuation(axes: Axes, traces: list[_Trace]) -> Entries:
+def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
     """Attenuation in dB; marks below, a row a result, where nothing passes."""
     entries: Entries = []
     silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
@@ -268,7 +265,7 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
     return high - (high - low) / (1.0 - foot), high
 
 
-def _draw_raster(axes: Axes, traces: list[_Trace]) -> Entries:
+def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
     """A row of spikes and one of alarms; of several results a row each with both."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
@@ -320,7 +317,7 @@ def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
 
 
 # The panels of each figure, from the top down.
-KINDS: dict[str, tuple[Callable[..., Entries], ...]] = {
+KINDS: dict[str, tuple[Callable[[Axes, list[_Trace], str], Entries], ...]] = {
     "mp": (_draw_level,),
     "attenuation": (_draw_attenuation,),
     "spikes": (_draw_raster, _draw_level),

@@ -86,7 +86,7 @@ class Subject:
     n_expected: int | None = None
     options: dict[str, Any] = field(default_factory=dict)
     identity: dict[str, Any] = field(default_factory=dict)
-    facts: Callable[[int], dict[str, Any]] = lambda n_frames: {}
+    facts: Callable[[int], dict[str, Any]] = lambda n_frames: {"warnings": []}
 
 
 def video_subject(
@@ -130,20 +130,8 @@ def video_subject(
 
 
 @dataclass(frozen=True)
-class Clip:
-    """Decoded frames in a temporary file, which any process can map into its memory.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    dtype, shape : str, (int, int, int)
-        Type of the frames, uint8 or float32; their number, height and width.
-    frame, time_s : ndarray, shape (n,)
-        Their numbers and times.
-    is_still : bool
-        Whether they are all alike.
-    """
+class _Clip:
+    """Decoded frames, `shape` (n, H, W), in a temporary file that any process can map."""
 
     path: Path
     dtype: str
@@ -153,11 +141,11 @@ class Clip:
     is_still: bool
 
     @classmethod
-    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame) -> "Clip":
-        """Write frames of one size and type, at least one, into a file; OSError passes through."""
+    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame) -> "_Clip":
+        """Write frames of one size and type, at least one, into a file."""
         numbers: list[tuple[int, float]] = []
-        is_still = True
         first: Grey = np.empty((0, 0))
+        is_still = True
         with path.open("wb") as file:
             for one in frames:
                 cancel.check()
@@ -172,38 +160,24 @@ class Clip:
         return cls(path, first.dtype.name, shape, frame.astype(np.int64), time_s, is_still)
 
     def open(self) -> Grey:
-        """The frames, shape (n, H, W), read from the file as they are needed."""
+        """The frames, read from the file as they are needed."""
         return np.asarray(np.memmap(self.path, self.dtype, mode="r", shape=self.shape))
 
 
 @dataclass(frozen=True)
-class Probe:
-    """What computes points of a sweep, in any process.
+class _Probe:
+    """Computes points of a sweep, in any process."""
 
-    Attributes
-    ----------
-    clips : tuple of Clip
-        The frames.
-    engine : str
-        What computes the model.
-    measures_response : bool
-        Measure `RESPONSE_COLUMNS`, not `ATTENUATION_COLUMNS`.
-    by_sequence : bool
-        Alarms follow the potential normalised by its own sequence, not the absolute one.
-    false_positive_frame : int or None
-        See `Subject`.
-    """
-
-    clips: tuple[Clip, ...]
+    clips: tuple[_Clip, ...]
     engine: str
-    measures_response: bool = False
-    by_sequence: bool = False
-    false_positive_frame: int | None = None
+    columns: tuple[str, ...]
+    by_sequence: bool
+    false_positive_frame: int | None
 
     def __call__(
         self, batch: Sequence[Point], tell: Tell = lambda message: None
     ) -> list[tuple[int, Values]]:
-        """Numbers and values of some points."""
+        """The numbers of some points, and for each clip the values of the columns."""
         found = []
         with opencv_threads(1):
             pictures = [clip.open() for clip in self.clips]
@@ -221,11 +195,11 @@ class Probe:
                 found.append((point, tuple(values)))
         return found
 
-    def _measured(self, clip: Clip, params: Parameters, rows: Series) -> tuple[float, ...]:
+    def _measured(self, clip: _Clip, params: Parameters, rows: Series) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
         mp, p_sum, s_sum, attenuation_db = rows
-        attenuation = mean_attenuation(attenuation_db)
-        if not self.measures_response:
+        attenuation = _mean_attenuation(attenuation_db)
+        if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
         _, height, width = clip.shape
         options = {"normalise": "sequence"} if self.by_sequence else {}
@@ -236,61 +210,30 @@ class Probe:
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
         facts["mean_attenuation_db"] = attenuation
-        values = (facts[name] for name in RESPONSE_COLUMNS)
+        values = (facts[name] for name in self.columns)
         return tuple(math.nan if value is None else float(value) for value in values)
 
 
-def mean_attenuation(attenuation_db: Series) -> float:
-    """How much of the change passes, in dB: the mean over the frames where something does.
-
-    It is -inf where nothing ever passes, and NaN where no frame is valid.
-    """
+def _mean_attenuation(attenuation_db: Series) -> float:
+    """Mean over frames where something passes; -inf if nothing ever does, NaN if none is valid."""
     passing = attenuation_db[np.isfinite(attenuation_db)]
     if passing.size:
         return math.fsum(passing) / passing.size
     return -math.inf if np.isneginf(attenuation_db).any() else math.nan
 
 
-def compute(
-    points: Mapping[int, Parameters],
-    probe: Probe,
-    jobs: int = 1,
-    tell: Tell = lambda message: None,
+def _computed(
+    waiting: list[Point], probe: _Probe, jobs: int, tell: Tell
 ) -> Iterator[tuple[int, Values]]:
-    """Compute points of a grid; the values do not depend on `jobs`.
-
-    Parameters
-    ----------
-    points : mapping of int to Parameters
-        By number of the point.
-    probe : Probe
-        The frames, and what is measured.
-    jobs : int
-        Processes that share the points; with one it is this process.
-    tell : callable, optional
-        Called with a message before something that takes long.
-
-    Yields
-    ------
-    (int, tuple of tuple of float)
-        Number of a point, as it is done, and for each clip the values of the columns.
-
-    Raises
-    ------
-    WorkerError
-        If one of several processes dies.
-    Interrupted
-        If the user asks to stop.
-    """
-    waiting = list(points.items())
+    """Every point with its values, as they are done; the values do not depend on `jobs`."""
     if probe.engine == "numba" and jobs > 1:
         # Compiled in this process first: the others find the code on disk.
         yield from probe(waiting[:1], tell)
-        del waiting[:1]
+        waiting = waiting[1:]
     n_cells = sum(math.prod(clip.shape) for clip in probe.clips)
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
-    if min(jobs, len(batches)) == 1:
+    if jobs == 1 or len(batches) == 1:
         for one in waiting:
             yield from probe([one], tell)
         return
@@ -300,28 +243,8 @@ def compute(
         yield from outcome.result()
 
 
-def grid_parameters(
-    grid: Grid, base: Parameters
-) -> tuple[dict[int, Parameters], ParameterError | None]:
-    """The parameters at every point where they are possible, and why they are not elsewhere.
-
-    Parameters
-    ----------
-    grid : Grid
-        What differs.
-    base : Parameters
-        What does not.
-
-    Returns
-    -------
-    (dict of int to Parameters, ParameterError or None)
-        By number of the point; the error is that of the first point that is left out.
-
-    Raises
-    ------
-    ParameterError
-        If they are not possible anywhere.
-    """
+def _possible(grid: Grid, base: Parameters) -> tuple[dict[int, Parameters], ParameterError | None]:
+    """The parameters at every point where they are valid; why the first of the others is not."""
     found: dict[int, Parameters] = {}
     first_fault = None
     same = base.to_dict()
@@ -387,9 +310,9 @@ class Sweep:
     ) -> None:
         self.folder, self.subject, self.grid = folder, subject, grid
         self.params, self.label, self.engine = params, label, engine
-        self.points, self.fault = grid_parameters(grid, params)
-        names = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(grid, subject.speeds_px, names, self.points)
+        self.points, self.fault = _possible(grid, params)
+        columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
         self._facts: dict[str, Any] = {}
 
     def resume(self, *, overwrite: bool = False) -> None:
@@ -439,17 +362,17 @@ class Sweep:
             If the user asks to stop. Points that are done are kept.
         """
         done = self.result.done
-        missing = {point: self.points[point] for point in self.points if point not in done}
+        missing = [one for one in self.points.items() if one[0] not in done]
         if not missing:
             return
         try:
             clips = self._keep_frames(progress)
             self._require_an_answer(clips)
             self._begin()
-            probe = Probe(
+            probe = _Probe(
                 clips,
                 self.engine,
-                measures_response=not self.subject.speeds_px,
+                tuple(self.result.columns),
                 by_sequence=self.subject.options.get("normalise") == "sequence",
                 false_positive_frame=self.subject.settings.get("false_positive_frame"),
             )
@@ -458,7 +381,7 @@ class Sweep:
                 (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
             ):
                 table = csv.writer(file, lineterminator="\n")
-                for point, values in compute(missing, probe, jobs, tell):
+                for point, values in _computed(missing, probe, jobs, tell):
                     self.result.put(point, values)
                     table.writerows(self.result.rows([point]))
                     file.flush()
@@ -495,25 +418,20 @@ class Sweep:
         """What is doubtful about the input, a line each."""
         return list(self._facts.get("warnings", []))
 
-    def _keep_frames(self, progress: Progress) -> tuple[Clip, ...]:
+    def _keep_frames(self, progress: Progress) -> tuple[_Clip, ...]:
         """Write the frames of all clips into files, and note what the record says of them."""
         subject, clips = self.subject, []
         radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
         with progress(subject.name, subject.n_expected, "frame") as on_frame:
             for number, frames in enumerate(subject.clips(max(radii, default=None))):
                 path = self.folder / f"{store.PREFIX}frames-{number}"
-                clips.append(Clip.keep(path, frames, on_frame))
+                clips.append(_Clip.keep(path, frames, on_frame))
         self._facts = subject.facts(len(clips[0].frame))
-        if subject.identity:
-            clip, nothing = clips[0], np.full(len(clips[0].frame), np.nan)
-            p_sum = np.full(len(nothing), 0.0 if clip.is_still else 1.0)
-            result = Result(
-                clip.frame, clip.time_s, nothing, p_sum, nothing, nothing, self.params, self._facts
-            )
-            self._facts["warnings"] += result.doubts()
+        if clips[0].is_still and len(clips[0].frame) > 1:
+            self._facts["warnings"].append("no frame differs from the one before it")
         return tuple(clips)
 
-    def _require_an_answer(self, clips: Sequence[Clip]) -> None:
+    def _require_an_answer(self, clips: Sequence[_Clip]) -> None:
         """Raise if the shortest clip ends before the model can answer, at every point."""
         n_frames = min(len(clip.frame) for clip in clips)
         least = math.inf

@@ -7,7 +7,7 @@ removed first, and the new one is written last.
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from fractions import Fraction
@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import OutputExistsError
@@ -85,25 +83,6 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Still:
-    """One frame of a clip on its contact sheet.
-
-    Attributes
-    ----------
-    image : ndarray, shape (H, W), uint8
-        As it was rendered, before any video smoothed it.
-    truth : object
-        Its row of the ground truth.
-    is_collision : bool
-        Whether it is the clip's collision frame.
-    """
-
-    image: npt.NDArray[np.uint8]
-    truth: Any
-    is_collision: bool = False
-
-
-@dataclass(frozen=True)
 class ContactSheet:
     """Some frames of a clip, and what the clip is.
 
@@ -117,8 +96,10 @@ class ContactSheet:
     seed : int
     record : dict
         See `Scene.record`.
-    stills : tuple of Still
-        At least one, in order, all of one shape.
+    images : sequence of ndarray, shape (H, W), uint8
+        At least one, in order, as they were rendered, before any video smoothed them.
+    rows : sequence
+        The ground truth of each.
     """
 
     name: str
@@ -126,7 +107,8 @@ class ContactSheet:
     n_frames: int
     seed: int
     record: dict[str, Any]
-    stills: tuple[Still, ...]
+    images: Sequence[GreyImage]
+    rows: Sequence[Any]
 
 
 # Draws a contact sheet into a file whose name ends in .png.
@@ -219,12 +201,8 @@ def write_clip(
             document = {**first, **facts, **sheet, **identity(scene, options, form)}
             temporary[2].write_text(yaml_text(document), encoding="utf-8")
         if draw_sheet is not None:
-            kept = (
-                Still(image, rows[index], index == facts.get("collision_frame"))
-                for index, image in stills.items()
-            )
-            sheet_of = (name, options.fps, n_frames, options.seed, facts, tuple(kept))
-            draw_sheet(ContactSheet(*sheet_of), temporary[-1])
+            sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
+            draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
         _put(temporary, paths)
     except OSError as error:
         raise unwritable(paths[0], error) from None

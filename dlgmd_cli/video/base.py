@@ -1,10 +1,12 @@
 """What every input consists of: pictures with their times, facts about the file, progress."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dlgmd_cli.threads import n_processors, thread_limit
 
 if TYPE_CHECKING:  # loading NumPy takes time, and --help does not need it
     import numpy.typing as npt
@@ -16,8 +18,7 @@ MAX_PLAUSIBLE_FPS = 1000.0
 # A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
 # from before the damage may still be inside the decoder's threads.
 READS_PAST_DAMAGE = 32
-# How many pictures a reader can be asked to keep unchanged; after that it reuses their memory.
-KEPT_PICTURES = 6
+_MAX_DECODER_THREADS = 16
 
 # What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
 # files and addresses: concat, hls, dash, sdp, vobsub, image2 and the like.
@@ -95,21 +96,6 @@ class Progress:
     warnings: list[str] = field(default_factory=list)
 
 
-class Reader(Protocol):
-    """Pictures of one input, in order; a fault ends the reading with a warning."""
-
-    info: VideoInfo
-    progress: Progress
-
-    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
-        """Every picture that `select` takes; an `image` is valid until `n_kept` more of them."""
-        ...
-
-    def close(self) -> None:
-        """Free the input; may be called twice."""
-        ...
-
-
 class VideoFacts(NamedTuple):
     """What a video file states; None where it states nothing.
 
@@ -141,36 +127,12 @@ class Decoded(NamedTuple):
     levels: tuple[int, int] | None = None
 
 
-class Decoder(Protocol):
-    """Frames of one video file, from its beginning.
+def decoder_threads() -> int:
+    """How many threads a decoder gets: two frames more in flight than there are processors.
 
-    Attributes
-    ----------
-    is_damaged : bool
-        Whether anything after the first frame could not be decoded so far.
+    They keep the processors busy while the last frame is converted. A limit of threads holds.
     """
-
-    is_damaged: bool
-
-    def open(self) -> VideoFacts | None:
-        """Open the file and decode its first frame; None if there is none."""
-        ...
-
-    def grabs(self) -> Iterator[Grab]:
-        """Every frame from the first on; once after each `open`."""
-        ...
-
-    def keep(self, n_pictures: int) -> None:
-        """From now on, leave an image unchanged until so many more were asked for."""
-        ...
-
-    def picture(self) -> Decoded | None:
-        """The frame grabbed last, see `keep`; None if it is damaged."""
-        ...
-
-    def close(self) -> None:
-        """Free the file, so that it can be opened again; may be called twice."""
-        ...
+    return thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
 
 
 def plausible_fps(fps: float) -> float | None:

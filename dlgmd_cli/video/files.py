@@ -3,14 +3,14 @@
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.video.base import (
     DEFAULT_DECODER,
     FALLBACK_FPS,
-    Decoder,
     Picture,
     Progress,
     Select,
@@ -19,6 +19,10 @@ from dlgmd_cli.video.base import (
     VideoInfo,
 )
 from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
+
+if TYPE_CHECKING:
+    from dlgmd_cli.video.opencv import OpenCVDecoder
+    from dlgmd_cli.video.pyav import PyAVDecoder
 
 _DAMAGED = "the file is damaged"
 # FFmpeg is kept from reading them anyway; this gives a better reason than "damaged".
@@ -51,10 +55,11 @@ class FileReader:
         self._is_at_start = True
         self._fault: str | None = None
         self.progress = Progress()
-        self._link_folder: tempfile.TemporaryDirectory[str] | None = None
+        self._links = ExitStack()
         _check_readable(path)
         self._path = path
-        self._decoder = _create_decoder(decoder, self._openable(path.absolute()))
+        name = self._links.enter_context(openable(path.absolute()))
+        self._decoder = _create_decoder(decoder, name)
         try:
             facts = self._open()
         except BaseException:
@@ -71,23 +76,6 @@ class FileReader:
             decoder,
         )
 
-    def _openable(self, path: Path) -> str:
-        """A name for `path` that a decoder opens as it is: no pattern, and valid UTF-8."""
-        name = str(path)
-        with suppress(UnicodeEncodeError):
-            name.encode("utf-8")
-            if "%" not in name:
-                return name
-        self._link_folder = tempfile.TemporaryDirectory(prefix="dlgmd-")
-        # The suffix helps FFmpeg to recognise raw streams; an odd one may be part of the trouble.
-        suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
-        link = Path(self._link_folder.name) / f"video{suffix}"
-        try:
-            link.symlink_to(path)
-        except OSError:  # not every system lets its users make links
-            return name
-        return str(link)
-
     def _open(self) -> VideoFacts:
         """Open the file and decode its first picture."""
         facts = self._decoder.open()
@@ -99,8 +87,8 @@ class FileReader:
             )
         return facts
 
-    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
-        """Every picture that `select` takes, until the stream ends or breaks.
+    def pictures(self, select: Select) -> Iterator[Picture]:
+        """Every picture that `select` takes, valid until the next one, to the end or a fault.
 
         Reading ends with a warning if damage leaves a gap, or if PyAV finds that the picture size
         changes (OpenCV scales such pictures to the first one's size and does not say so).
@@ -109,7 +97,6 @@ class FileReader:
         progress = self.progress
         progress.n_decoded = 0
         self._fault = None
-        self._decoder.keep(n_kept)
         for stamp_s in self._stamps():
             index = progress.n_decoded
             time_s = clock.time(index, stamp_s)
@@ -167,9 +154,7 @@ class FileReader:
     def close(self) -> None:
         """Free the file; may be called twice."""
         self._decoder.close()
-        if self._link_folder is not None:
-            self._link_folder.cleanup()
-            self._link_folder = None
+        self._links.close()
 
 
 def count_frames(path: Path) -> int:
@@ -185,7 +170,31 @@ def count_frames(path: Path) -> int:
     return 0
 
 
-def _create_decoder(decoder: str, name: str) -> Decoder:
+@contextmanager
+def openable(path: Path) -> Iterator[str]:
+    """A name for an absolute path that FFmpeg opens as it is: no pattern, and valid UTF-8."""
+    name = str(path)
+    try:
+        name.encode("utf-8")
+        needs_link = "%" in name
+    except UnicodeEncodeError:  # OpenCV would crash
+        needs_link = True
+    if not needs_link:
+        yield name
+        return
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        # The suffix helps FFmpeg to recognise raw streams; an odd one may be part of the trouble.
+        suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
+        link = Path(folder) / f"video{suffix}"
+        try:
+            link.symlink_to(path)
+            name = str(link)
+        except OSError:  # not every system lets its users make links
+            pass
+        yield name
+
+
+def _create_decoder(decoder: str, name: str) -> "OpenCVDecoder | PyAVDecoder":
     """The decoder of that name, for a file that FFmpeg finds under `name`."""
     # Imported late: only the requested decoder has to be installed.
     if decoder == "pyav":

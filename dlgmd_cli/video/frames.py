@@ -1,6 +1,5 @@
 """From what a user typed to the frames a model takes: opened, chosen by time, grey, reduced."""
 
-import hashlib
 import math
 import numbers
 import os
@@ -14,10 +13,8 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
-    KEPT_PICTURES,
     Picture,
     Progress,
-    Reader,
     Select,
     Verdict,
     VideoInfo,
@@ -28,10 +25,12 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from dlgmd_cli.video.files import FileReader
+    from dlgmd_cli.video.images import ImageReader
+
 __all__ = [
     "DECODERS",
     "DEFAULT_DECODER",
-    "KEPT_PICTURES",
     "Frame",
     "InputOptions",
     "Picture",
@@ -191,7 +190,10 @@ class Video:
     """
 
     def __init__(
-        self, reader: Reader, size_wh: tuple[int, int], select: Callable[[], Select]
+        self,
+        reader: "FileReader | ImageReader",
+        size_wh: tuple[int, int],
+        select: Callable[[], Select],
     ) -> None:
         from dlgmd_cli.video.luma import to_grey
 
@@ -204,9 +206,9 @@ class Video:
         """How many frames were decoded so far, the time of the last one, and warnings."""
         return self._reader.progress
 
-    def pictures(self, n_kept: int = 1) -> Iterator[Picture]:
-        """The chosen pictures as decoded; each is valid until `n_kept` more of them."""
-        return self._reader.pictures(self._select(), n_kept)
+    def pictures(self) -> Iterator[Picture]:
+        """The chosen pictures as decoded; each is valid until the next one."""
+        return self._reader.pictures(self._select())
 
     def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
         """What models take of a picture, at the video's `size_wh` unless another is given."""
@@ -289,7 +291,7 @@ def open_video(
         raise
 
 
-def _open_reader(path: str, fps: float | None, decoder: str) -> Reader:
+def _open_reader(path: str, fps: float | None, decoder: str) -> "FileReader | ImageReader":
     """A reader for a video file, a folder of pictures, or a pattern."""
     from dlgmd_cli.video.files import FileReader
     from dlgmd_cli.video.images import ImageReader, in_folder, is_pattern, matching
@@ -419,6 +421,8 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     OSError
         If the files cannot be looked at.
     """
+    import hashlib
+
     from dlgmd_cli.video.images import in_folder, is_pattern, matching
 
     file = Path(path)

@@ -57,7 +57,7 @@ class ImageReader:
                 f"pictures have no times; taken as {rate:g} fps (set it with --input-fps)"
             )
 
-    def pictures(self, select: Select, n_kept: int = 1) -> Iterator[Picture]:
+    def pictures(self, select: Select) -> Iterator[Picture]:
         """Every picture that `select` takes, until one is damaged or of another size."""
         self.progress.n_decoded = 0
         for index, path in enumerate(self._paths):

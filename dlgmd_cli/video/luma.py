@@ -120,12 +120,12 @@ def resized(image: Image, size_wh: tuple[int, int]) -> Image:
 
     Notes
     -----
-    OpenCV halves a picture seven times as fast as it divides its sides by 4, so even whole factors
-    are divided by 2 as often as they can be. Each halving rounds to whole levels: the result is
-    within 1 of the exact mean for a factor of 4, and within 1.5 for 8.
+    OpenCV halves a picture seven times as fast as it divides its sides by 4, so an even whole
+    factor begins with a halving. Both steps round to whole levels: the result is within 1 of the
+    exact mean, and differs by one level at most from a reduction in a single step.
     """
     width, height = size_wh
-    while image.shape[1] % (2 * width) == 0 and image.shape[0] % (2 * height) == 0:
+    if image.shape[1] % (2 * width) == 0 and image.shape[0] % (2 * height) == 0:
         half = image.shape[1] // 2, image.shape[0] // 2
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     if (image.shape[1], image.shape[0]) == size_wh:

@@ -3,20 +3,19 @@
 import math
 import os
 import threading
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 
-from dlgmd_cli.threads import thread_limit
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     READS_PAST_DAMAGE,
     Decoded,
     Grab,
     VideoFacts,
+    decoder_threads,
     plausible_fps,
 )
 from dlgmd_cli.video.luma import Image
@@ -42,13 +41,12 @@ class OpenCVDecoder:
         self.is_damaged = False
         self._name = name
         self._capture: cv2.VideoCapture | None = None
-        self._images: deque[Image | None] = deque([None])
+        self._image: Image | None = None
 
     def open(self) -> VideoFacts | None:
         """Open the file and decode its first frame; None if there is none."""
         self.is_damaged = False
-        limit = thread_limit()
-        options = [] if limit is None else [cv2.CAP_PROP_N_THREADS, limit]
+        options = [cv2.CAP_PROP_N_THREADS, decoder_threads()]
         with guarded():
             capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
         self._capture = capture
@@ -97,22 +95,17 @@ class OpenCVDecoder:
             is_first = False
             is_grabbed = capture.grab()
 
-    def keep(self, n_pictures: int) -> None:
-        """From now on, leave an image unchanged until so many more were asked for."""
-        self._images = deque([None] * n_pictures)
-
     def picture(self) -> Decoded | None:
-        """The frame grabbed last, see `keep`; None if it is damaged."""
+        """The frame grabbed last, in memory that the next one reuses; None if it is damaged."""
         assert self._capture is not None
         try:
-            is_there, image = self._capture.retrieve(self._images[0])
+            is_there, image = self._capture.retrieve(self._image)
         except cv2.error:
             return None
         if not is_there or image is None or image.size == 0:
             return None
         # Reused memory is faster: the system need not clear new pages.
-        self._images[0] = image
-        self._images.rotate()
+        self._image = image
         return Decoded(image)
 
     def close(self) -> None:

@@ -8,12 +8,10 @@ from typing import Generic, TypeVar
 
 import cv2
 
-from dlgmd_cli.video.base import KEPT_PICTURES
-
 ItemT = TypeVar("ItemT")
 
-# One picture waits for room, one is being processed, and one is being asked for.
-DEPTH = KEPT_PICTURES - 3
+# Frames that wait at most.
+DEPTH = 3
 # How long leaving the context waits for a decoder to finish its frame.
 PATIENCE_S = 10.0
 

@@ -10,8 +10,14 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.threads import thread_limit
-from dlgmd_cli.video.base import FFMPEG_OPTIONS, Decoded, Grab, VideoFacts, plausible_fps
+from dlgmd_cli.video.base import (
+    FFMPEG_OPTIONS,
+    Decoded,
+    Grab,
+    VideoFacts,
+    decoder_threads,
+    plausible_fps,
+)
 from dlgmd_cli.video.luma import Image, levels_of, luma_of
 
 if TYPE_CHECKING:
@@ -74,7 +80,7 @@ class PyAVDecoder:
         # Threads by frames if the codec allows it, else by slices. PyAV's default are slices, which
         # most videos do not have.
         stream.thread_type = "AUTO"
-        stream.codec_context.thread_count = thread_limit() or 0
+        stream.codec_context.thread_count = decoder_threads()
         self._start = stream.start_time or 0
         self._frames = self._decoded(av, container, stream)
         self._frame = next(self._frames, None)
@@ -126,9 +132,6 @@ class PyAVDecoder:
         if frame.pts is None or frame.time_base is None:
             return math.nan
         return float((frame.pts - self._start) * frame.time_base)
-
-    def keep(self, n_pictures: int) -> None:
-        """Nothing to do: an image stays for as long as it is held."""
 
     def picture(self) -> Decoded | None:
         """The frame grabbed last, valid for as long as it is held; None if it is damaged."""

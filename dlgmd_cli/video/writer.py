@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.video.files import count_frames
+from dlgmd_cli.video.files import count_frames, openable
 
 Image = npt.NDArray[np.uint8]
 Write = Callable[[Image], Any]
@@ -90,7 +90,7 @@ def video_writer(
         with tempfile.TemporaryDirectory(prefix=".dlgmd-", dir=path.parent) as folder:
             file = Path(folder).absolute() / f"video{path.suffix}"
             file.touch()  # if this fails, the error gives the reason; OpenCV would not
-            with _openable(file) as name, by(name, shape, fps, how, is_colour) as encode:
+            with openable(file) as name, by(name, shape, fps, how, is_colour) as encode:
 
                 def write(image: Image) -> None:
                     nonlocal n_frames
@@ -128,20 +128,6 @@ def write_video(
     with video_writer(path, shape, fps, codec=codec, target=target) as write:
         for frame in frames:
             write(frame)
-
-
-@contextmanager
-def _openable(file: Path) -> Iterator[str]:
-    """A name for `file` that FFmpeg can take: OpenCV crashes on one that is not valid UTF-8."""
-    try:
-        str(file).encode("utf-8")
-    except UnicodeEncodeError:
-        with tempfile.TemporaryDirectory(prefix="dlgmd-") as temporary:
-            link = Path(temporary) / "out"
-            link.symlink_to(file.parent, target_is_directory=True)
-            yield str(link / file.name)
-    else:
-        yield str(file)
 
 
 @contextmanager

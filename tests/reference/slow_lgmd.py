@@ -23,7 +23,7 @@ DEFAULTS = {
     "c_omega": 4.0,
     "c_de": 0.15,
     "t_de": 15.0,
-    "t_ffi": 25.0,
+    "t_ffi": 255.0,
 }
 
 

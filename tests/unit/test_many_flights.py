@@ -1,11 +1,6 @@
 """`dlgmd synth SCENE --count`: many flights, their labels, and what an early end leaves of them."""
 
-import os
 import pickle
-import signal
-import subprocess
-import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +8,7 @@ import cv2
 import pytest
 import yaml
 from flightscenes import SHORT, Quick
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ResultError
@@ -30,10 +25,10 @@ LABELS_OF_4 = HEADER + "quick-0000.mp4,\nquick-0001.mp4,12\nquick-0002.mp4,\nqui
 def synth(dlgmd, monkeypatch):
     """Call `dlgmd synth quick --count 4 --out flights`, with some seeds at fault."""
 
-    def call(*arguments, count=4, **faults):
+    def call(*arguments, count=4, jobs=1, **faults):
         monkeypatch.setitem(SCENES, "quick", Quick(**faults))
-        counted = [] if count is None else ["--count", count]
-        return dlgmd("synth", "quick", "--out", OUT, *counted, *arguments)
+        fleet = ["quick", "--out", OUT, "--count", count, "--jobs", jobs]
+        return dlgmd("synth", *fleet, *arguments)
 
     return call
 
@@ -54,7 +49,7 @@ def identities():
 # Whole
 
 
-def test_flights_and_their_labels(synth):
+def test_flights_and_their_labels_do_not_depend_on_jobs(synth):
     result = synth()
     assert result.exit_code == 0, result.output
     assert result.stdout == f"{OUT / 'labels.csv'}\n" and result.stderr == ""
@@ -63,22 +58,18 @@ def test_flights_and_their_labels(synth):
     assert sorted(path.name for path in OUT.iterdir()) == ["labels.csv", *names]
     for number in range(4):
         assert yaml.safe_load((OUT / f"quick-000{number}.yaml").read_text())["seed"] == number
+    alone = contents()
+    OUT.rename("alone")
+    assert synth(jobs=2).exit_code == 0
+    assert contents() == alone
 
 
 def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
-    synth("--seed", 10)
+    synth("--seed", 10, count=3)
     single = dlgmd("synth", "quick", "--seed", 12)
     assert single.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
     for suffix in ("mp4", "csv", "yaml"):
         assert Path(f"quick.{suffix}").read_bytes() == (OUT / f"quick-0002.{suffix}").read_bytes()
-
-
-def test_files_do_not_depend_on_jobs(synth):
-    assert synth("--jobs", 1).exit_code == 0
-    alone = contents()
-    OUT.rename("alone")
-    assert synth("--jobs", 3).exit_code == 0
-    assert contents() == alone
 
 
 def test_folders_of_pictures(synth):
@@ -87,7 +78,7 @@ def test_folders_of_pictures(synth):
     assert sorted(path.name for path in (OUT / "quick-0001").iterdir()) == ["0000.png", "0001.png"]
 
 
-def test_every_flight_goes_to_other_processes():
+def test_every_scene_goes_to_other_processes():
     for scene in SCENES.values():
         assert pickle.loads(pickle.dumps(scene)).name == scene.name
 
@@ -96,35 +87,23 @@ def test_every_flight_goes_to_other_processes():
 
 
 def test_what_is_there_is_not_rendered_again(synth):
-    synth()
+    synth(count=2)
+    assert labels() == HEADER + "quick-0000.mp4,\nquick-0001.mp4,12\n"
     before = identities()
+    result = synth()
+    assert result.exit_code == 0 and result.stderr == "2 of 4 flights were already there.\n"
+    assert before.items() <= identities().items() and labels() == LABELS_OF_4
     for path in OUT.glob("quick-0002.*"):
         path.unlink()
-    (OUT / "quick-0003.csv").unlink()
-    (OUT / "quick-0003.mp4").unlink()
-    (OUT / "quick-0003.yaml").unlink()
-    result = synth()
-    assert result.exit_code == 0 and result.stderr == "2 of 4 flights were there already.\n"
-    after = identities()
-    assert {name for name in after if after[name] == before[name]} >= {
-        f"quick-000{i}.{suffix}" for i in (0, 1) for suffix in ("csv", "mp4", "yaml")
-    }
-    assert labels() == LABELS_OF_4
-
-
-def test_nothing_is_left_to_do(synth):
-    synth()
+    assert synth().stderr == "3 of 4 flights were already there.\n"
     before = identities()
     (OUT / "labels.csv").unlink()
     result = synth("--overwrite", at_0="error", at_1="error")
     assert result.exit_code == 0 and identities() == before and labels() == LABELS_OF_4
-
-
-def test_more_of_the_same(synth):
-    synth(count=2)
-    assert labels() == HEADER + "quick-0000.mp4,\nquick-0001.mp4,12\n"
-    result = synth()
-    assert result.exit_code == 0 and labels() == LABELS_OF_4
+    # Fewer flights do not take others off the list.
+    result = synth(count=2)
+    assert result.exit_code == 2 and "lists other videos, such as quick-0002.mp4" in result.stderr
+    assert labels() == LABELS_OF_4
 
 
 @pytest.mark.parametrize(
@@ -137,67 +116,62 @@ def test_more_of_the_same(synth):
     ],
 )
 def test_flights_of_other_settings_are_refused(synth, arguments, differing):
-    synth()
+    synth(count=2)
     before = contents()
-    result = synth(*arguments)
+    result = synth(*arguments, count=2)
     assert result.exit_code == 2
     assert result.stderr == (
-        f"Error: {OUT / 'quick-0000.yaml'}: another flight stands here ({differing}). "
+        f"Error: {OUT / 'quick-0000.yaml'}: another flight already exists here ({differing}). "
         "Add --overwrite to replace such flights, or choose another --out.\n"
     )
     assert contents() == before
-    assert synth(*arguments, "--overwrite").exit_code == 0
+    assert synth(*arguments, "--overwrite", count=2).exit_code == 0
     assert contents().keys() == before.keys() and contents() != before
 
 
 def test_flights_of_other_versions_are_refused(synth, monkeypatch):
-    synth()
+    synth(count=1)
     monkeypatch.setattr(cv2, "__version__", "0.1")
-    result = synth()
-    assert result.exit_code == 2 and "another flight stands here (versions)" in result.stderr
+    result = synth(count=1)
+    assert result.exit_code == 2 and "already exists here (versions)" in result.stderr
 
 
 def test_files_of_others_are_refused(synth):
     OUT.mkdir()
     (OUT / "quick-0003.csv").write_text("mine")
     result = synth()
-    assert result.exit_code == 2 and "quick-0003.csv: it stands here already" in result.stderr
+    assert result.exit_code == 2 and "quick-0003.csv: it already exists" in result.stderr
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
 @pytest.mark.parametrize("text", ["", "scene: [", "- 1\n", "collision_frame: 3\n"])
 def test_a_record_that_says_nothing_is_no_flight(synth, text):
-    synth()
+    synth(count=2)
     (OUT / "quick-0001.yaml").write_text(text)
-    result = synth()
+    result = synth(count=2)
     assert result.exit_code == 2 and "quick-0001" in result.stderr
-    assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
+    assert synth("--overwrite", count=2).exit_code == 0
 
 
-@pytest.mark.parametrize("suffix", ["mp4", "csv"])
-def test_a_flight_that_lost_a_file_is_none(synth, suffix):
-    synth()
-    (OUT / f"quick-0001.{suffix}").unlink()
-    result = synth()
-    assert result.exit_code == 2 and "another flight stands here (damaged)" in result.stderr
-    assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
-
-
-@pytest.mark.parametrize("frame", ["x", "1.5", "-3", "true", "[1]"])
-def test_a_record_with_an_odd_collision_is_no_flight(synth, frame):
-    synth()
-    path = OUT / "quick-0001.yaml"
-    path.write_text(path.read_text().replace("collision_frame: 12", f"collision_frame: {frame}"))
-    result = synth()
-    assert result.exit_code == 2 and "another flight stands here (damaged)" in result.stderr
-    assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
+@pytest.mark.parametrize("fault", ["mp4", "csv", "x", "1.5", "-3", "true", "[1]"])
+def test_a_damaged_flight_is_none(synth, fault):
+    synth(count=2)
+    record = OUT / "quick-0001.yaml"
+    if fault in ("mp4", "csv"):
+        record.with_suffix(f".{fault}").unlink()
+    else:
+        odd = record.read_text().replace("collision_frame: 12", f"collision_frame: {fault}")
+        record.write_text(odd)
+    result = synth(count=2)
+    assert result.exit_code == 2 and "already exists here (damaged)" in result.stderr
+    assert synth("--overwrite", count=2).exit_code == 0
+    assert labels() == HEADER + "quick-0000.mp4,\nquick-0001.mp4,12\n"
 
 
 @pytest.mark.parametrize(
     ("text", "why"),
     [
         (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "it lists other videos, such as other.mp4"),
-        ("a,b\n", "it holds no labels"),
         ("", "it holds no labels"),
         (HEADER + "quick-0001.mp4,soon\n", "line 2 is no label"),
     ],
@@ -215,17 +189,10 @@ def test_labels_of_others_are_refused(synth, text, why):
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
 
 
-def test_fewer_flights_do_not_take_others_off_the_list(synth):
-    synth()
-    result = synth(count=2)
-    assert result.exit_code == 2 and "lists other videos, such as quick-0002.mp4" in result.stderr
-    assert labels() == LABELS_OF_4
-
-
 def test_labels_cannot_take_the_place_of_a_folder(synth):
     (OUT / "labels.csv").mkdir(parents=True)
     result = synth("--overwrite")
-    assert result.exit_code == 2 and "labels.csv: it stands here already" in result.stderr
+    assert result.exit_code == 2 and "labels.csv: it is a folder" in result.stderr
     assert len(list(OUT.iterdir())) == 1
 
 
@@ -244,7 +211,7 @@ def test_a_bar_counts_all_flights(synth, monkeypatch):
         yield lambda done: seen.append((name, total, unit, done))
 
     synth(count=2)
-    monkeypatch.setattr("dlgmd_cli.commands._flights.progress", progress)
+    monkeypatch.setattr("dlgmd_cli.commands.synth.progress", progress)
     synth()
     assert seen == [("quick", 4, "flight", n_done) for n_done in (2, 3, 4)]
 
@@ -252,14 +219,13 @@ def test_a_bar_counts_all_flights(synth, monkeypatch):
 # Ending before the end
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_one_that_fails_keeps_the_others(synth, jobs):
-    result = synth("--jobs", jobs, at_1="error")
+def test_one_that_fails_keeps_the_others(synth):
+    result = synth(at_1="error")
     assert result.exit_code == 1
     assert result.stderr.splitlines() == [
         "quick-0001: here: it cannot be. Mend it.",
-        f"Error: 1 of 4 flights failed, 3 are in {OUT}. "
-        "Mend what stands above; the same command goes on.",
+        f"Error: 1 of 4 flights failed; the other 3 are in {OUT}. "
+        "Fix what is named above, then run the same command again.",
     ]
     assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12\n", "")
     assert not list(OUT.glob("quick-0001*"))
@@ -273,65 +239,47 @@ def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     assert labels() == HEADER + "quick-0000.mp4,\nquick-0002.mp4,\n"
 
 
-@pytest.mark.parametrize(("fault", "message"), [("bug", "IndexError"), ("kill", "was killed by")])
-def test_a_bug_or_a_death_keeps_what_is_there(synth, fault, message):
-    result = synth("--jobs", 2, count=12, at_11=fault)
-    assert result.exit_code == 1 and message in result.stderr
-    assert f"{OUT} keeps " in result.stderr and "the same command goes on" in result.stderr
-    listed = labels().splitlines()[1:]
-    assert len(listed) >= 9 and labels().startswith(HEADER)
-    assert {line.split(",")[0] for line in listed} == {path.name for path in OUT.glob("*.mp4")}
-    assert not list(OUT.glob(".*"))
+def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(synth):
+    result = synth(jobs=2, count=6, at_3="kill", at_4="error")
+    assert result.exit_code == 1
+    said = sorted(result.stderr.splitlines())
+    assert said[0].startswith("Error: 2 of 6 flights failed; the other 4 are in")
+    assert said[1].startswith("quick-0003: its process was killed")
+    assert said[2] == "quick-0004: here: it cannot be. Mend it."
+    listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
+    assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
+    assert len(contents()) == 3 * 4 + 1  # nothing half made
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_bug_keeps_what_is_there(synth, jobs):
+    result = synth(jobs=jobs, count=8, at_7="bug")
+    assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
+    listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
+    assert listed == sorted(path.name for path in OUT.glob("*.mp4")) and len(listed) >= 5
+    assert f"{OUT} holds {len(listed)} of 8 flights; run the same command again" in result.stderr
+    assert len(contents()) == 3 * len(listed) + 1
 
 
 def test_an_interrupt_keeps_what_is_there(synth):
-    result = synth("--jobs", 1, at_2="interrupt")
+    result = synth(at_2="interrupt")
     assert result.exit_code == 130
-    assert result.stderr == (f"{OUT} keeps 2 of 4 flights; the same command goes on from there.\n")
+    assert result.stderr == (
+        f"Interrupted. {OUT} holds 2 of 4 flights; run the same command again for the others.\n"
+    )
     assert result.stdout == f"{OUT / 'labels.csv'}\n"
     assert labels() == HEADER + "quick-0000.mp4,\nquick-0001.mp4,12\n"
     assert len(contents()) == 7
     before = identities()
     again = synth()
-    assert again.exit_code == 0 and again.stderr == "2 of 4 flights were there already.\n"
+    assert again.exit_code == 0 and again.stderr == "2 of 4 flights were already there.\n"
     assert labels() == LABELS_OF_4 and before.items() <= identities().items()
 
 
 def test_an_interrupt_before_the_first_flight_leaves_nothing(synth):
-    result = synth("--jobs", 1, at_0="interrupt")
+    result = synth(at_0="interrupt")
     assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
-    assert result.stdout == "" and contents() == {}
-
-
-@pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_ctrl_c_from_outside(tmp_path, jobs):
-    program = (
-        "from flightscenes import Quick\n"
-        "from dlgmd_cli.app import cli\n"
-        "from dlgmd_cli.flights.scenes import SCENES\n"
-        "SCENES['quick'] = Quick()\n"
-        "cli(prog_name='dlgmd')\n"
-    )
-    command = [sys.executable, "-c", program, "synth", "quick", "--count", "9999", "--out", "f"]
-    here = Path(__file__).parents[1]
-    process = subprocess.Popen(
-        [*command, "--jobs", str(jobs)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until and len(list(tmp_path.glob("f/*.yaml"))) < 6:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 130, said
-    listed = [label.video for label in read_labels(tmp_path / "f" / "labels.csv")]
-    assert listed == sorted(path.name for path in tmp_path.glob("f/*.mp4")) and len(listed) >= 6
-    assert len(list((tmp_path / "f").iterdir())) == 3 * len(listed) + 1
-    assert said == f"f keeps {len(listed)} of 9999 flights; the same command goes on from there.\n"
+    assert result.stdout == "" and not OUT.exists()
 
 
 # Usage
@@ -340,8 +288,8 @@ def test_ctrl_c_from_outside(tmp_path, jobs):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("looming-cube --count 2", "--count is for flights, and looming-cube is none."),
-        ("quick --jobs 2", "--jobs shares out the flights of --count. Add it."),
+        ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
+        ("quick --jobs 2", "--jobs works only with --count. Add it."),
         ("quick --count 0", "Invalid value for '--count': 0 is not in the range"),
         ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
         ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),
@@ -358,6 +306,7 @@ def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
 # Labels
 
 
+@settings(max_examples=30)
 @given(
     st.lists(
         st.builds(

@@ -108,21 +108,16 @@ def test_the_lgmd_never_switches_off_unless_asked_to():
             "alpha = -1 with beta = 0.5 makes the latency negative (-0.333 frames at the centre). "
             "Inhibition cannot come before its cause; raise alpha.",
         ),
-        # No beta and no lam can mend it.
         (
             {"alpha": 64.0},
-            "alpha = 64 makes the latency longer than 64 frames everywhere. Lower alpha.",
-        ),
-        (
-            {"beta": 0.0},
-            "beta = 0 with lam = 0.7 and r = 6 makes the latency longer than 64 frames. "
-            "Raise beta or lower lam.",
+            "alpha = 64, beta = 0.5, lam = 0.7 and r = 6 make the latency longer than 64 frames. "
+            "Lower alpha or lam, or raise beta.",
         ),
         # exp(-λ²·2r²) is 0 in float64 here: the latency is endless.
         (
             {"beta": 0.0, "lam": 10.0, "r": 32},
-            "beta = 0 with lam = 10 and r = 32 makes the latency longer than 64 frames. "
-            "Raise beta or lower lam.",
+            "alpha = -0.1, beta = 0, lam = 10 and r = 32 make the latency longer than 64 frames. "
+            "Lower alpha or lam, or raise beta.",
         ),
     ],
 )

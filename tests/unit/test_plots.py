@@ -1,81 +1,70 @@
-"""Figures: what is drawn, where, and that they can be written."""
+"""Figures over time and of kernels: what is drawn, where, and that they can be written."""
 
-import subprocess
-import sys
-from dataclasses import replace
 from itertools import combinations, pairwise
 
 import matplotlib
 import numpy as np
 import pytest
 from conftest import result_of_level
-from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
+from dlgmd_cli.plots.annotations import Annotations, Timeline
 from dlgmd_cli.plots.kernels import plot_kernels
-from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.plots.traces import PLOTS, plot_attenuation, plot_mp, plot_spikes
-from dlgmd_cli.results.tables import Result
+from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files, save_figure
+from dlgmd_cli.plots.traces import KINDS, LOOKS, MAX_POINTS, plot, stretches, thinned
 
 NAN = np.nan
+WIDTHS_IN = {"one": 3.5, "two": 7.16}
+EVERY = pytest.mark.parametrize("kind", KINDS)
 
 
-def make_result(n=40, frame_step=1):
+def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
+    """Spikes at rows 20 to 24 and alarms from row 21 on; nothing passes at rows 10 to 12."""
     level = np.full(n, 0.1)
     level[:3] = NAN
-    level[20:25] = [0.5, 0.6, 0.9, 0.7, 0.4]
+    level[20:25] = [0.5, 0.6, 0.9, 0.7, 0.45]
     attenuation = np.linspace(-30, -5, n)
     attenuation[:3] = NAN
     attenuation[10:13] = -np.inf
-    attenuation[30] = NAN
+    attenuation[30:31] = NAN
+    times, frames = start_s + np.arange(n) / 10, np.arange(n) * frame_step
     return result_of_level(
-        level, time_s=np.arange(n) / 10, frame_step=frame_step, attenuation_db=attenuation
+        level * scale, time_s=times, frame=frames, attenuation_db=attenuation, **options
     )
 
 
-def lines(axes):
-    return {line.get_label(): line for line in axes.get_lines()}
+def part(result, rows):
+    return result_of_level(
+        result.mp_abs[rows],
+        time_s=result.time_s[rows],
+        frame=result.frame[rows],
+        attenuation_db=result.attenuation_db[rows],
+    )
 
 
-def test_mp_shows_level_threshold_spikes_and_collision():
-    result = make_result()
-    (axes,) = plot_mp(result).axes
-    drawn = lines(axes)
-    assert np.array_equal(drawn["MP"].get_ydata(), result.level, equal_nan=True)
-    assert set(drawn["threshold 0.4"].get_ydata()) == {0.4}
-    assert drawn["spike"].get_xdata().tolist() == pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4])
-    (span,) = axes.patches
-    assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((2.05, 2.45))
-    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "Normalised MP"
+def long_result(n=20_000):
+    level = 0.2 + 0.1 * np.sin(np.arange(n) / 11)
+    level[n // 4 : n // 3] = NAN
+    level[[0, n // 16, n // 3 - 100, n - 1]] = [0.91, 0.92, 0.93, 0.94]
+    attenuation = -40 * level
+    attenuation[n // 2] = -np.inf
+    return result_of_level(level, time_s=np.arange(n) / 30, attenuation_db=attenuation)
 
 
-def test_attenuation_has_gaps_and_marks_what_does_not_pass():
-    result = make_result()
-    (axes,) = plot_attenuation(result).axes
-    line = lines(axes)["attenuation"].get_ydata()
-    assert np.isnan(line[[0, 1, 2, 10, 11, 12, 30]]).all()
-    assert np.isfinite(line).sum() == 40 - 7
-    (marks,) = [line for label, line in lines(axes).items() if "nothing passes" in label]
-    assert marks.get_xdata().tolist() == pytest.approx([1.0, 1.1, 1.2])
-    assert axes.get_ylabel() == "Attenuation (dB)"
+def legend(figure):
+    return [text.get_text() for item in figure.legends for text in item.get_texts()]
 
 
-def test_spikes_are_a_raster_over_the_level():
-    result = make_result()
-    raster, level = plot_spikes(result).axes
-    spikes, collisions = raster.collections
-    assert len(spikes.get_segments()) == 5 and len(collisions.get_segments()) == 4
-    assert "MP" in lines(level) and level.get_xlabel() == "Time (s)"
+def handles(figure):
+    (item,) = figure.legends
+    return dict(zip(legend(figure), item.legend_handles, strict=True))
 
 
-def ticks(axis):
-    """Label -> place of every tick that is drawn."""
-    axis.figure.draw_without_rendering()
-    return {
-        label.get_text(): place
-        for label, place in zip(axis.get_ticklabels(), axis.get_ticklocs(), strict=True)
-    }
+def curve(axes, place=0):
+    """The values of the line of a result, NaN included."""
+    return [line for line in axes.get_lines() if line.get_marker() != "."][place].get_ydata()
 
 
 def frame_axis(figure):
@@ -83,230 +72,295 @@ def frame_axis(figure):
     return top
 
 
-@pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS)
-def test_frames_stand_above_seconds(plot):
-    top = frame_axis(plot(make_result(frame_step=3)))
-    assert top.get_xlabel() == "Frame"
-    assert ticks(top.xaxis) == pytest.approx(
-        {str(frame): frame / 30 for frame in range(0, 117, 20)}
-    )
+def boxes(texts):
+    return [text.get_window_extent() for text in texts if text.get_text()]
 
 
-def test_one_frame_of_collision_is_one_frame_wide():
-    for frame in (0, 17, 39):
-        (axes,) = plot_mp(replace(make_result(), collision=np.arange(40) == frame)).axes
-        (span,) = axes.patches
-        assert span.get_width() == pytest.approx(0.1)
-        assert span.get_x() >= -1e-9 and span.get_x() + span.get_width() <= 3.9 + 1e-9
-        assert span.get_x() - 1e-9 <= frame / 10 <= span.get_x() + 0.1 + 1e-9
+def test_one_result_shows_level_threshold_spikes_and_alarm():
+    result = make_result()
+    figure = plot("mp", {"flight": result})
+    (axes,) = figure.axes
+    assert np.array_equal(curve(axes), result.level, equal_nan=True)
+    assert legend(figure) == ["flight", "threshold 0.4", "spike", "alarm"]
+    (dots,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    assert dots.get_xdata() == pytest.approx([2.0, 2.1, 2.2, 2.3, 2.4])
+    (band,) = axes.collections
+    (box,) = [path.get_extents() for path in band.get_paths()]
+    assert (box.x0, box.x1) == pytest.approx((2.05, 2.45))  # from the second spike on
+    assert to_rgb(band.get_facecolor()[0]) == to_rgb(VERMILION)
+    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "Normalised MP"
 
 
-def test_one_frame_of_many_is_a_pixel_wide():
-    n = 1_900  # each drawn by itself, but several of them to a pixel
-    result = replace(long_result(n), collision=np.arange(n) == 700)
-    (axes,) = plot_mp(result).axes
-    (span,) = axes.patches
-    assert span.get_x() <= 700 <= span.get_x() + span.get_width()
-    assert 0.5 < span.get_width() / (n - 1) * 2.77 * 200 < 2
+def test_attenuation_has_gaps_and_marks_what_does_not_pass():
+    figure = plot("attenuation", {"flight": make_result()})
+    (axes,) = figure.axes
+    line = curve(axes)
+    assert np.isnan(line[[0, 1, 2, 10, 11, 12, 30]]).all() and np.isfinite(line).sum() == 40 - 7
+    (marks,) = [line for line in axes.get_lines() if line.get_marker() == "v"]
+    assert marks.get_xdata() == pytest.approx([1.0, 1.1, 1.2])
+    assert legend(figure) == ["flight", "nothing passes (< −60 dB)"]
+    assert axes.get_ylabel() == "Attenuation (dB)"
+
+
+def test_spikes_are_a_raster_over_the_level_with_its_threshold():
+    raster, level = plot("spikes", {"flight": make_result()}).axes
+    spikes, alarms = raster.collections
+    spans = [
+        [(path.get_extents().x0, path.get_extents().x1) for path in bars.get_paths()]
+        for bars in (spikes, alarms)
+    ]
+    assert spans[0] == [pytest.approx((1.95, 2.45))] and spans[1] == [pytest.approx((2.05, 2.45))]
+    assert level.get_ylabel() == "Normalised MP" and raster.get_xlim() == level.get_xlim()
+    assert "threshold 0.4" in legend(level.figure)
+
+
+def test_the_overview_has_all_panels_and_each_entry_once():
+    figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["Normalised MP", "Attenuation (dB)", ""]
+    expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spikes", "alarm"]
+    assert legend(figure) == expected
+    assert len({axes.get_xlim() for axes in figure.axes}) == 1
+    assert figure.axes[-1].get_xlabel() == "Time (s)" and not figure.axes[0].get_xlabel()
+
+
+def test_the_last_spike_is_not_cut_at_the_edge():
+    level = np.full(40, 0.1)
+    level[[0, 39]] = 0.9
+    result = result_of_level(level)
+    for kind in ("mp", "spikes"):
+        left, right = plot(kind, {"a": result}).axes[-1].get_xlim()
+        assert left < result.time_s[0] - 0.01 and right > result.time_s[-1] + 0.01
 
 
 def test_rounding_is_no_event():
     wobble = np.full(40, -8.348184) + np.where(np.arange(40) == 20, 1e-7, 0)
-    figure = plot_attenuation(replace(make_result(), attenuation_db=wobble))
-    figure.draw_without_rendering()
-    (axes,) = figure.axes
+    result = result_of_level(np.full(40, 0.1), attenuation_db=wobble)
+    (axes,) = plot("attenuation", {"a": result}).axes
     low, high = axes.get_ylim()
     assert high - low >= 5 and low < -8.35 < high
-    assert not axes.yaxis.get_major_formatter().get_useOffset()
+
+
+def test_silence_has_a_row_per_result_below_all_lines():
+    figure = plot("attenuation", {"a": make_result(), "b": make_result()})
+    (axes,) = figure.axes
+    marks = [line for line in axes.get_lines() if line.get_marker() == "v"]
+    assert {line.get_color() for line in marks} == {LOOKS[0][0], LOOKS[1][0]}
+    heights = [line.get_ydata()[0] for line in marks]
+    low, high = axes.get_ylim()
+    assert heights[0] != heights[1]
+    assert (np.nanmin(curve(axes)) - low) / (high - low) > max(heights) + 0.02
 
 
 def test_what_is_undefined_says_why():
-    nothing, never = np.full(40, NAN), np.zeros(40, bool)
-    still = replace(
-        make_result(), level=nothing, attenuation_db=nothing, spike=never, collision=never
-    )
-    short = replace(still, mp=nothing, s_sum=nothing)
-    reasons = {
-        plot_mp: "the membrane potential never changes",
-        plot_spikes: "the membrane potential never changes",
-        plot_attenuation: "no picture changes",
+    still = result_of_level(np.full(9, 0.0), attenuation_db=np.full(9, NAN), normalise="sequence")
+    short = result_of_level(np.full(3, NAN), attenuation_db=np.full(3, NAN))
+    unchanged = {
+        "mp": "the membrane potential never changes",
+        "attenuation": "no frame differs from the one before it",
     }
-    for plot, reason in reasons.items():
-        for result, expected in ((still, reason), (short, "too few frames")):
-            figure = plot(result)
-            (note,) = [text.get_text() for axes in figure.axes for text in axes.texts]
-            assert note == f"undefined: {expected}"
-            labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-            assert labels == (["threshold 0.4"] if plot is plot_mp else [])
+    for kind, why in unchanged.items():
+        for results, expected in (
+            ([still], why),
+            ([short], "too few frames"),
+            ([short, still], f"too few frames, or {why}"),
+        ):
+            (axes,) = plot(kind, dict(zip("ab", results, strict=False))).axes
+            assert [text.get_text() for text in axes.texts] == [f"undefined: {expected}"]
 
 
-def long_result(n=20_000):
-    level = 0.3 + 0.2 * np.sin(np.arange(n) / 11)
-    if n > 10_000:
-        level[5_000:6_000] = NAN
-        level[[0, 1_234, 5_500, n - 1, 8_888]] = [0.91, 0.92, 0.93, 0.94, 0.02]
-    attenuation = -40 * level
-    attenuation[7_777:7_778] = -np.inf
-    collision = np.isin(np.arange(n), (0, 1_234, 1_235, 5_500, n - 1))
-    return replace(
-        make_result(),
-        **{key: np.arange(n) for key in ("frame", "time_s")},
-        **dict.fromkeys(("p_sum", "s_sum", "mp", "mp_abs", "mp_seq", "level"), level),
-        attenuation_db=attenuation,
-        threshold=np.full(n, 0.9),
-        spike=level >= 0.9,
-        collision=collision,
-    )
+def test_columns_and_what_the_axis_calls_them():
+    result, by_sequence = make_result(), make_result(normalise="sequence")
+    sequence = "MP, normalised\nto its sequence"
+    for results, column, name, has_threshold in (
+        ([result], None, "Normalised MP", True),
+        ([result], "mp_abs", "Normalised MP", True),
+        ([result], "mp_seq", sequence, False),
+        ([by_sequence], None, sequence, True),
+        ([result, by_sequence], None, "Normalised MP", True),
+        ([result, by_sequence], "mp_seq", sequence, False),
+    ):
+        figure = plot("mp", dict(zip("ab", results, strict=False)), column=column)
+        (axes,) = figure.axes
+        assert np.array_equal(curve(axes), getattr(results[0], column or "level"), equal_nan=True)
+        assert axes.get_ylabel() == name and ("threshold 0.4" in legend(figure)) is has_threshold
+
+
+def test_what_cannot_be_drawn_is_refused():
+    for arguments, options, why in (
+        (("mp", {}), {}, "there is no result"),
+        (("film", {"a": make_result()}), {}, "kind is 'film', none of mp, attenuation"),
+        (("mp", {"a": make_result()}), {"width": "three"}, "'three', neither 'one' nor 'two'"),
+        (("mp", {"a": make_result()}), {"column": "spike"}, "none of level, mp_abs, mp_seq"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            plot(*arguments, **options)
+
+
+def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
+    assert len(LOOKS) == 6 and len({str(dashes) for _, dashes in LOOKS}) == 6
+    assert not {color for color, _ in LOOKS} & {VERMILION, BLACK}
+    brightness = [np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for color, _ in LOOKS]
+    assert all(abs(one - other) > 0.02 for one, other in pairwise(brightness))
+    results = {f"line {number}": make_result() for number in range(30)}
+    (axes,) = plot("mp", results).axes
+    looks = {
+        (line.get_color(), str(line._unscaled_dash_pattern), line.get_marker())
+        for line in axes.get_lines()
+        if len(line.get_xdata()) == 40
+    }
+    assert len(looks) == 30
+
+
+@EVERY
+@pytest.mark.parametrize("width", WIDTHS_IN)
+def test_nothing_is_covered_or_cut_off(kind, width):
+    results = {f"{number} {'long name ' * 9}"[:60]: make_result() for number in range(6)}
+    figure = plot(kind, results, Annotations(((3, "a mark"),)), width=width)
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() == WIDTHS_IN[width]
+    (item,) = figure.legends
+    box = item.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width + 1 and box.y1 <= figure.bbox.height + 1
+    assert len(item.get_texts()) >= 6 and len(set(legend(figure))) == len(legend(figure))
+    top = frame_axis(figure)
+    assert all(text.y1 <= box.y0 + 3 for text in boxes([top.xaxis.label, *top.get_xticklabels()]))
+    for axes in figure.axes:
+        tight = axes.get_tightbbox()
+        assert tight.x0 >= -1 and tight.y0 >= -1 and tight.x1 <= figure.bbox.width + 1
+    for upper, lower in combinations(figure.axes, 2):
+        assert upper.get_position().y0 >= lower.get_position().y1
+    for axis in (figure.axes[-1].xaxis, top.xaxis):
+        labels = boxes(axis.get_ticklabels())
+        assert len(labels) > 2 and all(one.x1 < other.x0 for one, other in pairwise(labels))
+
+
+def test_labels_are_drawn_as_they_are_written():
+    names = ["_hidden", "$x^2$", "two\nlines", "bell\a", "\udcff", "x" * 99]
+    figure = plot("mp", dict.fromkeys(names, make_result()))
+    figure.draw_without_rendering()
+    *shown, long, _ = legend(figure)
+    assert shown == ["_hidden", r"\$x^2\$", r"two\nlines", r"bell\x07", r"\udcff"]
+    assert "…" in long and len(long) < 60
+
+
+def shown_frames(figure):
+    figure.draw_without_rendering()
+    top = frame_axis(figure).xaxis
+    labels = [label.get_text() for label in top.get_ticklabels()]
+    return {int(text): place for text, place in zip(labels, top.get_ticklocs(), strict=True)}
+
+
+def test_frames_stand_above_seconds_at_their_true_places():
+    figure = plot("mp", {"a": make_result(frame_step=3)})
+    figure.draw_without_rendering()
+    top, axes = frame_axis(figure), figure.axes[0]
+    assert top.get_xlabel() == "Frame"
+    for frame in (0, 50, 117):
+        (above, _), (below, _) = (
+            top.transData.transform((frame, 0)),
+            axes.transData.transform((frame / 30, 0)),
+        )
+        assert above == pytest.approx(below, abs=0.1)
+
+
+def test_times_that_are_uneven_are_placed_truly():
+    times = np.cumsum(np.linspace(0.01, 0.2, 40))
+    timeline = Timeline.of([result_of_level(np.full(40, 0.1), time_s=times)])
+    assert timeline.time_of(np.arange(40)) == pytest.approx(times)
+    assert timeline.frame_of(times) == pytest.approx(np.arange(40))
+    assert timeline.frame_of(timeline.time_of([-3, 50.5])) == pytest.approx([-3, 50.5])
+
+
+def test_frames_are_shown_where_all_results_agree():
+    whole = make_result()
+    for others in ([part(whole, slice(4, None, 4))], [part(whole, slice(0, 25)), whole]):
+        timeline = Timeline.of([*others, whole])
+        assert timeline.is_shared and timeline.frames == (0, 39)
+        assert timeline.time_of(38) == pytest.approx(3.8)
+    for other in (
+        make_result(frame_step=2),  # another rate
+        make_result(start_s=0.02),
+        part(make_result(80), slice(50, 60)),  # no frame in common
+    ):
+        figure = plot("overview", {"a": whole, "b": other})
+        assert not any(axes.child_axes for axes in figure.axes)
+        left, right = figure.axes[-1].get_xlim()
+        assert left < min(other.time_s[0], 0.01) and right > max(other.time_s[-1], 3.9)
 
 
 def test_a_long_result_keeps_every_peak_and_gap():
     result = long_result()
-    (axes,) = plot_mp(result).axes
-    drawn = lines(axes)
-    line = drawn["MP (max, range)"]
-    seconds, levels = line.get_data()
-    assert len(levels) < 1_000
-    assert {0.91, 0.92, 0.93, 0.94} <= set(levels)
-    # 0.93 is alone among undefined rows: no neighbour to draw a line to, hence a dot.
-    (alone,) = [dots.get_ydata() for dots in axes.get_lines() if dots.get_marker() == "."]
-    assert alone.tolist() == [0.93]
-    inside = (seconds > 5_050) & (seconds < 5_950)
-    assert np.isnan(levels[inside]).sum() == inside.sum() - 1
-    (band,) = [item for item in axes.collections if isinstance(item, PolyCollection)]
-    assert min(path.vertices[:, 1].min() for path in band.get_paths()) == 0.02
-    marks = drawn["spike"]
-    assert marks.get_ydata().tolist() == [0.91, 0.92, 0.93, 0.94]
-    assert marks.get_markeredgewidth() == 0
-    assert marks.get_xdata() == pytest.approx([0, 1_234, 5_500, 19_999], abs=36)
-
-
-def test_a_long_result_loses_no_collision_and_no_silence():
-    result = long_result()
-    (axes,) = plot_mp(result).axes
-    raster = plot_spikes(result).axes[0]
-    bars = [bar.get_extents() for bar in raster.collections[1].get_paths()]
-    spans = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in axes.patches]
-    assert spans == pytest.approx(np.array([(bar.x0, bar.x1) for bar in bars]))
-    for (left, right), frame in zip(spans, (0, 1_234, 5_500, 19_999), strict=True):
-        assert left - 1e-6 <= frame <= right + 1e-6 and right - left < 100
-        assert (right - left) / 19_999 * 2.77 * 200 > 0.5
-    (axes,) = plot_attenuation(result).axes
-    (marks,) = [line for label, line in lines(axes).items() if "nothing passes" in label]
-    assert marks.get_xdata() == pytest.approx([7_777], abs=36)
-
-
-def test_what_always_happens_is_one_bar():
-    n = 20_000
-    always = np.ones(n, bool)
-    result = replace(long_result(n), level=np.full(n, 0.95), spike=always, collision=always)
-    (axes,) = plot_mp(result).axes
-    assert len(axes.patches) == 1 and len(lines(axes)["spike"].get_xdata()) < 1_000
-    assert [len(bars.get_paths()) for bars in plot_spikes(result).axes[0].collections] == [1, 1]
-
-
-@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
-def test_a_long_result_makes_no_large_file(suffix, tmp_path):
-    noisy = np.random.default_rng(0).random(20_000)
-    flags = noisy > 0.5
-    result = replace(
-        long_result(), level=noisy, attenuation_db=-noisy, spike=flags, collision=flags
-    )
-    for name, plot in PLOTS.items():
-        save_figure(plot(result), tmp_path / f"{name}.{suffix}")
-        assert (tmp_path / f"{name}.{suffix}").stat().st_size < 250_000
-
-
-MEMORY = """
-import resource, sys
-from pathlib import Path
-import numpy as np
-from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.plots.traces import PLOTS
-from dlgmd_cli.results.tables import Result
-
-n = int(sys.argv[1])
-series, flags = np.zeros(n), np.zeros(n, bool)
-series[::3], flags[::3] = 0.5, True
-time_s = np.arange(n, dtype=float)
-result = Result(time_s, time_s, *[series] * 8, flags, flags)
-for plot in PLOTS.values():
-    save_figure(plot(result), Path(sys.argv[2]))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KiB on Linux only")
-def test_memory_does_not_follow_the_length(tmp_path):
-    def peak_mb(n):
-        command = [sys.executable, "-c", MEMORY, str(n), str(tmp_path / "plot.png")]
-        return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-
-    assert peak_mb(200_000) < peak_mb(200) + 25
-
-
-@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
-@pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS)
-def test_every_plot_of_every_kind_of_result(plot, suffix, tmp_path):
-    full = make_result()
-    silent = replace(
-        full,
-        level=np.where(np.isnan(full.level), NAN, 0.0),
-        attenuation_db=np.where(np.isnan(full.attenuation_db), NAN, -np.inf),
-        spike=np.zeros(40, bool),
-        collision=np.zeros(40, bool),
-    )
-    single = Result(**{key: value[3:4] for key, value in vars(full).items()})
-    undefined = Result(**{key: value[:2] for key, value in vars(full).items()})
-    for number, result in enumerate((full, silent, single, undefined, long_result())):
-        path = tmp_path / f"{number}.{suffix}"
-        save_figure(plot(result), path)
-        assert path.stat().st_size > 1000
-        save_figure(plot(result), tmp_path / f"again.{suffix}")
-        assert path.read_bytes() == (tmp_path / f"again.{suffix}").read_bytes()
-
-
-def test_uneven_times_are_placed_truly():
-    result = replace(make_result(), time_s=np.cumsum(np.linspace(0.01, 0.2, 40)))
-    shown = ticks(frame_axis(plot_mp(result)).xaxis)
-    assert len(shown) > 2
-    for label, place in shown.items():
-        assert place == pytest.approx(result.time_s[int(label)])
-
-
-TIMES = {
-    "single": ([1e6], [30_000_000]),
-    "from zero": (np.arange(40) / 30, np.arange(40)),
-    "later": (7.3 + np.arange(40) / 30, 219 + np.arange(40)),
-    "far": (1e6 + np.arange(40) / 600, 30_000_000 + np.arange(40)),
-    "long": (np.linspace(0, 1e6, 40), np.arange(40) * 769_230),
-    "uneven": (np.geomspace(0.01, 70, 40), np.arange(40)),
-}
-
-
-@pytest.mark.parametrize(("time_s", "frame"), TIMES.values(), ids=TIMES)
-def test_labels_neither_overlap_nor_leave_the_figure(time_s, frame):
-    whole = make_result()
-    result = Result(**{key: value[-len(frame) :] for key, value in vars(whole).items()})
-    figure = plot_mp(replace(result, time_s=np.array(time_s), frame=np.array(frame)))
-    figure.draw_without_rendering()
+    figure = plot("mp", {"a": result})
     (axes,) = figure.axes
-    for axis in (axes.xaxis, frame_axis(figure).xaxis):
-        boxes = [label.get_window_extent() for label in axis.get_ticklabels()]
-        assert len(boxes) >= min(len(frame), 2)
-        assert all(before.x1 < after.x0 for before, after in pairwise(boxes))
-        assert boxes[0].x0 >= 0 and boxes[-1].x1 <= figure.bbox.width
-        assert axis.get_offset_text().get_text() == ""
-    (legend,) = figure.legends
-    assert legend.get_window_extent().x0 >= 0
+    levels = curve(axes)
+    assert len(levels) <= MAX_POINTS
+    assert {0.91, 0.92, 0.93, 0.94} <= {round(float(level), 9) for level in levels}
+    # One of them is alone among undefined rows: no neighbour to draw a line to, hence a dot.
+    (alone,) = [line.get_ydata() for line in axes.get_lines() if line.get_marker() == "."]
+    assert alone == pytest.approx([0.93])
+    (marks,) = [
+        line
+        for line in plot("attenuation", {"a": result}).axes[0].get_lines()
+        if line.get_marker() == "v"
+    ]
+    assert marks.get_xdata() == pytest.approx([10_000 / 30], abs=0.5)
 
 
-@pytest.mark.parametrize("result", [make_result(), long_result()], ids=["short", "long"])
-def test_the_legend_fits(result):
-    figure = plot_mp(result)
-    figure.draw_without_rendering()
-    assert len(figure.legends[0].get_texts()) == 4
-    box = figure.legends[0].get_window_extent()
-    assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+def test_a_long_result_loses_no_spike():
+    time_s = np.arange(50_000.0)
+    flags = np.zeros(50_000, bool)
+    flags[[0, 17_001, 17_002, 49_999]] = True
+    spans = stretches(time_s, flags)
+    assert len(spans) == 3
+    for (start, duration), time in zip(spans, (0, 17_001, 49_999), strict=True):
+        assert start - 1 <= time <= start + duration + 36
+    assert len(stretches(time_s, np.ones(50_000, bool))) == 1
+    assert len(thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1]) == 1
+
+
+@EVERY
+def test_every_kind_of_result_can_be_drawn(kind, tmp_path):
+    whole = make_result()
+    single, undefined = part(whole, slice(3, 4)), part(whole, slice(0, 2))
+    mixture = [whole, single, undefined, long_result(2_500)]
+    for results in ([single], [undefined], mixture):
+        labelled = {str(place): result for place, result in enumerate(results)}
+        figure = plot(kind, labelled, Annotations(((1, "x"),), ((0, 3, "y"),), 2, 3))
+        save_figure(figure, tmp_path / "x.svg")
+        assert (tmp_path / "x.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
+    noisy = np.random.default_rng(0).random(20_000)
+    result = result_of_level(noisy, attenuation_db=-noisy)
+    for name in ("a", "b"):
+        save_figure(plot("spikes", {"a": result}), tmp_path / f"{name}.{suffix}")
+    data = (tmp_path / f"a.{suffix}").read_bytes()
+    assert data == (tmp_path / f"b.{suffix}").read_bytes() and len(data) < 400_000
+
+
+def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
+    drawn = []
+
+    def draw():
+        drawn.append(1)
+        return plot("mp", {"飛": make_result()})
+
+    files = figure_files({"mp": draw, "other": draw}, ["png", "svg", "png"])
+    assert list(files) == ["mp.png", "mp.svg", "other.png", "other.svg"]
+    with pytest.warns(UserWarning, match="font lacks some letters") as warned:
+        for name, write in files.items():
+            write(tmp_path / name)
+    assert len(drawn) == 2 and len(warned) == 1
+    assert (tmp_path / "other.svg").read_bytes().startswith(b"<?xml")
+
+
+def test_the_host_s_style_is_left_alone(tmp_path):
+    before = dict(matplotlib.rcParams)
+    save_figure(plot("mp", {"Zürich → Σ": make_result()}), tmp_path / "mp.png")
+    assert dict(matplotlib.rcParams) == before
 
 
 def kernels_figure(number, formulation="default", **overrides):
@@ -324,36 +378,21 @@ def test_kernels_have_a_panel_each_and_one_scale_of_strength(formulation):
     delays = "12" if formulation == "default" else "012"
     assert titles[0] == "Excitation $K_E$" and titles[-1].startswith(r"Latency $\tau$")
     assert titles[1:-1] == [f"Inhibition $K_{{{delay}}}$" for delay in delays]
-    assert len(figure.axes) == len(maps) + 2  # a bar of strengths, one of frames
     limits = {axes.images[0].get_clim() for axes in maps[:-1]}
-    greatest = max(axes.images[0].get_array().max() for axes in maps[:-1])
-    assert limits == {(0.0, greatest)}
+    assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
     assert maps[-1].images[0].get_clim()[0] == 0.0
 
 
-def test_one_value_is_printed_and_has_no_scale_of_its_own():
-    excitation, *_ = kernels_figure(4).axes
-    assert [text.get_text() for text in excitation.texts] == ["only 0.541"]
-    figure = kernels_figure(1)
-    (latency,) = [axes for axes in figure.axes if "Latency" in axes.get_title()]
-    assert [text.get_text() for text in latency.texts] == ["only 1"]
-    assert len(figure.axes) == 3 + 1
-
-
-@pytest.mark.parametrize("radius", [1, 4, 32])
-@pytest.mark.parametrize("number", [1, 4, 7, 9])
-def test_kernels_stay_on_the_figure(number, radius):
+@pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
+def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
     figure = kernels_figure(number, r=radius)
+    if number == 1:
+        (latency,) = [axes for axes in figure.axes if "Latency" in axes.get_title()]
+        assert [text.get_text() for text in latency.texts] == ["only 1"]
     for axes in figure.axes:
         box = axes.get_tightbbox()
-        assert box.x0 >= 0 and box.y0 >= 0
-        assert box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
+        assert box is None or (box.x0 >= -1 and box.x1 <= figure.bbox.width + 1)
+        assert box is None or (box.y0 >= -1 and box.y1 <= figure.bbox.height + 1)
     feet = [axes.xaxis for axes in figure.axes if axes.get_xlabel()]
-    boxes = [label.get_window_extent() for axis in feet for label in axis.get_ticklabels()]
-    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
-
-
-def test_the_host_s_style_is_left_alone(tmp_path):
-    before = dict(matplotlib.rcParams)
-    save_figure(plot_mp(make_result()), tmp_path / "mp.png")
-    assert dict(matplotlib.rcParams) == before
+    labels = [box for axis in feet for box in boxes(axis.get_ticklabels())]
+    assert not any(one.overlaps(other) for one, other in combinations(labels, 2))

@@ -1,4 +1,4 @@
-"""Engines: whatever computes the summation and the grouping layer from the history of P."""
+"""Engines: two ways to compute the summation and the grouping layer from the last P."""
 
 import math
 from collections.abc import Callable
@@ -11,15 +11,15 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models.base import FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
+from dlgmd_cli.parameters import ENGINES
 
 # Imported on first use: Numba takes a fifth of a second.
 _HOMES = {
     "opencv": ("dlgmd_cli.models.engines.opencv", "OpencvEngine"),
     "numba": ("dlgmd_cli.models.engines.numba", "NumbaEngine"),
 }
-ENGINES = tuple(_HOMES)
 AUTO = "auto"
-# Below this, Numba's start takes longer than it saves in a few hundred frames.
+# In smaller frames, Numba's start takes longer than it saves in a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 
 
@@ -60,7 +60,7 @@ class Engine(Protocol):
 def choose_engine(
     name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
 ) -> str:
-    """The engine meant by `name`: itself, or for `auto` the one that suits the size.
+    """Resolve `auto` to the engine that suits the size; any other name stays as it is.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def choose_engine(
     n_cells : int
         H · W of the frames.
     tell : callable, optional
-        Called with a message if Numba would suit the size, and does not work.
+        Called with a message if Numba would suit the size but cannot be loaded.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _is_installed(package: str) -> bool:
     """Whether a package is there, without importing it."""
     try:
         return find_spec(package) is not None
-    except ValueError:  # it is on record as absent
+    except ValueError:  # sys.modules says that it is absent
         return False
 
 

@@ -26,7 +26,7 @@ Window = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
-    """A part of the image, and what lies around it that its answer depends on.
+    """A part of the image, and the surroundings that its result depends on.
 
     `window` is the tile and its surroundings, and `target` the tile itself, both in the image;
     `core` is the tile itself and `grouped` what its grouping looks at, both in `window`; `inner` is
@@ -93,7 +93,7 @@ class OpencvEngine:
         part: FloatImage,
         spare: FloatImage,
     ) -> None:
-        """S on the window of a tile, right where nothing outside the window is missing."""
+        """S on the window of a tile; correct wherever the kernels stay inside the window."""
         is_first = True
         for source, filters in self._groups:
             image = _floats(receptors, source, tile.window, spare)
@@ -150,7 +150,7 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, ...
 
 
 def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
-    """What a source is in a window, as float32; maybe in `spare`."""
+    """The window of a source as float32: `spare` filled with it, or a view of P."""
     newer = receptors.p(source.delay)[window]
     if source.difference:
         older = receptors.p(source.delay + 1)[window]

@@ -10,7 +10,7 @@ from reference_data import SEQUENCES, reference_dir, reference_frames, released_
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters import DlgmdParameters
 
-pytestmark = pytest.mark.usefixtures("each_engine")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("each_engine")]
 
 SETS = sorted(slow.TABLE_2)
 COLUMNS = {"s_sum": "s_sum", "g_sum": "mp", "ffi": "ffi", "t_de": "t_de"}

@@ -8,7 +8,7 @@ from conftest import looming_frames, write_video
 
 PROGRAM = """
 import resource, sys
-from dlgmd_cli.app import cli
+from dlgmd_cli.commands.app import cli
 try:
     cli(sys.argv[1:], prog_name="dlgmd")
 except SystemExit as end:
@@ -17,12 +17,16 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kB on Linux only")
 @pytest.mark.parametrize(
     ("n_frames", "longer", "command"),
     [
         (200, 100, ["run", "{}.avi", "--no-plots"]),
         (200, 50, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        (200, 50, ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"]),
         # 400 more pictures of 2.8 MB would be 1.1 GB.
         (100, 5, ["layers", "{}.avi", "--video", "{}.mp4"]),
     ],

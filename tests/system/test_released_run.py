@@ -5,6 +5,8 @@ import csv
 import pytest
 from reference_data import reference_dir
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE = 1e-5  # the released code computes in single precision
 
 

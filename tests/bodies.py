@@ -1,0 +1,45 @@
+"""Simple bodies for tests of the renderer and of the truth."""
+
+import numpy as np
+
+from dlgmd_cli.flights.renderer.solids import Round, Solid, quad
+from dlgmd_cli.flights.renderer.texture import Texture
+
+
+def plain(level):
+    return Texture(np.float32(level))
+
+
+def box(low, high, level=0.5, name="box", *, inwards=False, motion=None, textures=None):
+    """An upright box, seen from outside or from inside; `textures` are those of its six faces."""
+    (x, y, z), (x2, y2, z2) = low, high
+    dx, dy, dz = np.diag(np.subtract(high, low).astype(float))
+    corners = [
+        ([x, y2, z2], dx, -dy),  # from above
+        ([x, y, z], dx, dy),  # from below
+        ([x, y, z2], dx, -dz),  # from where y is less
+        ([x2, y2, z2], -dx, -dz),
+        ([x, y2, z2], -dy, -dz),  # from where x is less
+        ([x2, y, z2], dy, -dz),
+    ]
+    faces = []
+    for index, (origin, right, down) in enumerate(corners):
+        if inwards:
+            origin, right = np.add(origin, right), -right
+        faces.append(quad(origin, right, down, textures[index] if textures else plain(level)))
+    return Solid(name, faces, motion)
+
+
+def board(x, side, level=0.5, name="board", *, z=0.0):
+    """A square that looks back along x, its middle at (x, 0, z)."""
+    texture = level if isinstance(level, Texture) else plain(level)
+    return Solid(name, [quad((x, side / 2, z + side / 2), (0, -side, 0), (0, 0, -side), texture)])
+
+
+def capsule(first, last, radius, level=0.5, name="capsule", *, motion=None):
+    texture = level if isinstance(level, Texture) else plain(level)
+    return Round(name, np.array([first, last], float), radius, texture, motion=motion)
+
+
+def ball(at, radius, level=0.5, name="ball", *, motion=None):
+    return capsule(at, at, radius, level, name, motion=motion)

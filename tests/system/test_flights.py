@@ -1,0 +1,200 @@
+"""Every flight, at length: near misses, random flights, and rooms in which nothing overlaps."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dlgmd_cli.flights.geometry import first_contact, surroundings
+from dlgmd_cli.flights.path import REACH_M
+from dlgmd_cli.flights.random_flight import random_flight
+from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.scene import FlightScene
+from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.results.labels import read_labels
+
+pytestmark = pytest.mark.slow
+
+SMALL = {"--size": (36, 64)}
+GROUPS = ("group1", "group2", "group3", "group4", "group5")
+# How near each may come to what it is about, in m.
+MISSES = {
+    "past-pillar": (0.4, 0.7),
+    "through-doorway": (0.35, 0.6),
+    "along-corridor": (2.5, 4.0),
+    "turn-at-wall": (1.0, 1.6),
+    "light-on": (4.0, 6.0),
+    "person-crossing": (3.0, 4.5),
+}
+
+
+@pytest.fixture(scope="module")
+def scene_of():
+    """Scenes by name with their options and the rows of their truth, each made once."""
+
+    @lru_cache
+    def get(name):
+        scene = SCENES[name]
+        options = scene.configure(SMALL)
+        return scene, options, list(scene.truth(options))
+
+    return get
+
+
+def placed(bodies, time_s):
+    """The bodies where they are at a time."""
+    return [body.moved(body.motion(time_s)) if body.motion else body for body in bodies]
+
+
+@pytest.mark.parametrize("name", MISSES)
+def test_near_misses_miss(scene_of, name):
+    scene, options, rows = scene_of(name)
+    stage = scene.stage(options)
+    assert stage.contact_s is None and scene.record(options)["collision_frame"] is None
+    assert first_contact(stage.path, stage.world) is None
+    near, far = MISSES[name]
+    assert near < min(row.distance_m for row in rows) < far
+    assert all(math.isnan(row.time_to_contact_s) for row in rows)
+    world = surroundings(stage.world)
+    for time_s in np.arange(0.0, stage.duration_s, 0.1):
+        assert world.distances(stage.path.state(time_s).position_m, time_s).min() > 0.3
+
+
+def test_through_the_doorway_means_through(scene_of):
+    scene, options, rows = scene_of("through-doorway")
+    stage = scene.stage(options)
+    parts = [body for body in stage.world.bodies if body.name == "doorway"]
+    begins = min(-body.reach(np.array([[-1.0, 0, 0]]))[0] for body in parts)
+    ends = max(body.reach(np.array([[1.0, 0, 0]]))[0] for body in parts)
+    x = [row.x_m for row in rows]
+    assert x[0] < begins < ends < x[-1]
+
+
+def test_the_light_goes_on_after_two_seconds(scene_of):
+    scene, options, _ = scene_of("light-on")
+    means = np.array([frame.mean() for frame in scene.frames(options)])
+    steps = np.abs(np.diff(means))
+    assert steps.argmax() == 59 and steps[59] > 40
+    assert np.delete(steps, 59).max() < 1.0
+
+
+def test_the_person_crosses_the_picture(scene_of):
+    scene, options, _ = scene_of("person-crossing")
+    stage = scene.stage(options)
+    camera = Camera(options.shape, options.fov_deg)
+    across = []
+    for frame in range(0, scene.n_frames(options), 15):
+        bodies = [body for body in placed(stage.world.bodies, frame / 30) if body.name == "person"]
+        middles = [(body.reach(np.eye(3)) - body.reach(-np.eye(3))) / 2 for body in bodies]
+        across.append(camera.project(np.mean(middles, axis=0), stage.path.pose(frame / 30))[0])
+    assert across[0] > 45 and across[-1] < 20 and (np.diff(across) < 0.2).all()
+
+
+@pytest.mark.parametrize("name", [*GROUPS, *MISSES, "ball-and-capsules"])
+def test_bodies_are_apart_and_in_the_room(scene_of, name):
+    scene, options, _ = scene_of(name)
+    stage = scene.stage(options)
+    for time_s in (0.0, stage.duration_s / 2, stage.duration_s):
+        bodies = placed(stage.world.bodies, time_s)
+        assert Order(bodies).is_exact
+        for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
+            level = wall.normal @ wall.corners_m[0]
+            for body in bodies:
+                assert -body.reach(-wall.normal[None])[0] > level - 1e-6, body.name
+
+
+def test_random_flights_come_out_in_every_way():
+    stages = [random_flight(seed) for seed in range(8)]
+    hits = [stage for stage in stages if stage.contact_s is not None]
+    assert 2 <= len(hits) <= 6
+    assert len({stage.target for stage in stages}) >= 3
+    assert len({len(stage.world.bodies) for stage in stages}) >= 4
+    for stage in stages:
+        contact = first_contact(stage.path, stage.world)
+        if stage.contact_s is None:
+            assert contact is None
+        else:
+            assert contact == pytest.approx(stage.contact_s, abs=1e-4)
+            position = stage.path.state(contact).position_m
+            nearest = surroundings(stage.world, [stage.target]).distances(position, contact).min()
+            assert nearest == pytest.approx(REACH_M, abs=1e-4)
+            assert contact < stage.duration_s <= contact + 0.5 + 1e-9
+        assert Order(stage.world.bodies).is_exact
+
+
+def test_a_seed_is_a_flight():
+    scene = SCENES["random"]
+    again = FlightScene("random", "", scene.defaults, random_flight)
+    given = {**SMALL, "--seed": 5, "--frames": 40}
+    one, two = (each.configure(given) for each in (scene, again))
+    assert list(map(str, scene.truth(one))) == list(map(str, again.truth(two)))
+    for a, b in zip(scene.frames(one), again.frames(two), strict=True):
+        assert (a == b).all()
+    other = scene.configure({**given, "--seed": 6})
+    assert next(scene.frames(other)).tolist() != next(again.frames(two)).tolist()
+
+
+def test_a_drone_at_rest_sees_the_same_but_for_noise(scene_of):
+    """Texture does not flicker when nothing moves."""
+    scene, *_ = scene_of("group4")
+    calm = scene.configure({**SMALL, "--noise": 0.0, "--shot-noise": 0.0, "--frames": 20})
+    frames = list(scene.frames(calm))
+    assert all((frame == frames[0]).all() for frame in frames)
+    noisy = list(scene.frames(scene.configure({**SMALL, "--frames": 2})))
+    assert (noisy[0] != noisy[1]).any()
+
+
+def test_hover_jitter_makes_small_differences_only(scene_of):
+    scene, *_ = scene_of("group1")
+    options = scene.configure(
+        {"--size": (180, 320), "--noise": 0.0, "--shot-noise": 0.0, "--frames": 6}
+    )
+    frames = np.array(list(scene.frames(options)), float)
+    assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.5
+
+
+# Many of them, stopped from outside
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_from_outside(tmp_path, jobs):
+    program = (
+        "import flightscenes\n"
+        "from dlgmd_cli.__main__ import main\n"
+        "from dlgmd_cli.flights.scenes import SCENES\n"
+        "if __name__ == '__main__':\n"
+        "    SCENES['quick'] = flightscenes.Quick()\n"
+        "    main()\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    command = [sys.executable, "program.py", "synth", "quick", "--count", "9999", "--out", "f"]
+    here = Path(__file__).parents[1]
+    process = subprocess.Popen(
+        [*command, "--jobs", str(jobs)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until and len(list(tmp_path.glob("f/*.yaml"))) < 6:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 130, said
+    listed = [label.video for label in read_labels(tmp_path / "f" / "labels.csv")]
+    assert listed == sorted(path.name for path in tmp_path.glob("f/*.mp4")) and len(listed) >= 6
+    assert len(list((tmp_path / "f").iterdir())) == 3 * len(listed) + 1
+    assert said == (
+        f"Interrupted. f holds {len(listed)} of 9999 flights; "
+        "run the same command again for the others.\n"
+    )

@@ -1,0 +1,153 @@
+"""The models at more sizes, parameters and engines than the fast tests have time for."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from draws import connections
+from engine_checks import assert_engines_agree, scene
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from model_checks import check_dlgmd, check_emd, check_lgmd
+from plan_checks import check_both, check_fused, check_plan
+from reference import clips, slow
+
+from dlgmd_cli.models.kernels import gaussian
+from dlgmd_cli.parameters import DlgmdParameters
+
+pytestmark = pytest.mark.slow
+
+thoroughly = settings(deadline=None, max_examples=100)
+
+
+# Plans
+
+
+@thoroughly
+@given(connections(sigmas=(0.02, 100.0), max_r=8, max_a=10.0))
+def test_plans_of_any_parameters_add_up(values):
+    check_both(DlgmdParameters(**values))
+
+
+@st.composite
+def symmetric(draw, radius):
+    """A kernel that is the same in all eight directions, and otherwise anything."""
+    n_taps = (radius + 1) ** 2
+    corner = draw(st.lists(st.floats(-1.0, 1.0, width=32), min_size=n_taps, max_size=n_taps))
+    quarter = np.array(corner).reshape(radius + 1, radius + 1)
+    quarter = quarter + quarter.T
+    half = np.hstack([quarter[:, :0:-1], quarter])
+    return np.vstack([half[:0:-1], half])
+
+
+@thoroughly
+@given(st.data(), st.integers(1, 6), st.sets(st.integers(1, 4)))
+def test_plans_of_any_symmetric_kernels_add_up(data, radius, delays):
+    kernels = {delay: data.draw(symmetric(radius)) for delay in {0} | delays}
+    for check in (check_plan, check_fused):
+        check(kernels, [gaussian(radius, 1.0), gaussian(radius, 3.0)])
+
+
+# Engines
+
+
+@pytest.fixture
+def numba():
+    return pytest.importorskip("numba", reason="the numba engine needs numba")
+
+
+# Around the sides of OpenCV's tiles and of the compiled engine's strips and blocks. At the last
+# one, the rows before the last block are just enough for S, and too few for G.
+SHAPES = [(40, 480), (40, 481), (40, 511), (40, 513), (270, 30), (271, 30), (64, 20), (63, 70)]
+SHAPES += [(555, 965), (33, 1025), (1055, 481)]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_engines_agree_at_every_size(numba, shape, dtype):
+    assert_engines_agree(scene(*shape, dtype=dtype))
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize(
+    "changes", [{"r": 12, "sigma_i": 9.0}, {"r": 32}, {"alpha": 3.0}, {"r": 1}]
+)
+def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, formulation):
+    assert_engines_agree(scene(90, 530, n_frames=9), formulation=formulation, **changes)
+
+
+def test_an_engine_announces_its_compilation(numba, tmp_path):
+    # With two bands, neither of which may compile on its own in the background.
+    program = (
+        "import numpy as np\n"
+        "from dlgmd_cli.models.engines import numba\n"
+        "from dlgmd_cli import DLGMD\n"
+        "numba.MIN_BAND_PX, numba.n_threads = 1, lambda: 2\n"
+        "model = DLGMD(engine='numba', tell=print)\n"
+        "for t in range(6): model.step(np.full((40, 50), t, np.uint8))\n"
+        "assert len(model._engine._bands) == 3\n"
+    )
+    lines = []
+    for _ in range(2):  # compiled the first time, loaded the second
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        lines.append(done.stdout.splitlines())
+    assert lines == [["Compiling the numba engine; about ten seconds, the first time."], []]
+
+
+# Equations
+
+
+@st.composite
+def parameters(draw):
+    """Parameters from all over their ranges, small enough for nested loops."""
+    return draw(connections(sigmas=(0.05, 10.0), max_r=3, max_a=4.0, longest=6.0)) | {
+        "k": draw(st.floats(0.1, 4.0)),
+        "t0": draw(st.floats(0.0, 4.0)),
+        "m": draw(st.floats(0.1, 4.0)),
+        "ffi_gd": draw(st.booleans()),
+    }
+
+
+@pytest.mark.usefixtures("each_engine")
+@thoroughly
+@given(params=parameters(), seed=st.integers(0, 1000))
+def test_any_parameters_agree_with_the_equations(params, seed):
+    # A cell on the edge of the threshold is not wrong on either side; such draws say nothing.
+    check_dlgmd(clips.drifting(4, 5, 10, seed), params, assume)
+
+
+@thoroughly
+@given(
+    p1=st.floats(-0.4, 0.4),
+    p2=st.floats(-0.4, 0.4),
+    w_i=st.floats(0.0, 3.0),
+    delta_c=st.floats(0.001, 20.0),
+    c_omega=st.floats(0.1, 20.0),
+    c_de=st.floats(0.01, 2.0),
+    t_de=st.floats(0.0, 30.0),
+    t_ffi=st.floats(0.0, 60.0),
+    seed=st.integers(0, 1000),
+)
+def test_any_parameters_of_the_lgmd(seed, **params):
+    check_lgmd(clips.drifting(4, 5, 7, seed), assume, **params)
+
+
+@thoroughly
+@given(
+    tau_high=st.floats(0.01, 100.0),
+    tau_low=st.floats(0.01, 100.0),
+    delta=st.floats(0.0, 1.0),
+    f_active=st.floats(0.0, 0.5),
+    c=st.floats(0.0, 10.0),
+    seed=st.integers(0, 1000),
+)
+def test_any_parameters_of_the_emd(seed, **params):
+    check_emd(clips.drifting(5, 4, 7, seed), assume, **params)

@@ -1,0 +1,120 @@
+"""Videos that are written: they come back, and appear whole or not at all."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import read_video
+
+from dlgmd_cli.errors import OutputError
+from dlgmd_cli.video.files import count_frames
+from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
+
+CODECS = ["mpeg4", "h264"]
+
+
+def pictures(n, shape=(48, 64)):
+    """Frame k is of one grey level, 20 + 10k, with a red square."""
+    for k in range(n):
+        image = np.full((*shape, 3), 20 + 10 * k, np.uint8)
+        image[8:24, 8:24] = (0, 0, 200)
+        yield image
+
+
+def write(path, n=12, codec="mpeg4", fps=25.0):
+    if codec == "h264" and best_codec() != "h264":
+        pytest.skip("H.264 needs PyAV")
+    with video_writer(path, (48, 64), fps, codec=codec, is_colour=True) as put:
+        for image in pictures(n):
+            put(image)
+    return path
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("fps", [25.0, 29.97, 59.94, 1.0, 240.0])
+def test_a_video_comes_back(tmp_path, codec, fps):
+    path = write(tmp_path / "x.mp4", codec=codec, fps=playable_fps(fps))
+    rate, frames = read_video(path)
+    assert rate == pytest.approx(fps, rel=1e-3)
+    assert len(frames) == count_frames(path) == 12
+    for k, frame in enumerate(frames):
+        assert frame.shape == (48, 64, 3)
+        assert np.abs(frame[:, 40:].astype(int) - (20 + 10 * k)).max() <= 6
+        blue, green, red = frame[16, 16].astype(int)
+        assert red > 180 and blue < 30 and green < 30
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_names_that_decoders_read_otherwise(tmp_path, codec):
+    for name in ("a%03d.mp4", "b:c.mp4", "d$e f.mp4"):
+        assert count_frames(write(tmp_path / name, codec=codec)) == 12
+
+
+def test_h264_is_what_browsers_play(tmp_path):
+    path = write(tmp_path / "x.mp4", codec="h264")
+    data = path.read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")  # plays while it loads
+    av = pytest.importorskip("av")
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
+        assert stream.codec_context.colorspace == 1  # BT.709
+
+
+def test_without_pyav_it_is_mpeg4(monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert best_codec() == "mpeg4"
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_folder_that_is_not_there(tmp_path, codec):
+    with pytest.raises(OutputError):
+        write(tmp_path / "no" / "x.mp4", codec=codec)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as POSIX has it")
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_full_disk_is_noticed(tmp_path, codec):
+    if codec == "h264" and best_codec() != "h264":
+        pytest.skip("H.264 needs PyAV")
+    script = f"""
+import resource
+from pathlib import Path
+import numpy as np
+from dlgmd_cli.errors import OutputError
+from dlgmd_cli.video.writer import video_writer
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+rng = np.random.default_rng(1)
+path = Path("x.mp4")
+try:
+    with video_writer(path, (480, 640), 30.0, codec={codec!r}, is_colour=True) as put:
+        for _ in range(30):
+            put(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8))
+except OutputError as error:
+    print("noticed", error, path.exists())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.stdout.startswith("noticed x.mp4: ") and "False" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fps", "expected"),
+    [(30.0, 30.0), (30000 / 1001, 29.97), (120000 / 1001, 119.88), (0.2, 1.0), (5000.0, 240.0)],
+)
+def test_playable_rates(fps, expected):
+    assert playable_fps(fps) == expected
+
+
+def test_an_error_leaves_what_was_there(tmp_path):
+    (tmp_path / "x.mp4").write_bytes(b"before")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        video_writer(tmp_path / "x.mp4", (48, 64), 25.0, is_colour=True) as put,
+    ):
+        put(next(pictures(1)))
+        raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
+    assert (tmp_path / "x.mp4").read_bytes() == b"before"
