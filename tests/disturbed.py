@@ -70,7 +70,7 @@ def files_of(folder: Path):
 
 def hidden_in(folder: Path):
     """What was left half written below a folder."""
-    return [path for path in folder.rglob(f"{store.PREFIX}*")]
+    return list(folder.rglob(f"{store.PREFIX}*"))
 
 
 def environment():

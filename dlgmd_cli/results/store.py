@@ -245,10 +245,10 @@ def names_in(folder: "Path | UPath") -> set[str]:
     """What a folder holds now; nothing if a bucket has no such folder."""
     if not is_url(str(folder)):
         return {path.name for path in folder.iterdir()}
-    system = folder.fs  # type: ignore[union-attr]
-    system.invalidate_cache()
+    bucket: Any = folder
+    bucket.fs.invalidate_cache()
     with suppress(FileNotFoundError):
-        paths = system.ls(folder.path, detail=False)
+        paths = bucket.fs.ls(bucket.path, detail=False)
         return {path.rstrip("/").rpartition("/")[2] for path in paths}
     return set()
 
