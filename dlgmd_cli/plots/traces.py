@@ -258,7 +258,8 @@ def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
 
 def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
     """Limits of the vertical axis; `foot` is the share of it below all values."""
-    known = np.concatenate([values[~np.isnan(values)] for values in shown])
+    drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
+    known = drawn[~np.isnan(drawn)]
     if not known.size:
         return FLOOR_DB, 0.0
     low, high = float(known.min()), float(known.max())
