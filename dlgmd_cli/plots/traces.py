@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dlgmd_cli.plots.annotations import NONE, ROW_IN, Annotations, Timeline, draw_annotations
+from dlgmd_cli.plots.annotations import NONE, Annotations
 from dlgmd_cli.plots.style import (
     BLUE,
     GREEN,
@@ -24,6 +24,7 @@ from dlgmd_cli.plots.style import (
     house_style,
     new_figure,
 )
+from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
 
 # Less than a millionth of P passes: a few cells' rounding, which would flatten the rest.
