@@ -35,6 +35,8 @@ MIN_SPAN_DB = 5.0
 MAX_POINTS = 1400
 
 COLUMNS = ("level", "mp_abs", "mp_seq")
+# By whether it is scaled to the extremes of its own sequence.
+LEVEL_NAMES = {False: "Normalised MP", True: "MP, normalised\nto its sequence"}
 # Two neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
 LOOKS: tuple[tuple[str, Any], ...] = (
     (BLUE, "-"),
@@ -206,7 +208,7 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
     axes.set_ylim(-0.03, 1.05)
-    axes.set_ylabel("MP, normalised\nto its sequence" if by_sequence == {True} else "Normalised MP")
+    axes.set_ylabel(LEVEL_NAMES[by_sequence == {True}])
     return entries
 
 
