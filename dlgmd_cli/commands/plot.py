@@ -266,7 +266,7 @@ def _column(
 
 def _warn_of_annotations(annotations: "Annotations", results: dict[str, "Result"]) -> None:
     """Say which annotations the figure cannot show."""
-    from dlgmd_cli.plots.annotations import Timeline
+    from dlgmd_cli.plots.timeline import Timeline
 
     for line in annotations.outside(*Timeline.of(results.values()).frames):
         warn(line)

@@ -24,7 +24,7 @@ from dlgmd_cli.plots.style import (
     plain,
     shortened,
 )
-from dlgmd_cli.plots.traces import stretches, thinned
+from dlgmd_cli.plots.traces import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.results.result import Result
 
 WIDTH, HEIGHT = 1280, 720
@@ -204,7 +204,7 @@ def _static(
     trace.spines["top"].set_visible(False)
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
-    trace.set_ylabel("Normalised MP", fontsize=12)
+    trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
     trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
     dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
     handles = [
