@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from multiprocessing import connection
 from typing import Any, TypeVar
 
@@ -24,6 +24,8 @@ DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", 
 
 # How often the stop flag is looked at.
 _TICK_S = 0.1
+# So many pools in a row may end before one of their processes begins a task.
+_MAX_BROKEN = 3
 
 
 @dataclass(frozen=True)
@@ -84,30 +86,64 @@ def run_tasks(
     ------
     Interrupted
         If the user asks to stop; tasks that are being worked on are dropped.
+    WorkerError
+        If no process lives long enough to begin a task.
     """
-    waiting = iter(tasks)
-    pool: Any = ProcessPool(
-        max_workers=jobs,
-        initializer=_begin,
-        initargs=(max(1, n_processors() // jobs),),
-        context=multiprocessing.get_context("spawn"),
-    )
+    waiting, n_broken = iter(tasks), 0
+    pool: Any = _new_pool(function, jobs)
     running: dict[Any, TaskT] = {}
     try:
         while True:
             # One more than there are processes, so that none waits for this loop.
+            chosen = list(islice(waiting, jobs + 1 - len(running)))
+            is_broken = False
             with _sigint_blocked():
-                for task in islice(waiting, jobs + 1 - len(running)):
-                    running[pool.schedule(function, args=[task], timeout=timeout_s)] = task
-            if not running:
+                while chosen and not is_broken:
+                    try:
+                        future = pool.schedule(function, args=chosen[:1], timeout=timeout_s)
+                    except RuntimeError:
+                        is_broken = True
+                    else:
+                        running[future] = chosen.pop(0)
+            if not running and not chosen:
                 break
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
             cancel.check()
             for future in ended:
-                yield running.pop(future), _outcome(future, timeout_s)
+                if isinstance(future.exception(), futures.BrokenExecutor):
+                    is_broken = True
+                else:
+                    n_broken = 0
+                    yield running.pop(future), _outcome(future, timeout_s)
+            if is_broken or not pool.active:  # a process ended before it began a task
+                n_broken += 1
+                if n_broken > _MAX_BROKEN:
+                    raise WorkerError("", "worker processes end before they begin their work")
+                _end(pool)
+                waiting = chain(running.values(), chosen, waiting)
+                pool, running = _new_pool(function, jobs), {}
     finally:
-        pool.stop()
-        pool.join()
+        _end(pool)
+
+
+def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
+    """So many processes, which start with the first task.
+
+    They get `function` as they start, so that they import what it needs before they take a task:
+    who is killed while it takes one would keep the others from theirs.
+    """
+    return ProcessPool(
+        max_workers=jobs,
+        initializer=_begin,
+        initargs=(max(1, n_processors() // jobs), function),
+        context=multiprocessing.get_context("spawn"),
+    )
+
+
+def _end(pool: Any) -> None:
+    """End the processes of a pool, whatever they do."""
+    pool.stop()
+    pool.join()
 
 
 def _outcome(future: Any, timeout_s: float | None) -> Outcome:
@@ -125,8 +161,6 @@ def _outcome(future: Any, timeout_s: float | None) -> Outcome:
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
         return Outcome(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
-    if isinstance(error, futures.BrokenExecutor):
-        return Outcome(CRASHED, error=WorkerError("", "its process died before it began"))
     return Outcome(FAILED, error=error)
 
 
@@ -143,7 +177,7 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(n_threads: int) -> None:
+def _begin(n_threads: int, function: Callable[..., Any]) -> None:
     """What every process of the pool does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):

@@ -1,37 +1,33 @@
-"""Work on videos in which, by its name, one takes its process with it; see `batch.attend`."""
+"""Work on videos in which, by its name, one takes its process with it."""
 
 import os
 import signal
-import sys
 import time
-from functools import partial
+from pathlib import Path
 
-from dlgmd_cli.batch import work
+from dlgmd_cli.runs import batch
 
-
-def prepare(order):
-    return partial(process, order)
+run_video = batch.run_video
 
 
-def process(order, task):
+def faulty(job, task):
+    """As `run_video`, but for some names."""
     name = os.path.basename(task.video.name)
-    work.note((0, None))
     if name.startswith("segfault"):
         os.kill(os.getpid(), signal.SIGSEGV)
-    if name.startswith("abort"):
-        sys.stderr.write("terminate called after throwing\n\x1b[31m  'cv::Exception'\n\n")
-        sys.stderr.flush()
-        os.abort()
-    if name.startswith("killed"):
-        os.kill(os.getpid(), signal.SIGKILL)
     if name.startswith("exits"):
         os._exit(3)
+    if name.startswith("killed"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name.startswith("once"):  # kills its process the first time
+        mark = Path(task.video.path).with_suffix(".mark")
+        if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
     if name.startswith("hangs"):
         time.sleep(600)
+    if name.startswith("slow"):
+        time.sleep(1)
     if name.startswith("bug"):
         raise IndexError("inner secret")
-    return work.process(order, task)
-
-
-def unprepared(order):
-    raise ImportError("no such engine")
+    return run_video(job, task)

@@ -1,31 +1,123 @@
-"""`dlgmd batch`: every video below folders, whatever some of them are like."""
+"""`dlgmd batch`: every video below folders; one that fails is a row, not an end."""
 
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands._batch_models import Models, batch_model_options
-from dlgmd_cli.commands._batch_report import Report
-from dlgmd_cli.commands._batch_view import batch_view
-from dlgmd_cli.commands._console import (
-    EXIT_INTERRUPTED,
+from dlgmd_cli import cancel
+from dlgmd_cli.commands.console import (
+    EXIT_FAILED,
     Command,
+    Failed,
+    print_json,
+    print_path,
+    print_table,
     say,
-    settings,
     warn,
 )
-from dlgmd_cli.commands._input import input_options
-from dlgmd_cli.commands._interrupts import Interrupts
-from dlgmd_cli.commands._labels import told_apart
-from dlgmd_cli.commands._model import engine_option
-from dlgmd_cli.commands._types import FiniteRange, format_option
+from dlgmd_cli.commands.options import (
+    FiniteRange,
+    engine_option,
+    format_option,
+    formulation_option,
+    input_options,
+    no_plots_option,
+    numbered,
+    out_option,
+    param_option,
+    setup_options,
+)
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import ParameterError, SourceError, printable
+from dlgmd_cli.parameters import parse_overrides
 
 if TYPE_CHECKING:
-    from dlgmd_cli.batch.events import Pool
-    from dlgmd_cli.batch.find import Found
-    from dlgmd_cli.batch.resume import Plan
-    from dlgmd_cli.batch.task import Order
+    from dlgmd_cli.pool import Outcome
+    from dlgmd_cli.runs.batch import Job, Plan, Row, Task
+    from dlgmd_cli.runs.find import Found
+    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.video.frames import InputOptions
+
+DONE = "done"
+# Longer tables show only what failed.
+_MAX_ROWS = 60
+
+
+def _setups(
+    set_names: tuple[str, ...],
+    configs: tuple[Path, ...],
+    models: tuple[str, ...],
+    pairs: tuple[str, ...],
+    formulation: str | None,
+    engine: str | None,
+) -> "list[Setup]":
+    """Every model that the options ask for, each once, under labels that are names of folders."""
+    from dlgmd_cli.runs.run import DEFAULT_MODEL, choose
+
+    if set_names or configs:  # which are of the D-LGMD unless a file says otherwise
+        models = tuple(name for name in models if name != DEFAULT_MODEL)
+    chosen = partial(
+        choose, overrides=parse_overrides(pairs), formulation=formulation, engine=engine
+    )
+    setups = [
+        *(chosen(set=name) for name in dict.fromkeys(set_names)),
+        *(chosen(config=path) for path in dict.fromkeys(configs)),
+        *(chosen(model=name) for name in dict.fromkeys(models)),
+    ] or [chosen()]
+    labels = [_as_folder(one.label) for one in setups]
+    if len({label.casefold() for label in labels}) < len(labels):
+        labels = numbered([label.lower() for label in labels])
+    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
+
+
+def _as_folder(label: str) -> str:
+    """A label as the name of a folder."""
+    name = label.replace("/", "_").replace("\\", "_")
+    return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Who does the work: processes here, or a cluster."""
+
+    jobs: int | None
+    timeout_s: float | None
+    scheduler: str | None
+
+    def __post_init__(self) -> None:
+        for option, value in (("--jobs", self.jobs), ("--timeout", self.timeout_s)):
+            if self.scheduler is not None and value is not None:
+                raise click.UsageError(f"{option} does not work with --scheduler. Leave it out.")
+        if self.scheduler is not None:
+            from dlgmd_cli.runs.dask import address_of
+
+            address_of(self.scheduler)
+
+    def outcomes(self, job: "Job", tasks: "list[Task]") -> "Iterator[tuple[Task, Outcome]]":
+        """The tasks as they end."""
+        from dlgmd_cli import pool
+        from dlgmd_cli.results import store
+        from dlgmd_cli.runs import dask
+        from dlgmd_cli.runs.batch import run_video
+        from dlgmd_cli.threads import n_processors
+
+        if self.scheduler is None:
+            # With fewer videos than processors, each has several of those.
+            jobs = max(1, min(self.jobs or n_processors(), len(tasks)))
+            return pool.run_tasks(partial(run_video, job), tasks, jobs, timeout_s=self.timeout_s)
+        places = [one if store.is_url(one) else os.path.abspath(one) for one in job.places]
+        job = replace(job, places=tuple(places), scratch=None)
+        local = [Path(one) for one in places if not store.is_url(one)]
+        folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
+        function = partial(run_video, job)
+        return dask.run_tasks(function, tasks, self.scheduler, folders=folders, tell=say)
 
 
 @click.command(
@@ -33,16 +125,15 @@ if TYPE_CHECKING:
     epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True)
-@batch_model_options
-@engine_option
+@setup_options(_setups, "dlgmd", param_option, formulation_option, engine_option)
 @input_options
-@click.option("--out", default="dlgmd-out", show_default=True, help="Where results go; a URL, too.")
+@out_option
 @format_option
-@click.option("--no-plots", is_flag=True, help="Draw no plots.")
+@no_plots_option
 @click.option(
     "--overwrite", is_flag=True, help="Replace results of other parameters or of another input."
 )
-@click.option("--force", is_flag=True, help="Redo what is done already, too.")
+@click.option("--force", is_flag=True, help="Compute again what is done already.")
 @click.option(
     "--jobs",
     type=click.IntRange(1, 512),
@@ -51,6 +142,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--timeout",
+    "timeout_s",
     type=FiniteRange(min=0, min_open=True),
     metavar="S",
     help="Seconds that one video may take.  [default: no limit]",
@@ -58,13 +150,12 @@ if TYPE_CHECKING:
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Work on a Dask cluster: tcp://HOST:PORT or a scheduler file. Needs dlgmd[cluster].",
+    help="Use a Dask cluster: tcp://HOST:PORT or a scheduler file. Needs dlgmd[cluster].",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON object.")
 def batch(
     folders: tuple[str, ...],
-    models: Models,
-    engine: str | None,
+    setups: "list[Setup]",
     given: dict[str, Any],
     out: str,
     formats: tuple[str, ...],
@@ -72,131 +163,206 @@ def batch(
     overwrite: bool,
     force: bool,
     jobs: int | None,
-    timeout: float | None,
+    timeout_s: float | None,
     scheduler: str | None,
     as_json: bool,
 ) -> None:
     """Run the model over every video below folders.
 
-    A FOLDER may also be a video, or the URL of either, such as s3://bucket/flights.
+    A FOLDER may also be a video, or a URL of either, such as s3://bucket/flights; so may OUT.
 
-    Writes into OUT what 'dlgmd run' writes, one folder a video, in a tree like that of the videos,
-    and summary.csv, a row a video. Of several models each has such a tree and summary of its own,
-    OUT/set7, OUT/set9 and so on; every video is decoded once for all of them.
+    Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
+    videos, and summary.csv, one row per video. Several models are run on one decoding; each has
+    a tree and a summary of its own, OUT/set7, OUT/set9 and so on.
 
     A video that fails is a row, not an end. What is done already with the same input and
-    parameters is left as it is, so that after an interrupt the same command goes on.
+    parameters is skipped, so that after an interrupt the same command continues.
     """
-    if scheduler is not None and jobs is not None:
-        raise click.UsageError("--jobs is of this machine, not of a cluster. Leave it out.")
-    with Interrupts() as interrupts, ExitStack() as stack:
-        order = _order(models, engine, given, out, () if no_plots else formats)
-        found = _find(folders, order)
-        plan = _prepare(stack, found, order, force=force, overwrite=force or overwrite)
-        pool = _pool(order, plan, jobs, timeout, scheduler)
-        complete = _work(plan, pool, models.labels())
-        interrupts.hold()
-        report = Report(found, plan, models.labels(), complete=complete)
-        report.show(as_json=as_json)
-    if not complete or interrupts.count:
-        raise click.exceptions.Exit(EXIT_INTERRUPTED)
-    report.raise_failures()
+    from tempfile import TemporaryDirectory
+
+    from dlgmd_cli.results import store
+    from dlgmd_cli.runs.batch import Job
+
+    who = _Pool(jobs, timeout_s, scheduler)
+    options, places = _options(setups, given), _places(setups, out)
+    found = _find(folders, out)
+    with store.locked(store.place(out)), ExitStack() as stack:
+        scratch = None
+        if any(store.is_url(video.path) for video in found.videos):
+            scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
+        formats = () if no_plots else tuple(dict.fromkeys(formats))
+        may_replace = overwrite or force
+        job = Job(tuple(setups), places, options, formats, may_replace, scratch)
+        plan = _plan(found, job, force)
+        labels = [one.label for one in setups]
+        complete = _work(who, job, plan, labels)
+        statuses = {video.name: _status(plan, video.name) for video in found.videos}
+        _show(plan, statuses, labels, complete=complete, as_json=as_json)
+    if not complete or cancel.requested():
+        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+    _raise_failures(found, statuses, out)
 
 
-def _order(
-    models: Models,
-    engine: str | None,
-    given: dict[str, Any],
-    out: str,
-    formats: tuple[str, ...],
-) -> "Order":
-    """What is the same for every video, refused at once if it cannot be."""
-    options, labels = models.options(given), models.labels()
-    from dlgmd_cli.batch.remote_place import place_at
-    from dlgmd_cli.batch.task import Order, Variant
+def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
+    """How every video is read: as given, else as the files of the models record it."""
     from dlgmd_cli.models.base import create_model
+    from dlgmd_cli.runs import run as runs
 
-    if not out.strip() or "\0" in out:
-        raise click.UsageError("--out is no name of a folder. Choose another one.")
-    place = place_at(out)
-    variants = []
-    for choice, label in zip(models.choices, labels, strict=True):
-        wanted = engine or choice.recorded_engine or "auto"
-        create_model(choice.params, engine=wanted)
-        own_place = place.within(label) if len(labels) > 1 else place
-        variants.append(Variant(choice.label, choice.params, wanted, own_place))
-    return Order(tuple(variants), options, tuple(dict.fromkeys(formats)))
+    every = [runs.input_options(one, given) for one in setups]
+    for one, options in zip(setups, every, strict=True):
+        create_model(one.params, engine=one.engine)  # or its engine is missing
+        if options != every[0]:
+            raise ParameterError(
+                one.origin,
+                "its recorded options differ from those of the other models",
+                "Give them on the command line, or run this model alone.",
+            )
+    return every[0]
 
 
-def _find(folders: tuple[str, ...], order: "Order") -> "Found":
-    """The videos, and what is to be said of the search."""
-    from pathlib import Path
+def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
+    """Where the results of each model go."""
+    from dlgmd_cli.results.store import place
 
-    from dlgmd_cli.batch.find import find_videos
-    from dlgmd_cli.batch.places import Folder
-    from dlgmd_cli.errors import SourceError
+    if not out.strip():
+        raise ParameterError("--out", "it is empty", "Give the name of a folder.")
+    if len(setups) == 1:
+        return (out,)
+    return tuple(str(place(out) / one.label) for one in setups)
 
-    roots = list(dict.fromkeys(folders))
-    names = told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""]
-    results = [one.place.path for one in order.variants if isinstance(one.place, Folder)]
-    found = find_videos(list(zip(names, roots, strict=True)), results)
+
+def _find(folders: tuple[str, ...], out: str) -> "Found":
+    """The videos; says what was left out."""
+    from dlgmd_cli.results.store import is_url
+    from dlgmd_cli.runs.find import find_videos
+
+    found = find_videos(folders, [] if is_url(out) else [Path(out)])
     for remark in found.remarks:
         say(f"Note: {remark}.")
     for fault in found.faults:
         warn(f"{fault}; its videos are left out")
     if not found.videos:
-        raise SourceError(
-            ", ".join(roots),
-            "there is no video",
-            "Give folders with .mp4, .avi, .mkv and the like.",
-        )
+        mend = "Give folders with .mp4, .avi, .mkv and the like."
+        raise SourceError(", ".join(folders), "there is no video", mend)
     return found
 
 
-def _prepare(
-    stack: ExitStack, found: "Found", order: "Order", *, force: bool, overwrite: bool
-) -> "Plan":
-    """What is left to do, with the results' places locked until `stack` ends."""
-    from dlgmd_cli.batch.resume import plan
+def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
+    """What is left to do; says how much is not."""
+    from dlgmd_cli.runs.batch import plan
 
-    for variant in order.variants:
-        variant.place.prepare()
-        stack.enter_context(variant.place.locked())
-    made = plan(found.videos, order, force=force, overwrite=overwrite)
+    made = plan(found.videos, job, force=force)
     n_before = len(found.videos) - len(made.tasks)
     if n_before:
-        say(f"{n_before} of {len(found.videos)} videos were done already.")
+        say(f"{n_before} of {len(found.videos)} videos are done already.")
     if made.n_other_version:
-        warn(f"{made.n_other_version} of the results are of another release; --force redoes all")
+        warn(f"{made.n_other_version} results are of another version; --force computes all again")
     return made
 
 
-def _pool(
-    order: "Order", plan: "Plan", jobs: int | None, timeout: float | None, scheduler: str | None
-) -> "Pool":
-    """Who does the work."""
-    from dataclasses import replace
+def _work(who: _Pool, job: "Job", plan: "Plan", labels: list[str]) -> bool:
+    """Do what is left, with a bar and a warning for each failure; False if the user stopped it."""
+    from dlgmd_cli.runs.batch import work_on
 
-    from dlgmd_cli.batch.local import LocalPool
-    from dlgmd_cli.threads import n_processors
-
-    if scheduler is not None:
-        from dlgmd_cli.batch.cluster import Cluster
-
-        return Cluster(order, scheduler, timeout, quiet=not settings().debug)
-    n_jobs = jobs or n_processors()
-    # With fewer videos than processors, each has several of those.
-    n_busy = max(1, min(n_jobs, len(plan.tasks)))
-    return LocalPool(replace(order, threads=max(1, n_processors() // n_busy)), n_jobs, timeout)
-
-
-def _work(plan: "Plan", pool: "Pool", labels: list[str]) -> bool:
-    """Do what is left; False if an interrupt ended it."""
-    from dlgmd_cli.batch.drive import drive
-
+    n_ended = n_failed = 0
     try:
-        with batch_view(plan.tasks, labels) as tell:
-            drive(plan, pool, tell)
-    except KeyboardInterrupt:
+        with progress("batch", len(plan.tasks), "video") as advance:
+            for task, rows in work_on(plan, who.outcomes(job, plan.tasks)):
+                failures = _failures(rows, labels)
+                doubts = (line for row in rows.values() for line in row.record.get("warnings", []))
+                for line in dict.fromkeys([*failures, *doubts]):
+                    warn(f"{task.video.name}: {line.rstrip('.')}")
+                n_ended, n_failed = n_ended + 1, n_failed + bool(failures)
+                advance(n_ended, f"batch, {n_failed} failed")
+    except (cancel.Interrupted, KeyboardInterrupt):
         return False
     return True
+
+
+def _failures(rows: "Mapping[int, Row]", labels: list[str]) -> list[str]:
+    """Why a video is not done, a line per reason; with the models' labels where they differ."""
+    reasons: dict[str, list[str]] = {}
+    for number, row in rows.items():
+        if row.status != DONE:
+            reasons.setdefault(f"{row.status}: {row.error}", []).append(labels[number])
+    return [
+        reason if len(kin) == len(rows) else f"{', '.join(kin)}: {reason}"
+        for reason, kin in reasons.items()
+    ]
+
+
+def _status(plan: "Plan", video: str) -> str:
+    """How a video ended in all models: done, how else the first one did, or nothing yet."""
+    rows = [summary.rows.get(video) for summary in plan.summaries]
+    if None in rows:
+        return ""
+    return next((row.status for row in rows if row and row.status != DONE), DONE)
+
+
+def _show(
+    plan: "Plan", statuses: dict[str, str], labels: list[str], *, complete: bool, as_json: bool
+) -> None:
+    """Tables and where the summaries are, or the counts as JSON."""
+    paths = [str(summary.path) for summary in plan.summaries]
+    if as_json:
+        facts = {
+            "summary": paths[0] if len(paths) == 1 else dict(zip(labels, paths, strict=True)),
+            "complete": complete,
+            "videos": len(statuses),
+            "already_done": len(statuses) - len(plan.tasks),
+            "status": {DONE: 0, **Counter(status for status in statuses.values() if status)},
+        }
+        print_json(facts)
+    else:
+        for label, summary in zip(labels, plan.summaries, strict=True):
+            _print_rows(summary.rows, label if len(labels) > 1 else "video")
+        for path in paths:
+            print_path(path)
+    if not complete:
+        n_done = sum(status == DONE for status in statuses.values())
+        say(
+            f"Interrupted. {n_done} of {len(statuses)} videos are done; the same command continues "
+            "from there."
+        )
+
+
+def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
+    """A table of what became of every video."""
+    shown = sorted(rows.items())
+    if len(shown) > _MAX_ROWS:
+        shown = [(name, row) for name, row in shown if row.status != DONE]
+    header = (title, "status", "frames", "peak MP", "spikes", "alarms", "first alarm")
+    if shown:
+        print_table(header, [(name, row.status, *_cells(row)) for name, row in shown])
+
+
+def _cells(row: "Row") -> tuple[str, ...]:
+    """The numbers of one video, a dash where there is none."""
+    summary: dict[str, Any] = row.record.get("summary", {})
+    if not summary:
+        return ("–",) * 5
+    peak = f"{summary['mp_max']:.6g}" if summary["mp_max"] else "–"
+    first = "–"
+    if summary["first_alarm_frame"] is not None:
+        first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
+    counts = (str(summary["spikes"]), str(summary["alarms"]))
+    return (str(row.record["input"]["frames"]), peak, *counts, first)
+
+
+def _raise_failures(found: "Found", statuses: dict[str, str], out: str) -> None:
+    """Raise what makes the exit code 1 if not all is done."""
+    n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
+    if n_failed:
+        n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
+        rest = f"; the other {n_done} results are in {printable(out)}"
+        raise Failed(
+            f"{n_failed} of {n_total} videos failed{rest if n_done else ''}. Fix or remove "
+            f"{'that one' if n_failed == 1 < n_total else those}, then run again.",
+            EXIT_FAILED,
+        )
+    if found.faults:
+        raise Failed(
+            f"some folders could not be read; the results of the others are in {printable(out)}. "
+            "Check their access rights, then run again.",
+            EXIT_FAILED,
+        )

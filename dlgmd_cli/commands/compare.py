@@ -35,7 +35,7 @@ from dlgmd_cli.errors import printable
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
 
 if TYPE_CHECKING:
-    from dlgmd_cli.plots.traces import Annotations
+    from dlgmd_cli.plots.annotations import Annotations
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup

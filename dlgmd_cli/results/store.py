@@ -5,6 +5,7 @@ renames it, the record last. What a killed process leaves has no record, and the
 it. In a bucket the same files are uploaded in the same order.
 """
 
+import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -12,7 +13,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import MissingExtraError, OutputError, OutputExistsError
+from dlgmd_cli.errors import (
+    DlgmdError,
+    MissingExtraError,
+    OutputError,
+    OutputExistsError,
+    ParameterError,
+)
 from dlgmd_cli.results.record import read_record
 
 if TYPE_CHECKING:
@@ -36,6 +43,8 @@ FIGURES = {
 PREFIX = ".dlgmd-"
 _LOCK = f"{PREFIX}lock"
 _MAX_NAME_BYTES = 200
+# What file systems without locks say.
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
 def files_of(record: str) -> frozenset[str]:
@@ -49,21 +58,32 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
 
     Raises
     ------
+    ParameterError
+        If it is a URL of an unknown kind, or names no folder.
     MissingExtraError
         If it is a URL, and what reads such is not installed.
     """
     if not is_url(text):
         return Path(text)
+    url = os.fspath(text)
+    if url.startswith(("file://", "local://")):
+        return Path(url.partition("://")[2])
     try:
         from upath import UPath
 
-        return UPath(text)
-    except (ImportError, ValueError) as error:
+        found = UPath(url)
+        if not found.fs or not found.path.strip("/"):
+            raise ParameterError(url, "it names no folder", "Give one, as s3://bucket/results.")
+        return UPath(url.rstrip("/"))
+    except ImportError as error:
         raise MissingExtraError(
-            str(text),
+            url,
             f"such URLs cannot be used ({error})",
-            "Install pip install 'dlgmd[cluster]', and the package of that kind of URL (s3fs).",
+            "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL.",
         ) from None
+    except ValueError:
+        kind = url.partition("://")[0]
+        raise ParameterError(url, f"there is no kind of URL called {kind}://") from None
 
 
 def is_url(text: str | os.PathLike[str]) -> bool:
@@ -102,14 +122,12 @@ def check(
     OutputExistsError
         If a result stands there that may not be replaced, or files that are no result.
     """
-    try:
+    with writing(folder):
         if not folder.exists():
             return False
         if not folder.is_dir():
             raise OutputExistsError(str(folder), "it is not a folder", "Choose another --out.")
-        names = {path.name for path in folder.iterdir()}
-    except OSError as error:
-        raise unwritable(folder, error) from None
+        names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
     ours = frozenset().union(*map(files_of, _TABLES))
     strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
@@ -162,7 +180,10 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
         why = "another dlgmd command is writing here"
         raise OutputExistsError(str(folder), why, "Wait for it, or choose another --out.") from None
     except OSError as error:
-        raise unwritable(folder, error) from None
+        if error.errno not in _NO_LOCKS:
+            raise unwritable(folder, error) from None
+    except NotImplementedError:  # no locks in this file system
+        pass
     try:
         yield
     finally:
@@ -172,6 +193,11 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
         with suppress(OSError):
             for path in made:
                 path.rmdir()
+
+
+def is_locked(folder: str | os.PathLike[str]) -> bool:
+    """Whether a folder can be seen from here, and some process writes there."""
+    return (Path(folder) / _LOCK).exists()
 
 
 def commit(
@@ -195,25 +221,36 @@ def commit(
     OutputError
         If a file cannot be written. The folder then holds no record.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        if not is_url(str(folder)):  # a bucket has no folders
+            folder.mkdir(parents=True, exist_ok=True)
         kinds = _TABLES if is_new_input else (record,)
         remove(folder, [*kinds, *(name for kind in kinds for name in files_of(kind))])
         for name in sorted(files, key=lambda name: name == record):
             write_file(folder / name, files[name])
-    except OSError as error:
-        raise unwritable(folder, error) from None
 
 
 def remove(folder: "Path | UPath", names: Iterable[str]) -> None:
     """Remove files, and what killed processes left; those that are not there do not matter."""
-    there = {path.name for path in folder.iterdir()}
+    there = names_in(folder)
     for name in dict.fromkeys(names):
         if name in there:
             (folder / name).unlink()
     for name in there:
         if name.startswith(PREFIX) and name != _LOCK:
             (folder / name).unlink()
+
+
+def names_in(folder: "Path | UPath") -> set[str]:
+    """What a folder holds now; nothing if a bucket has no such folder."""
+    if not is_url(str(folder)):
+        return {path.name for path in folder.iterdir()}
+    bucket: Any = folder
+    bucket.fs.invalidate_cache()
+    with suppress(FileNotFoundError):
+        paths = bucket.fs.ls(bucket.path, detail=False)
+        return {path.rstrip("/").rpartition("/")[2] for path in paths}
+    return set()
 
 
 def write_file(path: "Path | UPath", write: Write) -> None:
@@ -223,6 +260,7 @@ def write_file(path: "Path | UPath", write: Write) -> None:
     """
     if not is_url(str(path)):
         temporary = Path(path).with_name(f"{PREFIX}{path.name}")
+        temporary.parent.mkdir(parents=True, exist_ok=True)
         try:
             write(temporary)
             temporary.replace(path)
@@ -238,10 +276,8 @@ def write_file(path: "Path | UPath", write: Write) -> None:
 
 def write_text(path: "Path | UPath", text: str) -> None:
     """Write a text file that appears whole; raises OutputError."""
-    try:
+    with writing(path):
         write_file(path, lambda file: file.write_text(text, encoding="utf-8", newline=""))
-    except OSError as error:
-        raise unwritable(path, error) from None
 
 
 @contextmanager
@@ -276,9 +312,35 @@ def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> No
         raise OutputExistsError(str(path), "it already exists", "Add --overwrite to replace it.")
 
 
-def unwritable(path: "Path | UPath", error: OSError, option: str = "--out") -> OutputError:
+@contextmanager
+def writing(path: "Path | UPath") -> Iterator[None]:
+    """Turn what goes wrong while `path` is written into OutputError."""
+    try:
+        yield
+    except DlgmdError:
+        raise
+    except OSError as error:
+        raise unwritable(path, error) from None
+    except Exception as error:
+        if not is_url(str(path)):  # where every kind has exceptions of its own
+            raise
+        raise unwritable(path, error) from None
+
+
+def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") -> OutputError:
     """The error for what cannot be written."""
-    reason = error.strerror or str(error) or type(error).__name__
     return OutputError(
-        str(path), f"it cannot be written ({reason})", f"Choose another {option}, or make room."
+        str(path),
+        f"it cannot be written ({failure_text(error)})",
+        f"Choose another {option}, or make room.",
     )
+
+
+def failure_text(error: BaseException) -> str:
+    """Why a file or something behind a URL failed, on one line."""
+    if isinstance(error, OSError) and error.strerror and error.errno is not None:
+        return error.strerror
+    text = " ".join(str(error).split()).rstrip(".")
+    if isinstance(error, FileNotFoundError) and " " not in text:  # only the path
+        return "no such file or folder"
+    return text or type(error).__name__

@@ -1,39 +1,364 @@
 """Whatever befalls a batch, every video has its row, and no other video suffers from one."""
 
+import csv
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from faults.suite import DECODERS, of_batch_inputs, of_batch_processes, problems_of
+from click.testing import CliRunner
+from conftest import looming_frames, write_video
+from damaged import all_inputs
+from disturbed import (
+    PATIENCE_S,
+    faults_of,
+    files_of,
+    hidden_in,
+    session_of,
+    small_disk,
+    small_files,
+    started,
+    wait_until,
+)
+from faulty import faulty
 
-GROUPS = list(of_batch_processes(Path()))
+from dlgmd_cli.commands.app import cli
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import text_cell
+from dlgmd_cli.runs.batch import COLUMNS
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals and limits differ there"),
+]
+THOROUGH = bool(os.environ.get("DLGMD_THOROUGH"))
+N_SIGNALS = 30 if THOROUGH else 3
+N_MUTANTS = 500 if THOROUGH else 60
+N_MANY = 3000 if THOROUGH else 1000
+
+
+class Bench:
+    """Videos, the files of an undisturbed batch over them, and ways to run and judge others."""
+
+    def __init__(self, folder, n_videos, n_frames):
+        self.videos, self.out = folder / "videos", folder / "out"
+        self.folder, self.names = folder, []
+        for number in range(n_videos):
+            self.names.append(f"deep/{number}.avi" if number % 3 == 2 else f"{number}.avi")
+            path = self.videos / self.names[-1]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            frames = looming_frames(20, 64, 48) * (n_frames // 20 + 1)
+            write_video(path, frames[: n_frames + number])
+        assert self.run().exit_code == 0
+        self.truth = files_of(self.out)
+        self.clear()
+
+    def command(self, *more, out=None):
+        out = out or self.out
+        return [*map(str, ("batch", self.videos, "--out", out, "--no-plots", "--jobs", 2, *more))]
+
+    def run(self, *more, out=None):
+        """A batch by this process, whose workers are their own, as ever."""
+        result = CliRunner().invoke(cli, self.command(*more, out=out), prog_name="dlgmd")
+        assert "Error: internal error" not in result.stderr
+        errors = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
+        assert len(errors) == (result.exit_code == 1) and result.exit_code in (0, 1)
+        return result
+
+    def clear(self):
+        shutil.rmtree(self.out, ignore_errors=True)
+
+    def judge(self, out=None, truth=None):
+        """What is done is whole, and what summary.csv says is so; the statuses."""
+        out = out or self.out
+        assert faults_of(out, self.truth if truth is None else truth) == []
+        rows = rows_of(out)
+        for name, row in rows.items():
+            folder = out / Path(name).with_suffix("")
+            assert (row["error"] == "") == (row["status"] == "done")
+            if row["status"] == "done":
+                assert (folder / store.RUN).exists(), f"{name} is done, and has no result"
+            elif row["status"] not in ("killed", "timeout"):  # those may end after the last rename
+                assert not (folder / store.RUN).exists(), f"{name}: {row}, and has a result"
+        return {name: row["status"] for name, row in rows.items()}
+
+    def then_as_ever(self):
+        """The same command does the rest, and only that."""
+        before = {path: path.stat().st_mtime_ns for path in self.out.rglob(store.RUN)}
+        assert self.run().exit_code == 0
+        assert self.judge() == dict.fromkeys(self.names, "done")
+        assert files_of(self.out) == self.truth and hidden_in(self.out) == []
+        assert all(path.stat().st_mtime_ns == written for path, written in before.items())
+        self.clear()
+
+
+def rows_of(out):
+    """The rows of summary.csv by video, which is whole whenever it is there."""
+    path = out / "summary.csv"
+    if not path.exists():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    assert tuple(header) == COLUMNS and path.read_bytes().endswith(b"\n")
+    found = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    assert len(found) == len(rows)
+    return found
 
 
 @pytest.fixture(scope="module")
-def over_inputs(tmp_path_factory):
-    return of_batch_inputs(tmp_path_factory.mktemp("faults"), DECODERS)
+def long(tmp_path_factory):
+    return Bench(tmp_path_factory.mktemp("long"), 6, 400)
 
 
 @pytest.fixture(scope="module")
-def over_processes(tmp_path_factory):
-    return of_batch_processes(tmp_path_factory.mktemp("faults"))
+def short(tmp_path_factory):
+    return Bench(tmp_path_factory.mktemp("short"), 4, 30)
 
 
-@pytest.mark.parametrize("decoder", DECODERS)
-@pytest.mark.parametrize("kind", ["sound", "none", "unusual", "cut", "mutants", "as a whole"])
-def test_inputs(over_inputs, decoder, kind):
-    outcomes = over_inputs[f"batch, {decoder}: {kind}"]
-    assert outcomes and problems_of(outcomes) == []
+def test_damaged_inputs(tmp_path):
+    inputs = {
+        case.path.relative_to(tmp_path / "in").as_posix(): case
+        for case in all_inputs(tmp_path / "in", N_MUTANTS)
+        if (tmp_path / "in") in case.path.parents
+    }
+    out, arguments = tmp_path / "out", ("--no-plots", "--jobs", "2", "--timeout", PATIENCE_S)
+    command = ["batch", tmp_path / "in", "--out", out, *arguments]
+    result = CliRunner().invoke(cli, [*map(str, command)], prog_name="dlgmd")
+    assert result.exit_code == 1 and "internal error" not in result.stderr
+    assert faults_of(out) == [] and hidden_in(out) == []
+    rows = rows_of(out)
+    wrong = {
+        name: row
+        for name, row in rows.items()
+        if row["status"]
+        not in {"error": {"failed"}, "recovers": {"done"}}.get(
+            inputs[name].expected if name in inputs else "", {"done", "failed"}
+        )
+    }
+    assert not wrong and len(rows) >= len(inputs) - 10  # some have no video's ending
+    n_done = sum(row["status"] == "done" for row in rows.values())
+    assert n_done == len(list(out.rglob(store.RUN))) > 20
 
 
-def test_mutants_end_in_both_ways(over_inputs):
-    outcomes = over_inputs["batch, opencv: mutants"]
-    assert {outcome.ending for outcome in outcomes} == {"error", "recovered"}
-    assert len(outcomes) >= 500
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT", "SIGTERM", "SIGHUP", "SIGINT to all"])
+def test_a_signal_at_any_moment(long, name):
+    moments, number = random.Random(name), getattr(signal, name.partition(" ")[0])
+    for case in range(N_SIGNALS):
+        more = ["--force"] if case % 3 == 2 else []
+        if more:
+            long.run()
+        with started(*long.command(*more), cwd=long.folder) as process:
+            time.sleep(moments.uniform(0.2, 2.0))
+            if process.poll() is None:
+                (os.killpg if "all" in name else os.kill)(process.pid, number)
+            _, said = process.communicate(timeout=PATIENCE_S)
+            assert process.returncode in (0, -9 if name == "SIGKILL" else 130)
+            assert "Traceback" not in said and "Error" not in said
+            wait_until(lambda process=process: not session_of(process.pid))
+        long.judge()
+        if case % 3 or case == N_SIGNALS - 1:
+            long.then_as_ever()
 
 
-@pytest.mark.parametrize("group", GROUPS)
-def test_processes(over_processes, group):
-    outcomes = over_processes[group]()
-    assert problems_of(outcomes) == []
-    if not outcomes:
-        pytest.skip("this system does not permit it")
+def test_all_killed_at_once(long):
+    moments = random.Random(22)
+    for _ in range(N_SIGNALS):
+        with started(*long.command(), cwd=long.folder) as process:
+            time.sleep(moments.uniform(0.6, 2.0))
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        long.judge()
+        long.then_as_ever()
+
+
+def workers_of(pid):
+    """The processes of a batch's pool."""
+    found = []
+    for one in session_of(pid):
+        with suppress(OSError):
+            if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
+                found.append(one)
+    return found
+
+
+def test_a_worker_killed_costs_one_video(long):
+    moments, n_lost = random.Random(23), 0
+    for _ in range(2 * N_SIGNALS):
+        with started(*long.command(), cwd=long.folder) as process:
+            wait_until(lambda: any(long.out.rglob(store.RUN)))
+            time.sleep(moments.uniform(0.0, 0.1))
+            with suppress(ProcessLookupError, IndexError):
+                os.kill(workers_of(process.pid)[-1], signal.SIGKILL)
+            _, said = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode in (0, 1) and "Traceback" not in said
+        statuses = long.judge()
+        lost = [status for status in statuses.values() if status != "done"]
+        assert sorted(statuses) == sorted(long.names), said
+        assert lost in ([], ["killed"])
+        n_lost += len(lost)
+        long.then_as_ever()
+    assert n_lost > 0
+
+
+def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
+    faults = {"segfault.avi": "crashed", "exits.avi": "crashed"}
+    faults |= {"killed.avi": "killed", "hangs.avi": "timeout", "bug.avi": "failed"}
+    for name in faults:
+        shutil.copy(short.videos / "0.avi", short.videos / name)
+    with monkeypatch.context() as patch:
+        patch.setattr("dlgmd_cli.runs.batch.run_video", faulty)
+        result = short.run("--timeout", 2)
+    assert result.exit_code == 1
+    assert short.judge() == dict.fromkeys(short.names, "done") | faults
+    for name in faults:
+        (short.videos / name).unlink()
+    short.then_as_ever()
+
+
+def test_a_disk_that_is_full(short):
+    disk = short.folder / "disk"
+    needed_kib = sum(4 * (len(data) // 4096 + 1) for data in short.truth.values())
+    for share in (0.0, 0.1, 0.5, 0.9):
+        n_files = 3 if share == 0.0 else 400
+        with small_disk(disk, int(share * needed_kib), n_files) as is_mounted:
+            if not is_mounted:
+                pytest.skip("this system does not permit to mount one")
+            assert short.run(out=disk / "out").exit_code == 1
+            for row in rows_of(disk / "out").values():
+                assert row["status"] == "done" or "No space left on device" in row["error"]
+            short.judge(disk / "out")
+            subprocess.run(["mount", "-o", "remount,size=50m,nr_inodes=4000", disk], check=True)
+            assert short.run(out=disk / "out").exit_code == 0
+            assert files_of(disk / "out") == short.truth
+
+
+@pytest.mark.parametrize("n_bytes", [0, 100, 700])
+def test_files_that_may_not_grow(short, n_bytes):
+    with small_files(n_bytes):
+        result = short.run()
+    assert result.exit_code == 1 and "File too large" in result.stderr
+    assert not list(short.out.rglob(store.RUN))
+    short.then_as_ever()
+
+
+def test_places_that_cannot_be_written(short):
+    video = short.videos / short.names[0]
+    for out in (video / "out", video, Path("/dev/null/out"), Path("/proc/out"), Path("/sys/out")):
+        result = short.run(out=out)
+        assert result.exit_code == 1 and "cannot be written (" in result.stderr
+        assert result.stderr.count("\n") == 1
+
+
+def test_videos_that_change_after_they_were_found(short, monkeypatch):
+    from dlgmd_cli.runs import find
+
+    last, kept = short.videos / short.names[-1], short.folder / "kept"
+    ways = {
+        "removed": last.unlink,
+        "emptied": lambda: last.write_bytes(b""),
+        "no video any more": lambda: last.write_text("no video\n" * 100),
+        "now a folder": lambda: (last.unlink(), last.mkdir()),
+        "all removed": lambda: shutil.rmtree(short.videos),
+    }
+    for name, disturb in ways.items():
+        shutil.copytree(short.videos, kept)
+
+        def found(*given, disturb=disturb, find_videos=find.find_videos):
+            videos = find_videos(*given)
+            disturb()
+            return videos
+
+        with monkeypatch.context() as patch:
+            patch.setattr(find, "find_videos", found)
+            assert short.run().exit_code == 1
+        statuses = short.judge()
+        n_failed = sum(status == "failed" for status in statuses.values())
+        assert sorted(statuses) == sorted(short.names)
+        assert n_failed == (len(short.names) if name == "all removed" else 1), name
+        shutil.rmtree(short.videos, ignore_errors=True)
+        kept.rename(short.videos)
+        short.clear()
+
+
+def test_very_many_files_that_are_no_videos(tmp_path):
+    (tmp_path / "in").mkdir()
+    for number in range(N_MANY):
+        (tmp_path / f"in/{number}.mp4").touch()
+    command = ["batch", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--no-plots"]
+    began = time.process_time()
+    result = CliRunner().invoke(cli, command, prog_name="dlgmd")
+    assert result.exit_code == 1 and time.process_time() - began < 0.02 * N_MANY
+    assert len(rows_of(tmp_path / "out")) == N_MANY
+
+
+ODD = [
+    b"-o.avi",
+    b"--help.avi",
+    b"summary.csv.avi",
+    b"new\nline.avi",
+    b"\x1b[31mred.avi",
+    b"\xff\xfe.avi",
+    b"\xed\xa0\x80.avi",
+    "\u00e9.avi".encode(),
+    "e\u0301.avi".encode(),
+    "\u202egnp.avi".encode(),
+    b" .avi",
+    b'a,"b".avi',
+    b"=cmd|'x'!A1.avi",
+    b"$x_1$ %s {0} [red].avi",
+    b"frame%04d.avi",
+    b"*.avi",
+    b"C:.avi",
+    b"run.yaml.avi",
+    b"n" * 251 + b".avi",
+    "\u00fc".encode() * 125 + b".avi",
+    b"d" * 200 + b".avi/" + b"d" * 200 + b".avi",
+    b"clip.avi",
+    b"CLIP.avi",
+    b"clip.AVI",
+    b"clip/clip.avi",
+]
+
+
+def test_odd_names(tmp_path, clips):
+    made, out = [], tmp_path / "out"
+    for name in ODD:
+        path = tmp_path / "in" / os.fsdecode(name)
+        with suppress(OSError):  # not every file system takes every name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(clips / "loom.avi", path)
+            made.append(os.fsdecode(name))
+    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--no-plots", "--jobs", "2"]
+    result = CliRunner().invoke(cli, command, prog_name="dlgmd")
+    rows = rows_of(out)
+    failed = {name: row["error"] for name, row in rows.items() if row["status"] != "done"}
+    assert result.exit_code == 0 and not failed
+    assert rows.keys() == {text_cell(name) for name in made}
+    assert faults_of(out) == []
+    again = CliRunner().invoke(cli, command, prog_name="dlgmd")
+    assert f"{len(made)} of {len(made)} videos are done already." in again.stderr
+    assert sorted(os.listdir(tmp_path)) == ["in", "out"]
+    # As titles of plots, where a $ begins a formula, and not every letter has a shape.
+    for name in made:
+        if not set(name) & set("$\n\x1b\udcff"):
+            (tmp_path / "in" / name).unlink()
+    assert CliRunner().invoke(cli, [*command[:4], "--format", "png"]).exit_code == 0
+
+
+@pytest.mark.parametrize("where", ["behind a link", "among the videos"])
+def test_results_in_odd_places(short, where):
+    out = short.videos / "out" if "among" in where else short.folder / "linked"
+    if where == "behind a link":
+        short.out.mkdir()
+        out.symlink_to(short.out)
+    for _ in range(2):
+        assert short.run(out=out).exit_code == 0
+        assert short.judge(out) == dict.fromkeys(short.names, "done")
+    shutil.rmtree(out) if "among" in where else out.unlink()
+    short.clear()

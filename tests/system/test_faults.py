@@ -1,96 +1,196 @@
 """Whatever befalls a run, it ends with a whole result or one clear line, and nothing else."""
 
 import os
+import random
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from faults import worker
-from faults.inputs import Input
-from faults.outcome import CRASHED, HALF_WRITTEN, HUNG, judge
-from faults.suite import DECODERS, of_inputs, of_processes, problems_of
+from click.testing import CliRunner
+from conftest import looming_frames, write_video
+from damaged import all_inputs
+from disturbed import (
+    PATIENCE_S,
+    environment,
+    faults_of,
+    files_of,
+    hidden_in,
+    small_disk,
+    small_files,
+    started,
+)
 
-from dlgmd_cli.results.folder import ResultFolder
+from dlgmd_cli.commands.app import cli
+from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.results import store
 
-GROUPS = list(of_processes(Path()))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals and limits differ there"),
+]
+THOROUGH = bool(os.environ.get("DLGMD_THOROUGH"))
+N_MUTANTS = 3000 if THOROUGH else 400
+N_SIGNALS = 50 if THOROUGH else 5
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, ["run", *map(str, arguments)], prog_name="dlgmd")
+
+
+def one_line(result):
+    """The error that a failed run says last and once."""
+    lines = result.stderr.splitlines()
+    assert [line for line in lines if line.startswith("Error: ")] == lines[-1:], result.stderr
+    assert "internal error" not in result.stderr
+    return lines[-1]
+
+
+def try_input(decoder, out, case):
+    """How a run over an input ended, and what is wrong about it; called in a process of a pool."""
+    out = out / f"{case.path.parent.name}-{case.name.replace('/', '_')}"
+    result = run(case.path, "--out", out, "--decoder", decoder, "--no-plots")
+    faults = [*faults_of(out), *(hidden_in(out) if out.exists() else [])]
+    if result.exit_code not in (0, 1) or "internal error" in result.stderr:
+        faults.append(f"exit code {result.exit_code}: {result.stderr} {result.exception!r}")
+    if result.exit_code != {"error": 1, "recovers": 0}.get(case.expected, result.exit_code):
+        faults.append(f"expected {case.expected}, but: {result.stderr}")
+    if result.exit_code == 1 and (out.exists() or result.stderr.count("Error: ") != 1):
+        faults.append(f"left {out}, or not one line: {result.stderr}")
+    if result.exit_code == 0 and len(list(out.glob(f"*/{store.RUN}"))) != 1:
+        faults.append("no result")
+    return result.exit_code, faults
+
+
+@pytest.mark.parametrize("decoder", ["opencv", *(["pyav"] if find_spec("av") else [])])
+def test_inputs(tmp_path, decoder):
+    n_mutants = N_MUTANTS if decoder == "opencv" or THOROUGH else N_MUTANTS // 4
+    inputs = all_inputs(tmp_path / "inputs", n_mutants)
+    function, endings = partial(try_input, decoder, tmp_path / "out"), set()
+    for case, outcome in run_tasks(function, inputs, 2, timeout_s=PATIENCE_S):
+        exit_code, faults = outcome.result()  # raises if it took its process with it
+        assert faults == [], case
+        if case.kind == "mutants":
+            endings.add(exit_code)
+    assert endings == {0, 1}
 
 
 @pytest.fixture(scope="module")
-def over_inputs(tmp_path_factory):
-    return of_inputs(tmp_path_factory.mktemp("faults"), DECODERS)
+def clip(tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp("clip") / "clip.avi", looming_frames(20, 64, 48))
 
 
 @pytest.fixture(scope="module")
-def over_processes(tmp_path_factory):
-    return of_processes(tmp_path_factory.mktemp("faults"))
+def long_clip(tmp_path_factory):
+    frames = looming_frames(20, 64, 48) * 40
+    return write_video(tmp_path_factory.mktemp("clip") / "long.avi", frames)
 
 
-@pytest.mark.parametrize("decoder", DECODERS)
-@pytest.mark.parametrize("kind", ["sound", "none", "unusual", "cut", "mutants"])
-def test_inputs(over_inputs, decoder, kind):
-    outcomes = over_inputs[f"{decoder}: {kind}"]
-    assert outcomes and problems_of(outcomes) == []
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, clip, long_clip):
+    """The files of undisturbed runs."""
+    out = tmp_path_factory.mktemp("whole")
+    for path in (clip, long_clip):
+        assert run(path, "--out", out, "--no-plots").exit_code == 0
+    return files_of(out)
 
 
-def test_mutants_end_in_both_ways(over_inputs):
-    endings = {outcome.ending for outcome in over_inputs["opencv: mutants"]}
-    assert endings == {"error", "recovered"} and len(over_inputs["opencv: mutants"]) >= 500
+def then_as_ever(out, path, whole):
+    """Another run gives what an undisturbed one does, and leaves nothing else."""
+    assert run(path, "--out", out, "--no-plots", "--overwrite").exit_code == 0
+    found = files_of(out)
+    assert found == {name: data for name, data in whole.items() if name in found}
+    assert len(found) == 4 and hidden_in(out) == []
 
 
-@pytest.mark.parametrize("group", GROUPS)
-def test_processes(over_processes, group):
-    outcomes = over_processes[group]()
-    assert problems_of(outcomes) == []
-    if not outcomes:
-        pytest.skip("this system does not permit it")
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT", "SIGTERM"])
+def test_a_signal_at_any_moment(tmp_path, long_clip, whole, name):
+    moments, out = random.Random(name), tmp_path / "out"
+    for case in range(2 * N_SIGNALS if name == "SIGKILL" else N_SIGNALS):
+        if case % 2 == 0:
+            shutil.rmtree(out, ignore_errors=True)
+        command = ("run", long_clip, "--out", out, "--no-plots", "--overwrite")
+        with started(*command, cwd=tmp_path) as process:
+            try:
+                process.wait(moments.uniform(0.0, 1.5))
+            except subprocess.TimeoutExpired:
+                process.send_signal(getattr(signal, name))
+            _, said = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode in (0, -9 if name == "SIGKILL" else 130)
+        assert "Traceback" not in said and "Error" not in said
+        assert faults_of(out, whole) == []
+        if name != "SIGKILL" and out.exists():
+            assert hidden_in(out) == []
+        if case % 2:
+            then_as_ever(out, long_clip, whole)
 
 
-PROGRAMS = {
-    "dies": "import os; os.abort()",
-    "hangs": "import time; time.sleep(3600)",
+def test_a_disk_that_is_full(tmp_path, clip, whole):
+    for size_kib in (0, 4, 8, 16):
+        with small_disk(tmp_path / "disk", size_kib, 3 if size_kib == 0 else 64) as is_mounted:
+            if not is_mounted:
+                pytest.skip("this system does not permit to mount one")
+            out = tmp_path / "disk/out"
+            result = run(clip, "--out", out, "--no-plots")
+            if result.exit_code == 0:
+                assert size_kib == 16
+            else:
+                assert "cannot be written (No space left on device)" in one_line(result)
+                assert not list(out.rglob(store.RUN)) and hidden_in(tmp_path / "disk") == []
+            assert faults_of(out) == []
+    then_as_ever(tmp_path / "out", clip, whole)
+
+
+@pytest.mark.parametrize("n_bytes", [0, 1, 100, 500])
+@pytest.mark.parametrize("options", [("--no-plots",), ("--format", "svg"), ("--format", "png")])
+def test_files_that_may_not_grow(tmp_path, clip, whole, n_bytes, options):
+    out = tmp_path / "out"
+    then_as_ever(out, clip, whole)
+    with small_files(n_bytes):
+        result = run(clip, "--out", out, "--overwrite", *options)
+    assert result.exit_code == 1 and "cannot be written (File too large)" in one_line(result)
+    assert not list(out.rglob(store.RUN)) and hidden_in(out) == []
+    then_as_ever(out, clip, whole)
+
+
+def test_places_that_cannot_be_written(tmp_path, clip):
+    places = [clip / "out", clip, Path("/dev/null/out"), Path("/proc/out"), Path("/sys/out")]
+    for out in places:
+        result = run(clip, "--out", out, "--no-plots")
+        assert result.exit_code == 1 and "cannot be written (" in one_line(result)
+
+
+STREAMS = {
+    "stdout closed": (">&-", {0}),
+    "stderr closed": ("2>&-", {0}),
+    "all closed": ("<&- >&- 2>&-", {0}),
+    "stdout full": (">/dev/full", {0, 1}),
+    "reader gone": ("| true", {0, 1}),
+    "reader leaves": ("| head -1", {0, 1}),
 }
 
 
-@pytest.mark.parametrize(("program", "ending"), [("dies", CRASHED), ("hangs", HUNG)])
-def test_a_death_is_laid_at_the_right_door(tmp_path, clips, monkeypatch, program, ending):
-    (tmp_path / "sitecustomize.py").write_text(
-        "import dlgmd_cli.video.frames as module\n"
-        "def opened(path, *more, open_reader=module._open_reader):\n"
-        f"    if 'bad' in str(path):\n        {PROGRAMS[program]}\n"
-        "    return open_reader(path, *more)\n"
-        "module._open_reader = opened\n"
+@pytest.mark.parametrize("command", ["run", "batch"])
+@pytest.mark.parametrize("name", STREAMS)
+def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
+    redirection, codes = STREAMS[name]
+    words = [sys.executable, "-m", "dlgmd_cli", command, str(clip), "--out", "out", "--no-plots"]
+    done = subprocess.run(
+        ["sh", "-c", f"{{ {shlex.join(words)}; echo $? >code; }} {redirection}"],
+        cwd=tmp_path,
+        capture_output=True,
+        timeout=PATIENCE_S,
+        env=environment(),
+        text=True,
     )
-    monkeypatch.syspath_prepend(tmp_path)
-    good, bad = clips / "loom.avi", tmp_path / "bad.avi"
-    cases = [Input("1", good), Input("2", bad), Input("3", good, "recovers")]
-    outcomes = worker.run_all(cases, [], tmp_path / "runs", silence_s=6.0)
-    assert [outcome.ending for outcome in outcomes] == ["recovered", ending, "recovered"]
-    assert [bool(outcome.problem) for outcome in outcomes] == [False, True, False]
-
-
-@pytest.mark.parametrize(
-    ("code", "said", "expected", "ending"),
-    [
-        (1, "Error: no.\n", "error", None),
-        (1, "Error: no.\n", "recovers", "error"),
-        (0, "", "error", "recovered"),
-        (1, "", "error", "error"),
-        (1, "Error: a\nError: b\n", "error", "error"),
-        (1, "Error: internal error (IndexError).\n", "error", CRASHED),
-        (-11, "", "either", CRASHED),
-        (1, "Traceback\nError: no.\n", "error", CRASHED),
-    ],
-)
-def test_judgement_of_what_is_said(tmp_path, code, said, expected, ending):
-    outcome = judge("x", code, said, tmp_path / "none", expected)
-    assert (outcome.ending if outcome.problem else None) == ending
-
-
-def test_judgement_of_what_is_left(tmp_path):
-    (tmp_path / ".dlgmd-1").mkdir()
-    assert judge("x", 1, "Error: no.\n", tmp_path).ending == HALF_WRITTEN
-    assert not judge("x", 130, "", tmp_path, allows_partial=True).problem
-    os.rmdir(tmp_path / ".dlgmd-1")
-    assert judge("x", 1, "Error: no.\n", tmp_path).problem.startswith("left")
-    with ResultFolder(tmp_path, "clip") as folder:
-        folder.save(lambda path: (path / "run.yaml").write_text("complete: true\n"))
-    assert judge("x", 0, "", tmp_path).ending == HALF_WRITTEN
+    assert int((tmp_path / "code").read_text()) in codes
+    assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
+    # The result is whole before anything is printed.
+    found = files_of(tmp_path / "out")
+    assert len(found) == 4 and (command == "batch" or found.items() <= whole.items())
+    assert faults_of(tmp_path / "out") == []

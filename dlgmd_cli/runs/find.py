@@ -1,0 +1,327 @@
+"""The videos below folders and URLs, and what the folders of their results are called."""
+
+import os
+import posixpath
+import stat
+import tempfile
+import unicodedata
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.results.store import failure_text, is_url, place
+from dlgmd_cli.video.frames import fingerprint
+
+if TYPE_CHECKING:
+    from upath import UPath
+
+_ENDINGS = """
+    264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov
+    mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
+"""
+SUFFIXES = frozenset(f".{ending}" for ending in _ENDINGS.split())
+# What stores call that which changes with a file's content, the surest first.
+_VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
+# Lies beside the results in the topmost folder.
+SUMMARY = "summary.csv"
+
+
+@dataclass(frozen=True)
+class Input:
+    """One video of a batch.
+
+    Attributes
+    ----------
+    name : str
+        What the summary calls it: its path below the folder that was given, with slashes.
+    path : str
+        Where it lies: an absolute path or a URL.
+    folder : str
+        The folder of its result below that of the batch, with slashes.
+    identity : dict
+        What changes with its content; empty where that cannot be told.
+    """
+
+    name: str
+    path: str
+    folder: str
+    identity: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The videos in the order of their names, what was left out on purpose, and what failed."""
+
+    videos: list[Input]
+    remarks: list[str]
+    faults: list[str]
+
+
+def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
+    """Every video below folders, and those that are given themselves.
+
+    Links are followed, but no folder is searched twice, and a real folder comes before a link to
+    it. Hidden files and folders are left out.
+
+    Parameters
+    ----------
+    roots : sequence of str
+        Folders, videos, and URLs of either. Of several, names begin with that of the root.
+    leave_out : iterable of Path
+        Folders that are not searched, such as that of the results, unless they are roots.
+
+    Raises
+    ------
+    SourceError
+        If there is nothing at a root.
+    MissingExtraError
+        If a root is a URL, and what reads such is not installed.
+    """
+    roots = list(dict.fromkeys(roots))
+    search = _Search(leave_out)
+    for prefix, root in zip(_told_apart(roots) if len(roots) > 1 else [""], roots, strict=True):
+        base = place(root)
+        if isinstance(base, Path):
+            search.add(prefix, str(base))
+        else:
+            search.add_url(prefix, root, base)
+    search.follow_links()
+    folders = result_folders(search.found)
+    videos = [Input(name, path, folders[name], one) for name, (path, one) in search.found.items()]
+    videos.sort(key=lambda video: video.name)
+    renamed = [
+        f"{video.name}: the result folder is {video.folder}: another video has the same name"
+        for video in videos
+        if PurePosixPath(video.folder).name != PurePosixPath(video.name).stem
+    ]
+    return Found(videos, [*search.remarks(), *renamed], search.faults)
+
+
+def is_video(name: str) -> bool:
+    """Whether a file's name ends like that of a video."""
+    return PurePosixPath(name).suffix.lower() in SUFFIXES
+
+
+class _Search:
+    """Walks through folders and remembers what it met."""
+
+    def __init__(self, leave_out: Iterable[Path]) -> None:
+        self.found: dict[str, tuple[str, dict[str, Any]]] = {}
+        self.faults: list[str] = []
+        self._n_hidden = 0
+        self._repeated: list[str] = []
+        self._links: list[tuple[str, str]] = []
+        self._searched: set[tuple[int, int]] = set()
+        self._left_out: set[tuple[int, int]] = set()
+        for folder in leave_out:
+            with suppress(OSError):  # it may not be there yet
+                self._left_out.add(_key_of(folder))
+
+    def remarks(self) -> list[str]:
+        """What was left out on purpose."""
+        lines = [f"{path}: left out, already searched" for path in self._repeated]
+        if self._n_hidden:
+            kind = "file or folder" if self._n_hidden == 1 else "files and folders"
+            lines.append(f"{self._n_hidden} hidden {kind} left out")
+        return lines
+
+    def add(self, prefix: str, root: str) -> None:
+        """Search a folder, or take a video."""
+        absolute = os.path.abspath(root)
+        try:
+            is_folder = stat.S_ISDIR(Path(absolute).stat().st_mode)
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+            why = f"it cannot be read ({failure_text(error)})"
+            raise SourceError(root, why, "Check the path.") from None
+        if is_folder:
+            self._left_out.discard(_key_of(absolute))
+            self._walk(prefix, absolute)
+        else:
+            self._take(prefix or Path(root).name, absolute)
+
+    def add_url(self, prefix: str, root: str, base: "UPath") -> None:
+        """Search all that lies behind a URL, or take the video there."""
+        top = base.path.rstrip("/")
+        try:
+            base.fs.invalidate_cache()
+            listed = base.fs.find(top, detail=True)
+        except Exception as error:  # every kind of URL has its own
+            why = f"it cannot be read ({failure_text(error)})"
+            raise SourceError(root, why, "Check the URL.") from None
+        if not listed:
+            raise SourceError(root, "there is nothing", "Check the URL.")
+        for path, facts in sorted(listed.items()):
+            below = str(path)[len(top) :].removeprefix("/")
+            name = "/".join(filter(None, (prefix, below))) or posixpath.basename(str(path))
+            if any(part.startswith(".") for part in below.split("/")):
+                self._n_hidden += 1
+            elif not below or is_video(below):
+                version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
+                known = {"bytes": facts.get("size"), "version": version} if version else {}
+                self.found.setdefault(name, (base.fs.unstrip_protocol(path), known))
+
+    def follow_links(self) -> None:
+        """Search what links lead to, after all that is real."""
+        while self._links:
+            self._links.sort()
+            self._walk(*self._links.pop(0))
+
+    def _walk(self, prefix: str, root: str) -> None:
+        """Search a folder; links to folders are kept for later."""
+        waiting = [(prefix, root)]
+        while waiting:
+            prefix, folder = waiting.pop()
+            for entry in self._entries(folder):
+                name = f"{prefix}/{entry.name}" if prefix else entry.name
+                if entry.name.startswith("."):
+                    self._n_hidden += 1
+                elif _leads_to_folder(entry):
+                    (self._links if entry.is_symlink() else waiting).append((name, entry.path))
+                elif is_video(entry.name):
+                    self._take(name, entry.path)
+
+    def _take(self, name: str, path: str) -> None:
+        """Take a video down."""
+        identity: dict[str, Any] = {}
+        with suppress(OSError):  # a dangling link; opening it says so
+            identity = fingerprint(path)
+        self.found.setdefault(name, (path, identity))
+
+    def _entries(self, folder: str) -> list["os.DirEntry[str]"]:
+        """What lies in a folder; nothing if it was searched already or is left out."""
+        try:
+            key = _key_of(folder)
+            if key in self._left_out:
+                return []
+            if key in self._searched:
+                self._repeated.append(folder)
+                return []
+            self._searched.add(key)
+            with os.scandir(folder) as entries:
+                return sorted(entries, key=lambda entry: entry.name)
+        except OSError as error:
+            self.faults.append(f"{folder}: this folder cannot be read ({failure_text(error)})")
+            return []
+
+
+def _leads_to_folder(entry: "os.DirEntry[str]") -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link to itself
+        return False
+
+
+def _key_of(folder: str | Path) -> tuple[int, int]:
+    """What a folder has in common with every link to it; raises OSError."""
+    facts = Path(folder).stat()
+    return facts.st_dev, facts.st_ino
+
+
+def _told_apart(roots: Sequence[str]) -> list[str]:
+    """The last part of every root's path; of several that end alike, as many as differ."""
+    every = [
+        root.split("/") if is_url(root) else Path(os.path.abspath(root)).parts for root in roots
+    ]
+    names = []
+    for parts in every:
+        others = [other for other in every if other != parts]
+        n = 1
+        while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
+            n += 1
+        names.append("/".join(part for part in parts[-n:] if part.strip("/")))
+    return names
+
+
+@contextmanager
+def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
+    """A path on this machine: `path` itself, or of a copy in `scratch` of what a URL leads to.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be copied.
+    """
+    if not is_url(path):
+        yield path
+        return
+    there = place(path)
+    with tempfile.TemporaryDirectory(dir=scratch, prefix="dlgmd-") as folder:
+        copy = Path(folder) / f"video{there.suffix[:16]}"
+        try:
+            there.fs.get_file(there.path, str(copy))  # type: ignore[union-attr]
+        except Exception as error:
+            why = f"it cannot be copied to this machine ({failure_text(error)})"
+            raise SourceError(path, why, "Check the URL, or make room.") from None
+        yield str(copy)
+
+
+def result_folders(videos: Iterable[str]) -> dict[str, str]:
+    """The folder of each video's result, mirroring the tree.
+
+    It is called after the file without its extension; with it where another video, or a folder with
+    videos, has the same name in the same folder, whether in capitals or not, and however
+    its accents are written.
+
+    Parameters
+    ----------
+    videos : iterable of str
+        Paths with slashes, each once.
+
+    Returns
+    -------
+    dict of str to str
+        For every path that of its result, with slashes; none is within another, or leads out of
+        the tree.
+    """
+    above = {video: tuple(_safe(part) for part in video.split("/")[:-1]) for video in videos}
+    by_folder: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    folders: dict[tuple[str, ...], set[str]] = defaultdict(set)
+    for video, parts in above.items():
+        # Folders whose names differ in capitals only may be one where the results go.
+        keys = tuple(map(_folded, parts))
+        by_folder[keys].append(video)
+        for depth, below in enumerate(keys):
+            folders[keys[:depth]].add(below)
+    results = {}
+    for keys, kin in by_folder.items():
+        taken = folders[keys] | (frozenset() if keys else {SUMMARY})
+        for video, called in _called(sorted(kin), taken).items():
+            results[video] = "/".join([*above[video], called])
+    return results
+
+
+def _called(videos: Sequence[str], taken: Iterable[str]) -> Mapping[str, str]:
+    """What the results of the videos of one folder are called, apart from what is taken."""
+    names = {video: video.rpartition("/")[2] for video in videos}
+    stems: dict[str, list[str]] = defaultdict(list)
+    for video, name in names.items():
+        stems[_folded(_safe(posixpath.splitext(name)[0]))].append(video)
+    used, called = set(taken), {}
+    alone = {kin[0] for stem, kin in stems.items() if len(kin) == 1 and stem not in used}
+    for video in sorted(videos, key=lambda video: video not in alone):
+        name = names[video]
+        wanted = base = _safe(posixpath.splitext(name)[0] if video in alone else name)
+        number = 1
+        while _folded(wanted) in used:
+            number += 1
+            wanted = f"{base} ({number})"
+        used.add(_folded(wanted))
+        called[video] = wanted
+    return called
+
+
+def _folded(part: str) -> str:
+    """What names have in common that are one name on some file system."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", part).casefold())
+
+
+def _safe(part: str) -> str:
+    """A part of a path that neither leads elsewhere nor hides; what is not so stays as it is."""
+    part = part.replace("\\", "_").replace("\0", "_")
+    if part.startswith(".") or not part.strip(". "):
+        return f"video{part}"
+    return part
