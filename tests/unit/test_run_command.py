@@ -309,7 +309,7 @@ USAGE = [
     (["--scale", "nan"], "--scale"),
     (["--size", "0x5"], "size 0x5"),
     (["--size", "wide"], "'wide' is not WIDTHxHEIGHT"),
-    (["--set", "1", "--param", "lam=0.7"], "makes the latency longer than 64 frames"),
+    (["--set", "1", "--param", "lam=0.7"], "make the latency longer than 64 frames"),
     (["--scale", 0.5, "--size", "4x4"], "--scale and --size exclude each other"),
     (["--fps", -1], "--fps"),
     (["--fps", "nan"], "--fps"),
