@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.parameters import shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -88,7 +89,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def _wrong(name: str, value: object, why: str) -> ParameterError:
-    return ParameterError("", f"--{name.replace('_', '-')} {str(value)[:40]} {why}")
+    return ParameterError("", f"--{name.replace('_', '-')} {shown(value)} {why}")
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ class InputOptions:
         known = {field.name for field in fields(cls)}
         for key in record:
             if key not in known:
-                raise ParameterError(origin, f"unknown option {str(key)[:40]!r} under 'options'")
+                raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
         try:
             return cls(**record)
         except ParameterError as error:
