@@ -16,16 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.video.base import Verdict
-from dlgmd_cli.video.frames import (
-    Frame,
-    open_video,
-    processed_size,
-    selection,
-)
+from dlgmd_cli.video.frames import Frame, open_video, processed_size
 from dlgmd_cli.video.luma import resized, to_grey
 from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
-from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
+from dlgmd_cli.video.reading import Selection
+from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan
 
@@ -121,16 +116,16 @@ def test_contract_rate(any_input, decoder):
 
 
 def test_a_rate_that_does_not_divide():
-    select = selection(max_fps=10.0)()
-    taken = [i for i in range(30) if select(i / 25.0) is Verdict.TAKE]
+    selection = Selection(max_fps=10.0)
+    taken = [i for i in range(30) if selection.takes(i / 25.0)]
     assert taken == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23, 25, 28]
 
 
 @given(st.lists(st.floats(0.001, 5), min_size=1, max_size=60), st.floats(0.1, 200))
 def test_no_more_frames_than_asked_for(intervals, rate):
     times = np.cumsum(intervals)
-    select = selection(max_fps=rate)()
-    taken = [t for t in times if select(t) is Verdict.TAKE]
+    selection = Selection(max_fps=rate)
+    taken = [t for t in times if selection.takes(t)]
     assert len(taken) <= math.floor((times[-1] - times[0] + 1e-3) * rate) + 1
     assert taken[0] == times[0]
 
@@ -140,7 +135,7 @@ def test_no_more_frames_than_asked_for(intervals, rate):
 )
 def test_bad_selection(options):
     with pytest.raises(ParameterError):
-        selection(**options)
+        Selection(**options)
 
 
 def test_default_size_is_at_most_480_wide():
@@ -253,10 +248,7 @@ def test_clock_always_increases(stamps):
 
 def holes(intervals, fps=30.0):
     """What is said of frames at these intervals, in frames."""
-    watch = HoleWatch(fps)
-    for index, time_s in enumerate(np.cumsum([0.0, *intervals]) / fps):
-        watch.add(index, time_s)
-    return watch.report()
+    return missing_frames(np.cumsum([0.0, *intervals]) / fps, fps)
 
 
 def test_a_hole_in_a_steady_stream_is_told():
@@ -483,7 +475,9 @@ def test_a_bad_picture_ends_the_sequence(tmp_path, size, warning):
     (tmp_path / "4.png").write_bytes(content)
     with open_video(tmp_path, input_fps=8.0) as source:
         assert [f.time_s for f in source] == [0.0, 0.125, 0.25, 0.375]
-        assert source.progress.warnings == [f"{warning}; used the 4 of 6 pictures before it"]
+        assert source.progress.warnings == [
+            f"{warning}; decoded and used 4 of about 6 frames, up to 0.375 s"
+        ]
 
 
 def test_pictures_without_a_rate_or_a_first_one(tmp_path, pictures):
