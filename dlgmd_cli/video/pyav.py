@@ -17,7 +17,7 @@ from dlgmd_cli.video.base import (
     decoder_threads,
     plausible_fps,
 )
-from dlgmd_cli.video.luma import Image, levels_of, luma_of
+from dlgmd_cli.video.luma import Image, Levels, luma_plane
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # As many as OpenCV accepts. A stream cut out of another begins with many that give no picture.
 _MAX_BAD_PACKETS = 4096
 _COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
-Picture = tuple[Image, tuple[int, int] | None]
 _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
 
 
@@ -115,7 +114,7 @@ class PyAVDecoder:
             else:
                 yield float((frame.pts - start) * frame.time_base)
 
-    def picture(self) -> Picture:
+    def picture(self) -> tuple[Image, Levels]:
         """The frame at the last timestamp; its memory lasts for as long as it is held."""
         size = _shown_size(self._frame)
         if size != self.facts[:2]:
@@ -129,24 +128,24 @@ class PyAVDecoder:
         self._container.close()
 
 
-def picture_of(frame: "VideoFrame") -> Picture:
+def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
     """The luma plane of a frame, a view of its memory, or BGR if it has none; and its levels."""
-    pixel_format, plane = frame.format.name, frame.planes[0]
-    luma = luma_of(pixel_format)
+    plane = frame.planes[0]
+    luma = luma_plane(frame.format.name, int(frame.color_range))
     if luma is None or plane.line_size <= 0:
         try:
             return _turned(frame, frame.to_ndarray(format="bgr24")), None
         except (ValueError, OSError):  # no conversion from this format
             raise Unreadable("the file is damaged") from None
-    n_bytes = 1 if luma.n_bits == 8 else 2
+    kind, levels = luma
     # A view: it keeps the frame alive, and the frame its memory.
     image: Image = np.ndarray(
         (frame.height, frame.width),
-        np.uint8 if n_bytes == 1 else np.uint16,
+        kind,
         buffer=memoryview(plane),
-        strides=(plane.line_size, n_bytes),
+        strides=(plane.line_size, np.dtype(kind).itemsize),
     )
-    return _turned(frame, image), levels_of(pixel_format, luma, int(frame.color_range))
+    return _turned(frame, image), levels
 
 
 def _import_av() -> Any:
