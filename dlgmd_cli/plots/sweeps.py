@@ -87,8 +87,8 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
     """Heat maps over both parameters, one per speed or per measure, each with its own colours.
 
     Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does, and
-    below -60 dB nothing passes. Cells that are not finite, or cannot be computed, are grey or have a
-    pattern, which the legend explains.
+    below -60 dB nothing passes. Cells that are not finite, or cannot be computed, are grey or
+    have a pattern, which the legend explains.
 
     Parameters
     ----------
