@@ -52,8 +52,8 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         with errors_as_one_line(), warnings.catch_warnings():
-            # What the library warns of, such as letters that a figure's font lacks.
-            warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
+            # What the library warns of, such as letters that a figure's font lacks; each once.
+            warnings.filterwarnings("default", category=UserWarning, module="dlgmd_cli")
             warnings.showwarning = lambda message, *_, **__: warn(str(message))
             return super().invoke(ctx)
 

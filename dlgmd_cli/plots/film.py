@@ -7,14 +7,12 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, strongest
+from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import (
     BLUE,
     GREY,
@@ -22,7 +20,6 @@ from dlgmd_cli.plots.style import (
     ORANGE,
     house_style,
     plain,
-    shortened,
 )
 from dlgmd_cli.plots.traces import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.results.result import Result
@@ -56,8 +53,8 @@ class Film:
         What the model said about every frame; at least one.
     shape : (int, int)
         H and W of the frames as the model takes them.
-    scales : (Scale or None, Scale or None)
-        Of S and G, the same in every picture; None where they are never defined.
+    scales : (Scale, Scale)
+        Of S and G, the same in every picture.
     units : (str, str)
         Units of S and G, in words.
     label : str
@@ -68,9 +65,9 @@ class Film:
         self,
         result: Result,
         shape: tuple[int, int],
-        scales: tuple[Scale | None, Scale | None],
+        scales: tuple[Scale, Scale],
         units: tuple[str, str],
-        label: str = "",
+        label: str,
     ) -> None:
         self._result, self._scales = result, scales
         with house_style():
@@ -78,7 +75,8 @@ class Film:
             layout: Any = figure.get_layout_engine()
             layout.set(rect=(0, 0, 1, 1 - _HEADER_PX / HEIGHT), w_pad=0.2, h_pad=0.08)
             panels, trace = _static(figure, shape, scales, units, result)
-            self._write(figure, label)
+            look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
+            figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(label, 60), **look)
             self._ground = _pixels(figure)
             _draw_trace(trace, result)
             self._traced = _pixels(figure)
@@ -93,39 +91,23 @@ class Film:
     def picture(
         self, row: int, luminance: FloatImage, s: FloatImage | None, g: FloatImage | None
     ) -> BgrImage:
-        """The picture of one frame.
+        """The picture of one row of the result, (720, 1280, 3) BGR; valid until the next call.
 
-        Parameters
-        ----------
-        row : int
-            Which row of the result it is.
-        luminance : ndarray, shape (H, W), float32
-            The frame, 0 to 1.
-        s, g : ndarray, shape (H, W), float32, or None
-            Its layers; None where they are not defined.
-
-        Returns
-        -------
-        ndarray, shape (720, 1280, 3), uint8
-            In BGR order; valid until the next call.
+        `luminance` is the frame, 0 to 1, and `s` and `g` its layers, None where not defined.
         """
         grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
         self._fill(self._panels[0], np.asarray(grey, dtype=np.uint8))
         for box, layer, scale in zip(self._panels[1:], (s, g), self._scales, strict=True):
-            if layer is None or scale is None:
-                self._fill(box, None)
-                continue
-            height, width = _size(box)
-            self._fill(box, scale.painted(strongest(layer, height, width)))
+            if layer is None:
+                self._canvas[box] = self._ground[box]
+            else:
+                self._fill(box, scale.painted(strongest(layer, *_size(box))))
         self._show_present(row)
         self._write_header(row)
         return self._canvas
 
-    def _fill(self, box: Box, image: BgrImage | None) -> None:
-        """Put `image` into a panel at its size, or the empty panel if there is none."""
-        if image is None:
-            self._canvas[box] = self._ground[box]
-            return
+    def _fill(self, box: Box, image: BgrImage) -> None:
+        """Put `image` into a panel at its size."""
         height, width = _size(box)
         way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
         self._canvas[box] = cv2.resize(image, (width, height), interpolation=way)
@@ -163,16 +145,11 @@ class Film:
             look = {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2, **_LETTERS}
             cv2.putText(self._canvas, "ALARM", (middle - 47, 37), **look)
 
-    def _write(self, figure: Figure, label: str) -> None:
-        """What the film says of its origin."""
-        look: Any = {"ha": "right", "va": "top", "color": GREY, "fontsize": 12}
-        figure.text(1 - 30 / WIDTH, 1 - 16 / HEIGHT, plain(shortened(label, 60)), **look)
-
 
 def _static(
     figure: Figure,
     shape: tuple[int, int],
-    scales: tuple[Scale | None, Scale | None],
+    scales: tuple[Scale, Scale],
     units: tuple[str, str],
     result: Result,
 ) -> tuple[list[Axes], Axes]:
@@ -217,23 +194,14 @@ def _static(
     return panels, trace
 
 
-def _add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str) -> None:
+def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
     """A colour bar below a panel; words, where all values are 0."""
-    known = scale or INPUT_SCALE
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(*known.limits), known.colours),
-        ax=axes,
-        orientation="horizontal",
-        ticks=MaxNLocator(5, steps=[1, 2, 5, 10]),
-        aspect=35,
-        pad=0.02,
-    )
-    bar.set_label(unit, fontsize=11, parse_math=False)
+    look: Any = {"orientation": "horizontal", "aspect": 35, "pad": 0.02}
+    bar = add_bar(figure, axes, scale, unit, ticks=MaxNLocator(5, steps=[1, 2, 5, 10]), **look)
+    bar.ax.xaxis.label.set_fontsize(11)
     bar.ax.tick_params(labelsize=11)
-    if scale is None or scale.is_flat:
-        bar.ax.set_visible(False)
-        words = "" if scale is None else f"0 {unit} everywhere"
-        axes.set_xlabel(words, fontsize=11, parse_math=False)
+    if scale.is_flat:
+        axes.set_xlabel(f"0 {unit} everywhere", fontsize=11, parse_math=False)
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:

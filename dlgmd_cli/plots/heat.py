@@ -1,11 +1,16 @@
 """Layers as colours: one scale for many pictures, and cells that stay visible when made small."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import matplotlib
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import Normalize
 
 FloatImage = npt.NDArray[np.float32]
 BgrImage = npt.NDArray[np.uint8]
@@ -34,10 +39,8 @@ class Scale:
     colours: str
 
     @classmethod
-    def over(cls, lowest: float, highest: float) -> "Scale | None":
-        """The scale that holds both values; None if there are none, that is for inf and -inf."""
-        if not lowest <= highest:
-            return None
+    def over(cls, lowest: float, highest: float) -> "Scale":
+        """The scale that holds both values."""
         if lowest < 0.0:
             bound = max(-lowest, highest)
             return cls(-bound, bound, _SIGNED)
@@ -73,26 +76,22 @@ class Scale:
 INPUT_SCALE = Scale(0.0, 1.0, "gray")
 
 
+def add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str, **look: Any) -> Colorbar:
+    """The colour bar of a panel; its place stays free where there are no values but 0."""
+    known = scale or INPUT_SCALE
+    colours = ScalarMappable(Normalize(*known.limits), known.colours)
+    bar: Colorbar = figure.colorbar(colours, ax=axes, **look)
+    bar.set_label(unit, parse_math=False)
+    bar.ax.set_visible(scale is not None and not scale.is_flat)
+    return bar
+
+
 def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:
-    """`layer` at no more than `height` x `width`, each value the strongest of those it replaces.
+    """`layer`, (H, W), at no more than `height` x `width`: each value the strongest it replaces.
 
     A single active cell among silent ones thus stays visible in a picture with fewer pixels than
-    the layer has cells. Averaging would fade it, taking every n-th cell would lose it.
-
-    Parameters
-    ----------
-    layer : ndarray, shape (H, W), float32
-        Without NaN.
-    height, width : int
-        A side that is shorter than this is left as it is.
-
-    Returns
-    -------
-    ndarray, shape (min(H, height), min(W, width)), float32
-        Where values have signs, the strongest is that of greatest magnitude.
+    the layer has cells. Where values have signs, the strongest is that of greatest magnitude.
     """
-    if layer.shape[0] <= height and layer.shape[1] <= width:
-        return layer
     highest = _reduced(np.maximum, layer, height, width)
     if float(layer.min()) >= 0.0:
         return highest

@@ -4,14 +4,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, strongest
+from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strongest
 from dlgmd_cli.plots.style import (
     GREY,
     LIGHT_GREY,
@@ -19,7 +17,6 @@ from dlgmd_cli.plots.style import (
     house_style,
     new_figure,
     plain,
-    shortened,
     width_in,
 )
 from dlgmd_cli.results.layers import LayerSheet
@@ -38,18 +35,8 @@ def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
     shows the strongest of its cells, so that single active cells are not lost; the input is
     averaged instead.
 
-    Parameters
-    ----------
-    sheet : LayerSheet
-        At least one frame; up to 12 are readable at the width of two columns, up to 5 at that of
-        one.
-    width : "two" or "one"
-        How many columns of a paper the figure may be wide; few frames make it narrower.
-
-    Returns
-    -------
-    Figure
-        At the resolution at which tiles have the pixels that cells were chosen for.
+    Up to 12 frames are readable at the width of two columns, up to 5 at that of one; few frames
+    make the figure narrower.
     """
     n_frames, height, width_px = sheet.luminance.shape
     tile = min(_MAX_TILE_IN, (width_in(width) - _BESIDE_IN) / n_frames)
@@ -72,7 +59,7 @@ def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
                 drawn += [(picture, images[place]) for place, picture in tiles.items()]
         _write_titles(grid[0], sheet)
         if sheet.label:
-            label = plain(shortened(sheet.label, 30 if n_frames < 3 else 80))
+            label = plain(sheet.label, 30 if n_frames < 3 else 80)
             figure.suptitle(label, color=GREY, fontsize=7)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # everything stays where it is
@@ -124,21 +111,13 @@ def _write_titles(axes: Axes, sheet: LayerSheet) -> None:
 
 
 def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None:
-    """The scale of a row, right of it; where all is 0 words say so, and its place stays free."""
-    known = scale or INPUT_SCALE
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(*known.limits), known.colours),
-        ax=axes,
-        ticks=MaxNLocator(4, steps=[1, 2, 5, 10]),
-        fraction=0.05,
-        pad=0.01,
-        aspect=9,
-    )
-    bar.set_label(unit, labelpad=2, fontsize=7, parse_math=False)
+    """The scale of a row, right of it; where all is 0, words say so."""
+    ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
+    bar = add_bar(figure, axes, scale, unit, ticks=ticks, fraction=0.05, pad=0.01, aspect=9)
+    bar.ax.yaxis.labelpad = 2
+    bar.ax.yaxis.label.set_fontsize(7)
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)
     bar.outline.set_linewidth(0.4)  # type: ignore[operator]
-    if scale is None or scale.is_flat:
-        bar.ax.set_visible(False)
     if scale is not None and scale.is_flat:
         look: Any = {"transform": axes.transAxes, "va": "center", "rotation": 90, "fontsize": 6.5}
         axes.text(1.01, 0.5, f"0 {unit}\neverywhere", parse_math=False, in_layout=False, **look)

@@ -1,9 +1,9 @@
 """How every figure looks: readable in a two-column paper, and without colour vision."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -65,7 +65,7 @@ _LACKS_LETTERS = "the figure's font lacks some letters of the texts, and shows b
 def house_style() -> Iterator[None]:
     """The look of our figures, for as long as one is being made; the host's is left alone."""
     with matplotlib.rc_context(_RC), warnings.catch_warnings():
-        # One warning for a whole figure, by `save_figure`, is enough.
+        # `save_figure` warns once of a whole figure.
         warnings.filterwarnings("ignore", r"Glyph .* missing from")
         yield
 
@@ -93,7 +93,7 @@ def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper cen
     if not entries:
         return
     handles = [handle for handle, _ in entries]
-    labels = [plain(shortened(label)) for _, label in entries]
+    labels = [plain(label) for _, label in entries]
     for n_columns in range(min(len(entries), _MAX_COLUMNS), 0, -1):
         legend = figure.legend(handles, labels, loc=place, ncols=n_columns)
         size = legend.get_window_extent()
@@ -111,66 +111,16 @@ def shortened(text: str, longest: int = _MAX_LABEL) -> str:
     return f"{text[: longest // 2]}…{text[len(text) - (longest - 1) // 2 :]}"
 
 
-def plain(text: str) -> str:
-    """`text` as it is to be drawn, on one line: its dollar signs start no formula."""
-    return printable(text).replace("$", r"\$")
+def plain(text: str, longest: int = _MAX_LABEL) -> str:
+    """`text` shortened, as it is to be drawn: its dollar signs start no formula."""
+    return shortened(text, longest).replace("$", r"\$")
 
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write `figure` as png, pdf or svg, by the suffix; without dates, so that files compare.
 
-    Warns if the font lacks letters of the texts.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+    Warns if the font lacks letters of the texts. An OSError passes through.
     """
-    _write(figure, path)
-    if _lacks_letters(figure):
-        warnings.warn(_LACKS_LETTERS, stacklevel=2)
-
-
-def figure_files(
-    figures: Mapping[str, Callable[[], Figure]], formats: Iterable[str]
-) -> dict[str, Callable[[Path], None]]:
-    """What writes the files of figures, by their names.
-
-    Parameters
-    ----------
-    figures : mapping of str to callable
-        What draws each figure, by its file name without suffix; called once, when the first of
-        its files is written.
-    formats : iterable of str
-        Of "png", "pdf" and "svg".
-
-    Returns
-    -------
-    dict of str to callable
-        File name -> what writes it to a path of that suffix. The first figure whose font lacks
-        letters warns, the others do not.
-    """
-    formats = list(dict.fromkeys(formats))
-    drawn: dict[str, Figure] = {}
-    lacking: list[str] = []
-
-    def write(name: str, is_last: bool, path: Path) -> None:
-        figure = drawn.pop(name, None) or figures[name]()
-        if not is_last:
-            drawn[name] = figure
-        _write(figure, path)
-        if not lacking and _lacks_letters(figure):
-            lacking.append(name)
-            warnings.warn(_LACKS_LETTERS, stacklevel=2)
-
-    return {
-        f"{name}.{suffix}": partial(write, name, suffix == formats[-1])
-        for name in figures
-        for suffix in formats
-    }
-
-
-def _write(figure: Figure, path: Path) -> None:
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     suffix = path.suffix.lower()
     # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
@@ -178,11 +128,25 @@ def _write(figure: Figure, path: Path) -> None:
     with house_style():
         figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
     path.write_bytes(drawn.getvalue())
-
-
-def _lacks_letters(figure: Figure) -> bool:
-    """Whether a text of the figure has letters that its font has not."""
-    font = font_manager.get_font(font_manager.findfont("DejaVu Sans"))
-    known = font.get_charmap().keys() | {ord("\n")}
+    known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
-    return any(ord(letter) not in known for text in texts for letter in text.get_text())
+    if any(
+        ord(letter) not in known for text in texts for letter in text.get_text() if letter != "\n"
+    ):
+        warnings.warn(_LACKS_LETTERS, stacklevel=2)
+
+
+def figure_files(
+    figures: Mapping[str, Callable[[], Figure]], formats: Collection[str]
+) -> dict[str, Callable[[Path], None]]:
+    """File name -> what writes that file.
+
+    `figures` says what draws each figure, by its file name without suffix; it is called once,
+    when the first of its files is written. `formats` are of "png", "pdf" and "svg".
+    """
+
+    def write(draw: Callable[[], Figure], path: Path) -> None:
+        save_figure(draw(), path)
+
+    drawing = {name: cache(draw) for name, draw in figures.items()}
+    return {f"{name}.{form}": partial(write, drawing[name]) for name in figures for form in formats}

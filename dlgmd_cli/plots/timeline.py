@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.annotations import Annotations
-from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain, shortened
+from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
@@ -143,7 +143,7 @@ def _text(strip: Axes, text: str, color: str) -> Any:
     """A text on a white ground, so that lines pass behind it."""
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     look: Any = {"color": color, "fontsize": _SIZE_PT, "va": "center", "bbox": ground, "zorder": 3}
-    return strip.text(0.0, 0.0, f" {plain(shortened(text))} ", in_layout=False, **look)
+    return strip.text(0.0, 0.0, f" {plain(text)} ", in_layout=False, **look)
 
 
 def _agree(one: Result, other: Result) -> bool:
