@@ -28,27 +28,25 @@ class Annotations:
     collision_frame: int | None = None
     false_positive_frame: int | None = None
 
-    def points(self) -> list[tuple[int, str, str]]:
-        """Every single frame with its text, and `mark`, `collision` or `false positive`."""
-        points = [(frame, text, "mark") for frame, text in self.marks]
+    def remarks(self) -> list[tuple[int, int, str, str]]:
+        """First frame, last frame, text, and `mark`, `collision`, `false positive` or `span`."""
         named = {"collision": self.collision_frame, "false positive": self.false_positive_frame}
-        return points + [(frame, name, name) for name, frame in named.items() if frame is not None]
+        return [
+            *((frame, frame, text, "mark") for frame, text in self.marks),
+            *((frame, frame, name, name) for name, frame in named.items() if frame is not None),
+            *((start, end, text, "span") for start, end, text in self.spans),
+        ]
 
     def outside(self, first_frame: int, last_frame: int) -> list[str]:
         """What a figure of frames `first_frame` to `last_frame` cannot show, one line for each."""
         frames = f"frames {first_frame} to {last_frame}"
-        lines = [
-            f"{text!r} at frame {frame} is outside {frames} and is left out"
-            for frame, text, _ in self.points()
-            if not first_frame <= frame <= last_frame
-        ]
-        for start, end, text in self.spans:
+        lines = []
+        for start, end, text, kind in self.remarks():
+            where = f"frames {start} to {end}" if kind == "span" else f"frame {start}"
             if end < first_frame or start > last_frame:
-                lines.append(
-                    f"{text!r} at frames {start} to {end} is outside {frames} and is left out"
-                )
+                lines.append(f"{text!r} at {where} is outside {frames} and is left out")
             elif start < first_frame or end > last_frame:
-                lines.append(f"{text!r} at frames {start} to {end} is cut off at {frames}")
+                lines.append(f"{text!r} at {where} is cut off at {frames}")
         return lines
 
 

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
@@ -13,7 +12,6 @@ from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strong
 from dlgmd_cli.plots.style import (
     GREY,
     LIGHT_GREY,
-    Width,
     house_style,
     new_figure,
     plain,
@@ -21,13 +19,14 @@ from dlgmd_cli.plots.style import (
 )
 from dlgmd_cli.results.layers import LayerSheet
 
+_WIDTH_IN = width_in("two")
 # In inches: a tile at most, and beside the tiles the names, the colour bars and the titles.
 _MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.1, 0.65
 # Between tiles, as a share of their width.
 _GAP = 0.06
 
 
-def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
+def plot_layers(sheet: LayerSheet) -> Figure:
     """Input, P, S and G: one row each with its colour bar, one column per frame.
 
     All tiles of a row share one scale, from 0 to the greatest value in the row; where values have
@@ -35,44 +34,38 @@ def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
     shows the strongest of its cells, so that single active cells are not lost; the input is
     averaged instead.
 
-    Up to 12 frames are readable at the width of two columns, up to 5 at that of one; few frames
-    make the figure narrower.
+    Up to 12 frames are readable at the width of two columns; few make the figure narrower.
     """
     n_frames, height, width_px = sheet.luminance.shape
-    tile = min(_MAX_TILE_IN, (width_in(width) - _BESIDE_IN) / n_frames)
+    tile = min(_MAX_TILE_IN, (_WIDTH_IN - _BESIDE_IN) / n_frames)
     tile = min(tile, _MAX_TILE_IN * width_px / height)
     row_in = max(_MIN_ROW_IN, tile * height / width_px)
     rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
     units = ("luminance", *sheet.units)
     with house_style():
-        figure = new_figure(4 * (row_in + 0.06) + _ABOVE_IN, width)
+        figure = new_figure(4 * (row_in + 0.06) + _ABOVE_IN, "two")
         # Titles of narrow tiles need room, too.
-        figure.set_figwidth(min(width_in(width), n_frames * max(tile, 0.7) + _BESIDE_IN))
+        figure.set_figwidth(min(_WIDTH_IN, n_frames * max(tile, 0.7) + _BESIDE_IN))
         grid: Any = figure.subplots(4)
-        drawn: list[tuple[AxesImage, FloatImage]] = []
         for axes, (name, images), unit in zip(grid, rows.items(), units, strict=True):
             scale = INPUT_SCALE if name == "Input" else Scale.of(images)
-            tiles = _draw_row(axes, images, scale)
+            _draw_row(axes, images, scale)
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             _add_bar(figure, axes, scale, unit)
-            if name != "Input":
-                drawn += [(picture, images[place]) for place, picture in tiles.items()]
         _write_titles(grid[0], sheet)
-        if sheet.label:
-            label = plain(sheet.label, 30 if n_frames < 3 else 80)
-            figure.suptitle(label, color=GREY, fontsize=7)
+        label = plain(sheet.label, 30 if n_frames < 3 else 80)
+        figure.suptitle(label, color=GREY, fontsize=7)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # everything stays where it is
-        for picture, image in drawn:
-            box = picture.get_window_extent()
+        for picture in (picture for axes in grid[1:] for picture in axes.get_images()):
+            box, image = picture.get_window_extent(), np.asarray(picture.get_array())
             picture.set_data(strongest(image, max(1, int(box.height)), max(1, int(box.width))))
     return figure
 
 
-def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> dict[int, AxesImage]:
-    """The layers of all frames side by side, those that are defined by their place."""
+def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> None:
+    """The layers of all frames side by side; a grey box where one is not defined."""
     n_frames, height, width = images.shape
-    drawn = {}
     for place, image in enumerate(images):
         left = place * width * (1 + _GAP)
         if scale is None or np.isnan(image).any():
@@ -81,7 +74,7 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> dict[int, 
             axes.text(left + width / 2, height / 2, "undefined", **look)
             continue
         low, high = scale.limits
-        drawn[place] = axes.imshow(
+        axes.imshow(
             image,
             cmap=scale.colours,
             vmin=low,
@@ -95,7 +88,6 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> dict[int, 
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_visible(False)
-    return drawn
 
 
 def _write_titles(axes: Axes, sheet: LayerSheet) -> None:

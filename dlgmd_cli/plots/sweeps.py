@@ -1,13 +1,11 @@
 """Measures over a grid of two parameters, as heat maps like the paper's Fig. 11."""
 
-import math
 from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis as PlotAxis
-from matplotlib.axis import XAxis
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
@@ -21,6 +19,7 @@ from dlgmd_cli.results.sweep import Axis, SweepResult
 _COLUMNS = {"one": 2, "two": 4}
 # What is left below this is rounding, as in the plots of a run.
 SILENT_DB = -60.0
+_LOWEST_DB = -30.0
 # Blue below zero, red above it, nearly white between: told apart by all kinds of colour vision.
 _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
 # From this ratio of the greatest to the least value on, colours follow its logarithm; an axis does
@@ -36,18 +35,11 @@ class Measure(NamedTuple):
     unit: str
     undefined: str
     infinite: str = ""
-    is_signed: bool = False
-    floor: float = -math.inf
 
 
 MEASURES = {
     "attenuation_db": Measure(
-        "Attenuation",
-        "dB",
-        "no valid frame",
-        f"nothing passes (< −{-SILENT_DB:g} dB)",
-        is_signed=True,
-        floor=-30.0,
+        "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-SILENT_DB:g} dB)"
     ),
     "mp_max": Measure("Peak MP", "", "no valid frame"),
     "sharpness": Measure("Sharpness", "", "no response"),
@@ -74,32 +66,18 @@ UNDEFINED, IMPOSSIBLE = Look("#CCCCCC", ""), Look("white", "////////")
 MINUS_INFINITE, INFINITE = Look("white", "....."), Look("white", "++++")
 
 
-class _Panel(NamedTuple):
-    """One heat map; `measure` says how to read `values`, shape (n_y, n_x)."""
-
-    title: str
-    measure: Measure
-    values: Series
-    looks: dict[Look, Flags]
-
-
 def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
     """Heat maps over both parameters, one per speed or per measure, each with its own colours.
 
     Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does, and
     below -60 dB nothing passes. Cells that are not finite, or cannot be computed, are grey or
-    have a pattern, which the legend explains.
-
-    Parameters
-    ----------
-    result : SweepResult
-        At least one point. A measure that no point has, distinguishability for one, is left out.
-    width : {"one", "two"}
-        Columns of a paper that the figure is wide.
+    have a pattern, which the legend explains. A measure that no point has is left out, as
+    distinguishability may be. `result` has at least one point.
     """
     panels, grid = _panels(result), result.grid
     per_row = _COLUMNS[width]
     n_rows = -(-len(panels) // per_row)
+    meanings: dict[Look, str] = {}
     with house_style():
         figure = new_figure(n_rows * 0.9 * width_in(width) / per_row + 0.35, width)
         all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
@@ -107,83 +85,67 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
             if place >= len(panels):
                 axes.set_axis_off()
                 continue
-            _draw(figure, axes, panels[place], result)
-            label_axis(axes.xaxis, grid.x, shows=place + per_row >= len(panels))
-            label_axis(axes.yaxis, grid.y, shows=place % per_row == 0)
+            title, measure, values = panels[place]
+            axes.set_title(title, pad=3, loc="left")
+            axes.spines["right"].set_visible(True)
+            axes.set_box_aspect(1)
+            for look, text, cells in _without_colour(measure, values, result.is_possible):
+                _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
+                meanings[look] = text if meanings.get(look, text) == text else "undefined"
+            _draw_map(figure, axes, measure, values, result)
+            label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
+            label_axis(axes, "y", grid.y, shows=place % per_row == 0)
         if result.speeds_px:
             figure.suptitle("Attenuation 10 lg(ΣS/ΣP) of a cube that moves at", fontsize=8)
-        meanings = _meanings(panels).items()
-        entries = [(Patch(**look.style), text) for look, text in meanings]
+        entries = [(Patch(**look.style), text) for look, text in meanings.items()]
         add_legend(figure, entries, "outside lower left")
     return figure
 
 
-def _panels(result: SweepResult) -> list[_Panel]:
-    """What there is to draw."""
+def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
+    """Title, measure and values, (n_y, n_x), of each map."""
     if result.speeds_px:
-        measure = MEASURES["attenuation_db"]
         passing = result.columns["attenuation_db"]
         passing = np.where(passing < SILENT_DB, -np.inf, passing)
-        named = [
-            (f"{speed:g} px/frame", measure, values)
+        return [
+            (f"{speed:g} px/frame", MEASURES["attenuation_db"], values)
             for speed, values in zip(result.speeds_px, passing, strict=True)
         ]
-    else:
-        named = [
-            (measure.title, measure, result.columns[column][0])
-            for column, measure in MEASURES.items()
-            if column in result.columns
-            and (column != "distinguishability" or not np.isnan(result.columns[column]).all())
-        ]
     return [
-        _Panel(title, measure, values, looks_of(values, result.is_possible))
-        for title, measure, values in named
+        (measure.title, measure, result.columns[column][0])
+        for column, measure in MEASURES.items()
+        if column in result.columns
+        and (column != "distinguishability" or not np.isnan(result.columns[column]).all())
     ]
 
 
-def looks_of(values: Series, is_possible: Flags) -> dict[Look, Flags]:
-    """Which cells have no colour, by how they look."""
-    kinds = {
-        MINUS_INFINITE: np.isneginf(values),
-        INFINITE: np.isposinf(values),
-        UNDEFINED: np.isnan(values) & is_possible,
-        IMPOSSIBLE: ~is_possible,
-    }
-    return {look: cells for look, cells in kinds.items() if cells.any()}
+def _without_colour(
+    measure: Measure, values: Series, is_possible: Flags
+) -> list[tuple[Look, str, Flags]]:
+    """Which cells have no colour, how they look instead, and what that means."""
+    kinds = [
+        (MINUS_INFINITE, measure.infinite, np.isneginf(values)),
+        (INFINITE, measure.infinite, np.isposinf(values)),
+        (UNDEFINED, measure.undefined, np.isnan(values) & is_possible),
+        (IMPOSSIBLE, "no such parameters", ~is_possible),
+    ]
+    return [(look, text, cells) for look, text, cells in kinds if cells.any()]
 
 
-def _meanings(panels: list[_Panel]) -> dict[Look, str]:
-    """What the cells without a colour mean, as far as there are some."""
-    found: dict[Look, str] = {}
-    for panel in panels:
-        for look in panel.looks:
-            if look is IMPOSSIBLE:
-                found[look] = "no such parameters"
-            elif look is UNDEFINED:
-                text = panel.measure.undefined
-                found[look] = text if found.get(look, text) == text else "undefined"
-            else:
-                found[look] = panel.measure.infinite
-    return found
-
-
-def _draw(figure: Figure, axes: Axes, panel: _Panel, result: SweepResult) -> None:
+def _draw_map(
+    figure: Figure, axes: Axes, measure: Measure, values: Series, result: SweepResult
+) -> None:
     """One map, coloured where there are finite values, with its scale."""
-    axes.set_title(panel.title, pad=3, loc="left")
-    axes.spines["right"].set_visible(True)
-    axes.set_box_aspect(1)
-    x, y = edges(result.grid.x), edges(result.grid.y)
-    for look, cells in panel.looks.items():
-        _mark_cells(axes, cells, look, x, y)
-    measure = panel.measure
-    scale = _scale_of(panel.values, signed=measure.is_signed, floor=measure.floor)
-    if scale is None:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return
-    colours, norm = scale
-    values = np.ma.masked_invalid(panel.values)
+    colours, norm = _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
+    x, y = edges(result.grid.x), edges(result.grid.y)
     # As pixels also in PDF and SVG, where viewers draw seams between cells.
-    picture = axes.pcolormesh(x, y, values, cmap=colours, norm=norm, rasterized=True)
-    is_cut = float(values.min()) < float(norm.vmin or 0.0)
+    picture = axes.pcolormesh(
+        x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True
+    )
+    is_cut = float(finite.min()) < float(norm.vmin or 0.0)
     _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
 
 
@@ -198,15 +160,12 @@ def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> N
     axes.add_collection(PolyCollection(shapes, **look.style), autolim=False)
 
 
-def _scale_of(values: Series, *, signed: bool, floor: float) -> tuple[Colormap, Normalize] | None:
-    """Colours for the finite values; where they have signs, zero is in the middle of them.
+def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
+    """Colours for finite values; where they have signs, zero is in the middle of them.
 
-    Without signs, a wide range is logarithmic. What is below `floor` looks as if it was there.
-    None if no value is finite.
+    Without signs, a wide range is logarithmic. With them, what is below -30 dB is cut off.
     """
-    finite = np.maximum(values[np.isfinite(values)], floor)
-    if finite.size == 0:
-        return None
+    finite = np.maximum(values, _LOWEST_DB) if signed else values
     low, high = float(finite.min()), float(finite.max())
     if not low < high:
         pad = abs(low) / 2 or 0.5
@@ -280,11 +239,11 @@ def axis_name(axis: Axis) -> str:
     return label if axis.spec.unit == "–" else f"{label} ({axis.spec.unit})"
 
 
-def label_axis(drawn: PlotAxis, axis: Axis, *, shows: bool) -> None:
-    """Scale, ticks and, if it `shows`, their labels and the parameter's name."""
-    along_x = isinstance(drawn, XAxis)
+def label_axis(axes: Axes, name: str, axis: Axis, *, shows: bool) -> None:
+    """Scale and ticks of "x" or "y", and if it `shows`, their labels and the parameter's name."""
+    drawn: PlotAxis = getattr(axes, f"{name}axis")
     if is_logarithmic(axis):
-        (drawn.axes.set_xscale if along_x else drawn.axes.set_yscale)("log")
+        axes.set(**{f"{name}scale": "log"})
     elif len(axis) <= _FEW_TICKS or not axis.is_numeric:
         labels = [f"{v:.4g}" if axis.is_numeric else str(v) for v in axis.values]
         labels = [label.lower() if label in ("True", "False") else label for label in labels]
@@ -293,8 +252,8 @@ def label_axis(drawn: PlotAxis, axis: Axis, *, shows: bool) -> None:
         whole = isinstance(axis.values[0], int)
         drawn.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10], integer=whole))
     span = edges(axis)
-    (drawn.axes.set_xlim if along_x else drawn.axes.set_ylim)(span[0], span[-1])
-    if along_x and not axis.is_numeric:
+    axes.set(**{f"{name}lim": (span[0], span[-1])})
+    if name == "x" and not axis.is_numeric:
         drawn.set_tick_params(rotation=90)
     if shows:
         drawn.set_label_text(axis_name(axis))

@@ -33,16 +33,9 @@ _BAND: dict[str, Any] = {"color": BLACK, "alpha": 0.07, "linewidth": 0, "zorder"
 
 @dataclass(frozen=True)
 class Timeline:
-    """The time that results share.
+    """The time that results share: from when to when, and which frame is when.
 
-    Attributes
-    ----------
-    start_s, end_s : float
-        First and last time of any result, in seconds.
-    frame, time_s : array, shape (n,)
-        Frames, increasing, and their times, in one of the results.
-    is_shared : bool
-        Whether all results agree on which frame is when.
+    `frame` increases; `time_s` are its times. `is_shared` says whether all results agree on them.
     """
 
     start_s: float
@@ -106,34 +99,30 @@ def draw_annotations(
     (first, last), (left, right) = timeline.frames, timeline.view
     strip.set_yticks([])
     strip.spines[["left", "bottom"]].set_visible(False)
-    room = strip.figure.bbox.width * _AXES_SHARE / (right - left)
-    items: list[tuple[float, float, tuple[float, float], dict[str, Any] | None, Any]] = []
-    for frame, text, kind in annotations.points():
-        look = _LINES[kind]
-        if first <= frame <= last:
-            time_s = float(timeline.time_of(frame))
-            drawn = _text(strip, text, look["color"])
-            width = drawn.get_window_extent().width / room
-            start = time_s if time_s + width <= right else max(left, time_s - width)
-            items.append((start, start + width, (time_s, time_s), look, drawn))
-    for start_frame, end_frame, text in annotations.spans:
-        if end_frame >= first and start_frame <= last:
-            ends = timeline.time_of(np.clip([start_frame, end_frame], first, last))
-            drawn = _text(strip, text, BLACK)
-            width = drawn.get_window_extent().width / room
-            start = max(left, min(float(ends.mean()) - width / 2, right - width))
-            items.append((start, start + width, (float(ends[0]), float(ends[1])), None, drawn))
+    px_a_second = strip.figure.bbox.width * _AXES_SHARE / (right - left)
+    items: list[tuple[float, float, Series, str, Any]] = []
+    for start_frame, end_frame, text, kind in annotations.remarks():
+        if end_frame < first or start_frame > last:
+            continue
+        times = timeline.time_of(np.clip([start_frame, end_frame], first, last))
+        drawn = _text(strip, text, _LINES.get(kind, _BAND)["color"])
+        width = drawn.get_window_extent().width / px_a_second
+        if kind == "span":
+            start = max(left, min(float(times.mean()) - width / 2, right - width))
+        else:
+            start = float(times[0]) if times[0] + width <= right else max(left, times[0] - width)
+        items.append((start, start + width, times, kind, drawn))
     placed: list[tuple[float, int]] = []
-    for start, end, (from_s, to_s), line, drawn in sorted(items, key=lambda item: -item[0]):
+    for start, end, times, kind, drawn in sorted(items, key=lambda item: -item[0]):
         row = max((other for begin, other in placed if begin < end), default=-1) + 1
         placed.append((start, row))
         drawn.set_position((start, row + 0.5))
         for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
             up = axes.transData if axes is strip else axes.get_xaxis_transform()
-            if line is None:
-                axes.fill_between([from_s, to_s], 0.0, top, transform=up, **_BAND)
+            if kind == "span":
+                axes.fill_between(times, 0.0, top, transform=up, **_BAND)
             else:
-                axes.plot([from_s, from_s], [0.0, top], transform=up, zorder=0.9, **line)
+                axes.plot(times, [0.0, top], transform=up, zorder=0.9, **_LINES[kind])
     n_rows = max((row + 1 for _, row in placed), default=0)
     strip.set_ylim(0.0, max(n_rows, 1))
     return n_rows

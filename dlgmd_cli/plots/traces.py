@@ -313,9 +313,8 @@ def _draw_bars(
 
 def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
     """Say why there is no line: too few frames, or what `unchanged` says."""
-    too_few = {trace.result.n_valid == 0 for trace in traces}
-    why = "too few frames" if True in too_few else unchanged
-    why += f", or {unchanged}" if len(too_few) > 1 else ""
+    reasons = dict.fromkeys(unchanged if t.result.n_valid else "too few frames" for t in traces)
+    why = ", or ".join(sorted(reasons, key=unchanged.__eq__))
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
     axes.text(
         0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",

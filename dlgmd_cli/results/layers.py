@@ -27,7 +27,7 @@ class LayerSheet:
     units : (str, str, str)
         Units of P, S and G, in words.
     label : str
-        What the figure says of its origin; may be empty.
+        What the figure says of its origin.
     """
 
     frame: npt.NDArray[np.int64]
@@ -37,17 +37,11 @@ class LayerSheet:
     s: FloatImage
     g: FloatImage
     units: tuple[str, str, str]
-    label: str = ""
+    label: str
 
 
 def write_npz(path: Path, sheet: LayerSheet) -> None:
-    """Write the arrays of `sheet` under their own names, `units` as three strings.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
+    """Write the arrays of `sheet` under their own names; an OSError passes through."""
     arrays = {name: getattr(sheet, name) for name in ("frame", "time_s", "luminance", *"psg")}
     # Not by name: NumPy would add .npz to that of a temporary file.
     with path.open("wb") as file:
