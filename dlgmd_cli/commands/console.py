@@ -7,6 +7,7 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -53,8 +54,9 @@ class Command(click.Command):
         """Run the command."""
         with errors_as_one_line(), warnings.catch_warnings():
             # What the library warns of, such as letters that a figure's font lacks; each once.
-            warnings.filterwarnings("default", category=UserWarning, module="dlgmd_cli")
-            warnings.showwarning = lambda message, *_, **__: warn(str(message))
+            warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
+            once = cache(warn)
+            warnings.showwarning = lambda message, *_, **__: once(str(message))
             return super().invoke(ctx)
 
 

@@ -1,6 +1,7 @@
 """`dlgmd kernels`: the model's connections as a figure and as CSV."""
 
-from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -11,6 +12,7 @@ from dlgmd_cli.parameters import DlgmdParameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.kernels import Connections
+    from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup
 
 
@@ -27,41 +29,37 @@ def kernels(setup: "Setup", output: Output) -> None:
     if not isinstance(params, DlgmdParameters):
         raise click.UsageError(f"only the D-LGMD model has kernels, not {params.model}.")
     from dlgmd_cli.models.kernels import connect
-    from dlgmd_cli.results.csv import write_rows
     from dlgmd_cli.results.store import appearing, fitting, refuse_existing
 
     connections = connect(params)
     stem = f"kernels-{fitting(setup.label)}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"
-    paths = [output.out / f"{stem}.{suffix}" for suffix in ("csv", *output.formats)]
+    files: dict[str, Write] = {f"{stem}.csv": partial(_write_csv, connections)}
+    if output.formats:
+        from dlgmd_cli.plots.kernels import plot_kernels
+        from dlgmd_cli.plots.style import figure_files
+
+        kernels = connections.excitation, connections.inhibition, connections.latency
+        files |= figure_files({stem: partial(plot_kernels, *kernels)}, output.formats)
+    paths = [output.out / name for name in files]
     for path in paths:
         refuse_existing(path, overwrite=output.overwrite)
-    header = ["x_px", "y_px", "latency_frames", "k_e"]
-    header += [f"k_{delay}" for delay in sorted(connections.inhibition)]
-    with appearing(*paths) as files:
-        write_rows(files[0], header, _rows(connections))
-        if output.formats:
-            from dlgmd_cli.plots.kernels import plot_kernels
-            from dlgmd_cli.plots.style import save_figure
-
-            figure = plot_kernels(
-                connections.excitation, connections.inhibition, connections.latency
-            )
-            for file in files[1:]:
-                save_figure(figure, file)
+    with appearing(*paths) as temporary:
+        for write, path in zip(files.values(), temporary, strict=True):
+            write(path)
     for path in paths:
         print_path(path)
 
 
-def _rows(connections: "Connections") -> Iterator[list[str]]:
+def _write_csv(connections: "Connections", path: Path) -> None:
     """Place, latency and strengths of every tap."""
-    from dlgmd_cli.results.csv import cell
+    import numpy as np
 
-    radius = connections.radius_px
-    strengths = [connections.inhibition[delay] for delay in sorted(connections.inhibition)]
-    for y in range(-radius, radius + 1):
-        for x in range(-radius, radius + 1):
-            tap = (y + radius, x + radius)
-            numbers = [kernel[tap] for kernel in (connections.excitation, *strengths)]
-            yield [str(x), str(y), *map(cell, [connections.latency[tap], *numbers])]
+    from dlgmd_cli.results.csv import write_columns
+
+    y, x = np.indices(connections.latency.shape) - connections.radius_px
+    strengths = {"k_e": connections.excitation}
+    strengths |= {f"k_{delay}": kernel for delay, kernel in sorted(connections.inhibition.items())}
+    columns = {"x_px": x, "y_px": y, "latency_frames": connections.latency, **strengths}
+    write_columns(path, {name: values.ravel() for name, values in columns.items()})

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,75 +18,53 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.errors import ResultError, printable
+from dlgmd_cli.plots.annotations import Annotations
 
 if TYPE_CHECKING:
-    from dlgmd_cli.plots.annotations import Annotations
     from dlgmd_cli.results.result import Result
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
 _FORMATS = ("png", "pdf", "svg")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
-_MAX_NAME = 100
-# A figure has room for about as much.
-_MAX_TEXT, _MAX_COUNT = 60, 40
+# Characters of a file's name, and of a wrong value in an error.
+_MAX_NAME, _MAX_SHOWN = 100, 60
 _frame = click.IntRange(0, 999_999_999)
 
 
-class _Remark(click.ParamType):
-    """Frames and a text with a colon between them: `40:pitching` -> (40, "pitching")."""
+def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any, ...]]:
+    """What reads frames and a text with a colon between them: `40:pitching` -> (40, "pitching")."""
 
-    def __init__(self, name: str, pattern: str, example: str) -> None:
-        self.name, self._pattern, self._example = name, pattern, example
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The numbers before the colon, then the text."""
-        if isinstance(value, tuple):
-            return value
-        given = printable(str(value))
-        match = re.fullmatch(f"{self._pattern}:(.*)", given.strip(), re.ASCII | re.DOTALL)
-        text = match[match.lastindex or 0].strip() if match else ""
-        if match is None or not text:
-            shown = given if len(given) <= _MAX_TEXT else f"{given[:_MAX_TEXT]}…"
-            self.fail(f"{shown!r} is not {self.name}. Write {self._example}.", param, ctx)
-        if len(text) > _MAX_TEXT:
-            self.fail(f"a text may have {_MAX_TEXT} characters, not {len(text)}.", param, ctx)
-        frames = [int(number) for number in match.groups()[:-1]]
+    def convert(value: str) -> tuple[Any, ...]:
+        given = printable(value)
+        match = re.fullmatch(rf"{pattern}:\s*(.*\S)\s*", given.strip(), re.ASCII | re.DOTALL)
+        if match is None:
+            shown = given if len(given) <= _MAX_SHOWN else f"{given[:_MAX_SHOWN]}…"
+            raise click.BadParameter(f"{shown!r} is not {name}. Write {example}.")
+        *numbers, text = match.groups()
+        frames = [int(number) for number in numbers]
         if frames != sorted(frames):
-            self.fail(f"{given!r} ends before it starts. Write {self._example}.", param, ctx)
+            raise click.BadParameter(f"{given!r} ends before it starts. Write {example}.")
         return (*frames, text)
 
-
-def _annotations(
-    marks: tuple[tuple[int, str], ...],
-    spans: tuple[tuple[int, int, str], ...],
-    collision_frame: int | None,
-    false_positive_frame: int | None,
-) -> "Annotations":
-    """What the options ask for."""
-    from dlgmd_cli.plots.annotations import Annotations
-
-    n_given = len(marks) + len(spans)
-    if n_given > _MAX_COUNT:
-        raise click.UsageError(
-            f"a figure has room for {_MAX_COUNT} times --mark and --span, not {n_given}."
-        )
-    return Annotations(marks, spans, collision_frame, false_positive_frame)
+    return convert
 
 
 annotation_options = option_group(
     "annotations",
-    _annotations,
+    Annotations,
     click.option(
         "--mark",
         "marks",
-        type=_Remark("FRAME:TEXT", r"(\d{1,9})", "40:pitching"),
+        type=_remark("FRAME:TEXT", r"(\d{1,9})", "40:pitching"),
+        metavar="FRAME:TEXT",
         multiple=True,
         help="A line at a frame, with a text: 40:pitching; repeatable.",
     ),
     click.option(
         "--span",
         "spans",
-        type=_Remark("FRAME-FRAME:TEXT", r"(\d{1,9})-(\d{1,9})", "40-75:accelerating"),
+        type=_remark("FRAME-FRAME:TEXT", r"(\d{1,9})-(\d{1,9})", "40-75:accelerating"),
+        metavar="FRAME-FRAME:TEXT",
         multiple=True,
         help="A band from one frame to another: 40-75:accelerating; repeatable.",
     ),
@@ -135,7 +113,7 @@ annotation_options = option_group(
 def plot(
     kind: str,
     paths: tuple[Path, ...],
-    annotations: "Annotations",
+    annotations: Annotations,
     labels: tuple[str, ...],
     normalise: str | None,
     width: Any,
@@ -156,18 +134,29 @@ def plot(
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
-    targets = _targets(out, f"{kind}-{_file_name(paths)}", formats)
-    from dlgmd_cli.results.store import appearing, refuse_existing
+    from dlgmd_cli.results.store import appearing, fitting, refuse_existing
 
+    folders = [path.absolute().parent if path.name == "compare.csv" else path for path in paths]
+    # The names of all results, cut off where they get too long for a file.
+    names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in folders)
+    targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     for target in targets:
         refuse_existing(target, overwrite=overwrite)
-    found, are_compared = _read(paths)
-    results = _named(found, labels)
+    found, are_compared = _read(paths, folders)
+    if labels and len(labels) != len(found):
+        raise click.UsageError(
+            f"--label is given {len(labels)} time{'s' * (len(labels) > 1)}, "
+            f"for {len(found)} result{'s' * (len(found) > 1)}."
+        )
+    shown = labels or numbered([name for name, _ in found])
+    results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
     column = _column(kind, normalise, results, are_compared)
-    _warn_of_annotations(annotations, results)
     from dlgmd_cli.plots.style import figure_files
+    from dlgmd_cli.plots.timeline import Timeline
     from dlgmd_cli.plots.traces import plot as draw
 
+    for line in annotations.outside(*Timeline.of(results.values()).frames):
+        warn(line)
     figure = {kind: lambda: draw(kind, results, annotations, column=column, width=width)}
     suffixes = [target.suffix.lower()[1:] for target in targets]
     with appearing(*targets) as files:
@@ -190,20 +179,9 @@ def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     return [out]
 
 
-def _folder(path: Path) -> Path:
-    """The folder of a result; that of the compare.csv in it, too."""
-    return path.absolute().parent if path.name == "compare.csv" else path
-
-
-def _file_name(paths: Iterable[Path]) -> str:
-    """The names of all results, cut off where they get too long for a file."""
-    from dlgmd_cli.results.store import fitting
-
-    names = [Path(os.path.abspath(_folder(path))).name or "root" for path in paths]
-    return fitting("-".join(names)[:_MAX_NAME])
-
-
-def _read(paths: Sequence[Path]) -> tuple[list[tuple[str, "Result"]], bool]:
+def _read(
+    paths: Sequence[Path], folders: Sequence[Path]
+) -> tuple[list[tuple[str, "Result"]], bool]:
     """Every result with a name, and whether all are from comparisons.
 
     Those of several comparisons say which one they are from.
@@ -211,7 +189,6 @@ def _read(paths: Sequence[Path]) -> tuple[list[tuple[str, "Result"]], bool]:
     from dlgmd_cli.results import store
     from dlgmd_cli.results.result import read_comparison, read_result
 
-    folders = [_folder(path) for path in paths]
     are_compared = []
     for path, folder in zip(paths, folders, strict=True):
         if path.suffix.lower() == ".csv" and path.name != "compare.csv":
@@ -224,8 +201,7 @@ def _read(paths: Sequence[Path]) -> tuple[list[tuple[str, "Result"]], bool]:
         if has_run and has_comparison and folder is path:
             say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
     results = []
-    names = told_apart(folders)
-    for folder, name, is_compared in zip(folders, names, are_compared, strict=True):
+    for folder, name, is_compared in zip(folders, told_apart(folders), are_compared, strict=True):
         if is_compared:
             prefix = f"{name}: " if sum(are_compared) > 1 else ""
             compared = read_comparison(folder).items()
@@ -233,17 +209,6 @@ def _read(paths: Sequence[Path]) -> tuple[list[tuple[str, "Result"]], bool]:
         else:
             results.append((name, read_result(folder)))
     return results, all(are_compared)
-
-
-def _named(results: list[tuple[str, "Result"]], labels: tuple[str, ...]) -> dict[str, "Result"]:
-    """The results by their labels, or by their names."""
-    if labels and len(labels) != len(results):
-        raise click.UsageError(
-            f"--label is given {len(labels)} time{'s' * (len(labels) > 1)}, "
-            f"for {len(results)} result{'s' * (len(results) > 1)}."
-        )
-    names = labels or numbered([name for name, _ in results])
-    return {name: result for name, (_, result) in zip(names, results, strict=True)}
 
 
 def _column(
@@ -262,11 +227,3 @@ def _column(
             "--normalise draws them alike"
         )
     return "level"
-
-
-def _warn_of_annotations(annotations: "Annotations", results: dict[str, "Result"]) -> None:
-    """Say which annotations the figure cannot show."""
-    from dlgmd_cli.plots.timeline import Timeline
-
-    for line in annotations.outside(*Timeline.of(results.values()).frames):
-        warn(line)

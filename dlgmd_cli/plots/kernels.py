@@ -21,15 +21,8 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
 
     All strengths share one scale from 0, so that they can be compared; under its title, every
     panel says between which values its connections lie.
-
-    Parameters
-    ----------
-    excitation : ndarray, shape (2r + 1, 2r + 1)
-        K_E, strength per unit of luminance change.
-    inhibition : dict of int to ndarray
-        Delay in frames -> K_d, of the same shape; at least one.
-    latency : ndarray, same shape
-        τ in frames.
+    Shapes are (2r + 1, 2r + 1). `excitation` is K_E, strength per unit of luminance change;
+    `inhibition` has K_d by delay in frames, at least one; `latency` is τ in frames.
     """
     strengths = {"Excitation $K_E$": excitation}
     for delay in sorted(inhibition):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -116,14 +117,13 @@ def plot(
             len(above) + len(draws), sharex=True, squeeze=False, height_ratios=above + heights
         )
         highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
-        highest.spines["top"].set_visible(False)
         found = [draw(axes, traces, column) for axes, draw in zip(axes_of, draws, strict=True)]
         timeline.label(axes_of[-1], axes_of[0] if not above else highest)
         if above:
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
             above = [max(n_rows, 0.1) * ROW_IN]
             highest.get_gridspec().set_height_ratios(above + heights)
-        for axes in axes_of:
+        for axes in grid[:, 0]:
             axes.spines["top"].set_visible(False)
         for axes in grid[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
@@ -158,24 +158,24 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
     """
     times, any_flag = thinned(time_s, flags.astype(np.float64))
     half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
-    starts = times - np.concatenate((half[:1], half[: len(times) - 1]))
-    ends = times + np.concatenate((half[: len(times) - 1], half[-1:]))
+    edges = np.concatenate(
+        (times[:1] - half[:1], times[:-1] + half[: len(times) - 1], times[-1:] + half[-1:])
+    )
     turns = np.flatnonzero(np.diff(np.concatenate(([0.0], any_flag, [0.0]))))
-    return [
-        (float(starts[first]), float(ends[last - 1] - starts[first]))
-        for first, last in turns.reshape(-1, 2)
-    ]
+    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
 
 
 def _traces(results: Mapping[str, Result]) -> list[_Trace]:
     """Every result with a look of its own, in their order."""
-    traces = []
-    for place, (label, result) in enumerate(results.items()):
-        color, dashes = LOOKS[place % len(LOOKS)]
-        marker = _MARKERS[place // len(LOOKS) % len(_MARKERS)]
-        look = {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
-        traces.append(_Trace(label, result, look, alone=len(results) == 1))
-    return traces
+    looks = [
+        {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
+        for marker in _MARKERS
+        for color, dashes in LOOKS
+    ]
+    return [
+        _Trace(label, result, look, alone=len(results) == 1)
+        for (label, result), look in zip(results.items(), cycle(looks), strict=False)
+    ]
 
 
 def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
@@ -313,8 +313,9 @@ def _draw_bars(
 
 def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
     """Say why there is no line: too few frames, or what `unchanged` says."""
-    reasons = dict.fromkeys(unchanged if t.result.n_valid else "too few frames" for t in traces)
-    why = ", or ".join(sorted(reasons, key=unchanged.__eq__))
+    n_short = sum(trace.result.n_valid == 0 for trace in traces)
+    reasons = ["too few frames"] * (n_short > 0) + [unchanged] * (n_short < len(traces))
+    why = ", or ".join(reasons)
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
     axes.text(
         0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",

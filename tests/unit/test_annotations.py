@@ -70,7 +70,6 @@ def test_options():
         ("--mark", "40:", "'40:' is not FRAME:TEXT. Write 40:pitching."),
         ("--mark", "٤:x", "is not FRAME:TEXT"),
         ("--mark", "1" * 400 + ":x", "…' is not FRAME:TEXT"),
-        ("--mark", "4:" + "x" * 61, "a text may have 60 characters, not 61."),
         ("--span", "40:x", "'40:x' is not FRAME-FRAME:TEXT. Write 40-75:accelerating."),
         ("--span", "75-40:x", "'75-40:x' ends before it starts. Write 40-75:accelerating."),
         ("--collision-frame", "-1", "-1 is not in the range 0<=x<=999999999."),
@@ -80,12 +79,6 @@ def test_options_that_cannot_be_read(option, value, error):
     line = parse(option, value)
     assert line.startswith(f"Error: Invalid value for '{option}': ") and error in line
     assert len(line) < 200
-
-
-def test_more_marks_than_a_figure_has_room_for():
-    many = [part for frame in range(41) for part in ("--mark", f"{frame}:x")]
-    assert "a figure has room for 40 times --mark and --span" in parse(*many)
-    assert len(parse(*many[2:]).marks) == 40
 
 
 def texts(figure):

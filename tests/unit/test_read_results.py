@@ -1,11 +1,8 @@
-"""Stored results and comparisons read back: exactly, or with a line that says what is wrong."""
+"""Stored comparisons read back, or a line that says what is wrong."""
 
 import numpy as np
 import pytest
 import yaml
-from conftest import make_result
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.parameters import DlgmdParameters
@@ -13,45 +10,6 @@ from dlgmd_cli.results import csv
 from dlgmd_cli.results.result import read_comparison, read_result
 
 NAN, INF = np.nan, np.inf
-
-
-def as_written(values):
-    return np.array([float(csv.cell(value) or "nan") for value in values])
-
-
-@st.composite
-def drawn_results(draw):
-    n = draw(st.integers(1, 12))
-    numbers = st.floats(0.0, 2.0**66, width=32) | st.just(NAN)
-    rows = st.lists(numbers, min_size=n, max_size=n).map(np.array)
-    steps = st.lists(st.integers(1, 1000), min_size=n, max_size=n).map(np.cumsum)
-    silent = draw(st.lists(st.booleans(), min_size=n, max_size=n).map(np.array))
-    times, attenuation = draw(steps) / 600, np.where(silent, -INF, -draw(rows))
-    return make_result(draw(rows), time_s=times, frame=draw(steps) - 1, attenuation_db=attenuation)
-
-
-@settings(max_examples=25)
-@given(drawn_results())
-def test_what_is_written_reads_back(tmp_path_factory, result):
-    folder = tmp_path_factory.mktemp("result")
-    result.save(folder)
-    again = read_result(folder)
-    for name in ("frame", "time_s", "mp", "p_sum", "s_sum", "attenuation_db"):
-        values = as_written(getattr(result, name))
-        assert np.array_equal(getattr(again, name), values, equal_nan=True)
-    assert again.frame.dtype == np.int64 and again.alarms.dtype == bool
-
-
-@settings(max_examples=25)
-@given(st.binary(max_size=300))
-def test_any_bytes_are_read_or_refused(tmp_path_factory, content):
-    folder = tmp_path_factory.mktemp("result")
-    make_result([1.0, 2.0]).save(folder)
-    header = ",".join(csv.TABLES["mp.csv"]).encode()
-    for start in (b"", header + b"\n0,0,"):
-        (folder / "mp.csv").write_bytes(start + content)
-        with pytest.raises(ResultError):
-            read_result(folder)
 
 
 def write_comparison(folder, *rows, labels=("set9", "lgmd")):
@@ -91,7 +49,6 @@ def test_a_comparison_has_a_result_per_label(tmp_path):
         ("set9,2,0,1,1,1", "line 3 has not 7 cells"),
         ("set9,2,0,1,1,1,x", "something else than numbers"),
         ("set9,1,0,1,1,1,-3", "its rows are not frames in order"),
-        ('"set9,2,0,1,1,1,-3', "line 3 has not 7 cells"),
         ("other,2,0,1,1,1,-3", "compare.csv and compare.yaml do not match"),
     ],
 )
