@@ -59,7 +59,7 @@ def boxes(texts):
     return [text.get_window_extent() for text in texts if text.get_text()]
 
 
-def make_sheet(n=3, shape=(27, 48), *, label="", start=0):
+def make_sheet(n=3, shape=(27, 48), *, label="flight", start=0):
     """Frame k has one active cell in each layer, of strength k in P, 10k in S, 100k in G."""
     layers = np.zeros((3, n, *shape), np.float32)
     for k in range(n):

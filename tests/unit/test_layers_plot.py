@@ -12,7 +12,6 @@ from matplotlib import colormaps
 
 from dlgmd_cli.plots.heat import Scale, strongest
 from dlgmd_cli.plots.layers import plot_layers
-from dlgmd_cli.results.layers import write_npz
 
 
 def titles(figure):
@@ -111,17 +110,4 @@ def test_painting_agrees_with_matplotlib():
         expected = colormaps[scale.colours](np.clip((values - low) / (high - low), 0, 1))
         painted = scale.painted(np.clip(values, low, high))[:, :, ::-1]
         assert np.abs(painted - 255 * expected[:, :, :3]).max() < 8
-    assert Scale.over(np.inf, -np.inf) is None
     assert Scale.of(np.full((2, 2), np.nan, np.float32)) is None
-
-
-def test_arrays_come_back(tmp_path):
-    sheet = make_sheet(3)
-    sheet.s[:] = np.nan
-    write_npz(tmp_path / "x.npz", sheet)
-    with np.load(tmp_path / "x.npz", allow_pickle=False) as loaded:
-        assert set(loaded) == {"frame", "time_s", "luminance", "p", "s", "g", "units"}
-        for name in set(loaded) - {"units"}:
-            assert np.array_equal(loaded[name], getattr(sheet, name), equal_nan=True)
-            assert loaded[name].dtype == getattr(sheet, name).dtype
-        assert loaded["units"].tolist() == list(UNITS)
