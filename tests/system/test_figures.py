@@ -103,7 +103,7 @@ def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
     assert not any(one.overlaps(other) for one, other in combinations(labels, 2))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(0, 39), st.text("abW i.$_", min_size=1, max_size=60)), max_size=9
@@ -196,9 +196,7 @@ def test_a_large_grid_makes_no_large_file(tmp_path):
     assert (tmp_path / "sweep.png").stat().st_size < 1e6
 
 
-@pytest.mark.parametrize(
-    ("n", "shape"), [(1, (1, 1)), (60, (1000, 4)), (2, (4, 1000)), (60, (480, 270))]
-)
+@pytest.mark.parametrize(("n", "shape"), [(1, (1, 1)), (60, (1000, 4)), (2, (4, 1000))])
 @pytest.mark.parametrize("scale", [Scale.over(0.0, 0.0), Scale.over(0.0, 2.0)])
 def test_a_film_of_any_shape_and_length(n, shape, scale):
     result = make_result(60) if n == 60 else result_of_level(np.full(n, 0.1))

@@ -7,13 +7,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, N_FRAMES, WIDTH, looming_frames, read_video
+from conftest import FPS, WIDTH, looming_frames, read_video
 
 from dlgmd_cli import DLGMD, load_set, open_video
 from dlgmd_cli.plots.film import Film
-from dlgmd_cli.runs import layers as runs
-from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.video.frames import InputOptions
 
 FILES = {"layers.yaml", "layers.png"}
 
@@ -55,7 +52,7 @@ def test_a_sheet_and_its_record(dlgmd, clips):
 
 
 def test_arrays_are_the_library_s(dlgmd, clips):
-    arguments = ("--frames", "0,2,18", "--npz", "--set", 7, "--no-plots")
+    arguments = ("--frames", "0,2,17", "--npz", "--set", 7, "--no-plots")
     assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
     assert set(os.listdir("dlgmd-out/loom")) == {"layers.yaml", "layers.npz"}
     model, expected = DLGMD(load_set(7)), {}
@@ -65,9 +62,9 @@ def test_arrays_are_the_library_s(dlgmd, clips):
             expected[frame.index] = frame, response.layers
     with np.load("dlgmd-out/loom/layers.npz", allow_pickle=False) as arrays:
         assert set(arrays) == {"frame", "time_s", "luminance", "p", "s", "g", "units"}
-        assert arrays["frame"].tolist() == [0, 2, 18]
+        assert arrays["frame"].tolist() == [0, 2, 17]
         assert arrays["units"].tolist() == list(DLGMD.layer_units)
-        for row, number in enumerate((0, 2, 18)):
+        for row, number in enumerate((0, 2, 17)):
             frame, layers = expected[number]
             assert arrays["time_s"][row] == frame.time_s
             assert np.array_equal(arrays["luminance"][row], frame.luminance)
@@ -78,33 +75,11 @@ def test_arrays_are_the_library_s(dlgmd, clips):
         assert np.isnan(arrays["p"][0]).all() and arrays["g"][2].max() > 0
 
 
-def test_scales_hold_the_layers_of_every_frame(clips):
-    detector, seen = DLGMD(load_set(9)), {name: [] for name in "sg"}
-    with open_video(clips / "loom.avi") as video:
-        result, sheet, ranges = runs.run_layers(
-            *(video, Setup(load_set(9), "set9"), detector, InputOptions(), ()),
-            whole=True,
-            identity={},
-            on_frame=lambda n: None,
-        )
-        detector.reset()
-        for frame in video:
-            layers = detector.step(frame.grey, layers=True).layers
-            for name, values in seen.items():
-                if getattr(layers, name) is not None:
-                    values.append(getattr(layers, name))
-    assert sheet is None and len(result) == N_FRAMES
-    for name, values in seen.items():
-        assert ranges[name] == (np.min(values), np.max(values)) and np.max(values) > 0
-
-
-@pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
-def test_every_model_has_layers(dlgmd, clips, model):
-    arguments = ("--model", model, "--frames", "1,15", "--npz", "--no-plots")
+def test_layers_of_other_models_have_signs(dlgmd, clips):
+    arguments = ("--model", "emd-lgmd", "--frames", "1,15", "--npz", "--no-plots")
     assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
-    assert record()["model"] == model
     with np.load("dlgmd-out/loom/layers.npz") as arrays:
-        assert arrays["p"][1].min() < 0  # signed
+        assert record()["model"] == "emd-lgmd" and arrays["p"][1].min() < 0
 
 
 def test_the_sheet_joins_what_run_made(dlgmd, clips):
@@ -166,7 +141,6 @@ def test_frames_that_are_not_there_are_named(dlgmd, clips, options, warning, sho
     [
         (["--frames", "20,30"], "frames 20, 30 are not in it; its last one is frame 19."),
         (["--frames", "2", "--start", "0.4"], "frame 2 is left out by --start, --end or --fps."),
-        (["--frames", "2", "--start", "99"], "frame 2 is left out by --start, --end or --fps."),
         (["--video", "x.mp4", "--end", "0.05"], "--start, --end and --fps leave fewer than"),
         (["--video", "x.mp4", "--start", "99"], "--start, --end and --fps leave fewer than"),
     ],
@@ -182,13 +156,10 @@ def test_nothing_to_show(dlgmd, clips, options, why):
     ("options", "why"),
     [
         ([], "nothing to make. Give --frames 1,50,65 for a sheet, --video film.mp4 for a video."),
-        (["--npz"], "nothing to make."),
         (["--npz", "--video", "x.mp4"], "--npz writes the layers of --frames."),
         (["--frames", "1,,2"], "'' is not a frame number. Write 1,50,65."),
-        (["--frames", "-1"], "'-1' is not a frame number."),
         (["--frames", "1.5"], "'1.5' is not a frame number."),
         (["--frames", "٣"], "is not a frame number."),
-        (["--frames", "9" * 5000], "is not a frame number."),
         (["--frames", ",".join(map(str, range(13)))], "13 frames are too many for one sheet."),
         (["--video", "x.avi"], "'x.avi' does not end in .mp4. Write film.mp4."),
         (["--frames", "1", "--set", "12"], "there is no set 12"),
@@ -202,11 +173,13 @@ def test_wrong_usage(dlgmd, clips, options, why):
 
 
 def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
-    """Its pictures are those of the frames and layers, in order."""
-    seen, picture = [], Film.picture
+    """Its pictures are those of the frames and layers, in order, on scales that hold them all."""
+    seen, scales, picture = [], [], Film.picture
 
     def recording(self, row, luminance, s, g):
-        seen.append((row, float(luminance.mean()), s is None))
+        highest = [0.0 if layer is None else float(layer.max()) for layer in (s, g)]
+        seen.append((row, float(luminance.mean()), *highest))
+        scales[:] = [scale.high for scale in self._scales]
         return picture(self, row, luminance, s, g)
 
     monkeypatch.setattr(Film, "picture", recording)
@@ -217,8 +190,10 @@ def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
     rate, film = read_video("film.mp4")
     assert rate == pytest.approx(12.5) and len(film) == 10
     assert {frame.shape for frame in film} == {(720, 1280, 3)}
-    assert [row for row, *_ in seen] == list(range(10)) and not seen[-1][2]
+    assert [row for row, *_ in seen] == list(range(10))
     assert seen[0][1] > seen[-1][1] + 0.1  # the dark square grows
+    assert scales == [max(highest) for highest in list(zip(*seen, strict=True))[2:]]
+    assert min(scales) > 0
 
 
 def test_what_is_doubtful_about_a_film_is_said(dlgmd, tmp_path):
@@ -273,10 +248,10 @@ def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypa
 
 def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
     monkeypatch.setattr("dlgmd_cli.video.writer.count_frames", lambda path: 7)
-    options = ("--frames", "3", "--no-plots")
+    options = ("--frames", "3", "--no-plots", "--end", "0.3")
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4", *options)
     assert result.exit_code == 1 and result.stdout == os.path.join("dlgmd-out", "loom") + "\n"
-    assert "film.mp4: only 7 of 20 frames arrived on the disk." in result.stderr
+    assert "film.mp4: only 7 of 8 frames arrived on the disk." in result.stderr
     assert os.listdir(".") == ["dlgmd-out"] and record()["complete"] is True
 
 
@@ -308,19 +283,9 @@ def test_a_stop_of_the_first_pass_makes_no_film(dlgmd, clips, stop_at):
 
 
 def test_a_film_that_is_stopped_is_whole_as_far_as_it_goes(dlgmd, clips, stop_at):
-    stop_at(8, Film, "picture")
+    stop_at(4, Film, "picture")
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4")
     assert result.exit_code == 130
-    assert result.stderr == "Interrupted. film.mp4 holds the first 8 of 20 frames.\n"
+    assert result.stderr == "Interrupted. film.mp4 holds the first 4 of 20 frames.\n"
     assert result.stdout == "film.mp4\n" and os.listdir(".") == ["film.mp4"]
-    assert len(read_video("film.mp4")[1]) == 8
-
-
-@pytest.mark.parametrize(("name", "content"), [("no.mp4", None), ("bad.mp4", b"not a video")])
-def test_bad_input_is_one_line(dlgmd, name, content):
-    if content is not None:
-        Path(name).write_bytes(content)
-    before = os.listdir(".")
-    result = dlgmd("layers", name, "--frames", "1", "--video", "film.mp4")
-    assert result.exit_code == 1 and result.stderr.count("\n") == 1
-    assert os.listdir(".") == before
+    assert len(read_video("film.mp4")[1]) == 4

@@ -146,14 +146,14 @@ def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
     assert not {color for color, _ in LOOKS} & {VERMILION, BLACK}
     brightness = [np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for color, _ in LOOKS]
     assert all(abs(one - other) > 0.02 for one, other in pairwise(brightness))
-    results = {f"line {number}": make_result() for number in range(30)}
+    results = {f"line {number}": make_result() for number in range(13)}
     (axes,) = plot("mp", results).axes
     looks = {
         (line.get_color(), str(line._unscaled_dash_pattern), line.get_marker())
         for line in axes.get_lines()
         if len(line.get_xdata()) == 40
     }
-    assert len(looks) == 30
+    assert len(looks) == 13
 
 
 def test_labels_are_drawn_as_they_are_written():
