@@ -34,7 +34,6 @@ _PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
 _DOT_PX = 6
 # As OpenCV draws them, in BGR order.
 _NOW, _ORANGE, _VERMILION = (40, 40, 40), (0, 0x9F, 0xE6), (0, 0x5E, 0xD5)
-_LETTERS: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
 # Vermilion, a quarter of it.
 _LIGHT_VERMILION = "#F5D6BF"
 
@@ -47,18 +46,8 @@ class Film:
     What stays the same is drawn once, by Matplotlib; the rest is copied in. A layer with more
     cells than its panel has pixels is shown by the strongest cell of each pixel.
 
-    Parameters
-    ----------
-    result : Result
-        What the model said about every frame; at least one.
-    shape : (int, int)
-        H and W of the frames as the model takes them.
-    scales : (Scale, Scale)
-        Of S and G, the same in every picture.
-    units : (str, str)
-        Units of S and G, in words.
-    label : str
-        What the film says of its origin.
+    `result` says what the model said about every frame, at least one, of `shape` (H, W). `scales`
+    and `units`, in words, are those of S and G; `label` is what the film says of its origin.
     """
 
     def __init__(
@@ -86,64 +75,56 @@ class Film:
         places = trace.transData.transform(levels)
         places[:, 1] = HEIGHT - places[:, 1]
         self._places: npt.NDArray[np.int64] = places.round().astype(np.int64)
-        self._canvas = self._ground.copy()
 
     def picture(
         self, row: int, luminance: FloatImage, s: FloatImage | None, g: FloatImage | None
     ) -> BgrImage:
-        """The picture of one row of the result, (720, 1280, 3) BGR; valid until the next call.
+        """The picture of one row of the result, (720, 1280, 3) BGR.
 
         `luminance` is the frame, 0 to 1, and `s` and `g` its layers, None where not defined.
         """
+        picture = self._ground.copy()
         grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
-        self._fill(self._panels[0], np.asarray(grey, dtype=np.uint8))
+        images: list[Any] = [grey]
         for box, layer, scale in zip(self._panels[1:], (s, g), self._scales, strict=True):
-            if layer is None:
-                self._canvas[box] = self._ground[box]
-            else:
-                self._fill(box, scale.painted(strongest(layer, *_size(box))))
-        self._show_present(row)
-        self._write_header(row)
-        return self._canvas
+            images.append(None if layer is None else scale.painted(strongest(layer, *_size(box))))
+        for box, image in zip(self._panels, images, strict=True):
+            if image is not None:
+                height, width = _size(box)
+                way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
+                picture[box] = cv2.resize(image, (width, height), interpolation=way)
+        self._show_present(picture, row)
+        self._write_header(picture, row)
+        return picture
 
-    def _fill(self, box: Box, image: BgrImage) -> None:
-        """Put `image` into a panel at its size."""
-        height, width = _size(box)
-        way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
-        self._canvas[box] = cv2.resize(image, (width, height), interpolation=way)
-
-    def _show_present(self, row: int) -> None:
+    def _show_present(self, picture: BgrImage, row: int) -> None:
         """Draw the trace up to the present, with a line and a dot at its end."""
         rows, columns = self._trace
         x, y = (int(place) for place in self._places[row])
-        canvas, now = self._canvas, max(x + 1, columns.start)
-        # A little more than the axes, for the dot at their ends.
+        # A little more than the axes, for the dots at their ends.
         margin = _DOT_PX + 2
-        around = slice(rows.start - margin, rows.stop + margin)
-        past, future = slice(columns.start - margin, now), slice(now, columns.stop + margin)
-        canvas[around, past] = self._traced[around, past]
-        canvas[around, future] = self._ground[around, future]
-        cv2.line(canvas, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
+        past = np.s_[
+            rows.start - margin : rows.stop + margin,
+            columns.start - margin : max(x + 1, columns.start),
+        ]
+        picture[past] = self._traced[past]
+        cv2.line(picture, (x, rows.start), (x, rows.stop - 1), _NOW, 1)
         if not np.isnan(self._result.level[row]):
             colour = _ORANGE if self._result.spikes[row] else _NOW
-            cv2.circle(canvas, (x, y), _DOT_PX, colour, cv2.FILLED, cv2.LINE_AA)
-            cv2.circle(canvas, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
+            cv2.circle(picture, (x, y), _DOT_PX, colour, cv2.FILLED, cv2.LINE_AA)
+            cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
-    def _write_header(self, row: int) -> None:
+    def _write_header(self, picture: BgrImage, row: int) -> None:
         """Frame and time and, while the alarm is on, that it is."""
         result, middle = self._result, WIDTH // 2
-        header = np.s_[: _HEADER_PX - 15, : middle + 80]
-        self._canvas[header] = self._ground[header]
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
-        cv2.putText(
-            self._canvas, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **_LETTERS
-        )
+        look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
+        cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
         if result.alarms[row]:
-            cv2.rectangle(
-                self._canvas, (middle - 65, 10), (middle + 65, 44), _VERMILION, cv2.FILLED
-            )
-            look = {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2, **_LETTERS}
-            cv2.putText(self._canvas, "ALARM", (middle - 47, 37), **look)
+            box = (middle - 65, 10), (middle + 65, 44)
+            cv2.rectangle(picture, *box, _VERMILION, cv2.FILLED)
+            look |= {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2}
+            cv2.putText(picture, "ALARM", (middle - 47, 37), **look)
 
 
 def _static(

@@ -23,15 +23,10 @@ _SIGNED = "RdBu_r"
 
 @dataclass(frozen=True)
 class Scale:
-    """The values at the two ends of a colour map.
+    """A colour map by its name, and the values at its two ends.
 
-    Attributes
-    ----------
-    low, high : float
-        0 and the greatest value, or, where values have signs, the greatest magnitude both ways.
-        Both 0 where nothing differs from 0.
-    colours : str
-        Matplotlib's name of the colour map.
+    These are 0 and the greatest value, or, where values have signs, the greatest magnitude both
+    ways. Both are 0 where nothing differs from 0.
     """
 
     low: float
