@@ -26,17 +26,8 @@ MAX_DEPTH = 20
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
     [
-        "schema",
-        "preset",
-        "input",
-        "processed",
-        "frames",
-        "sweep",
-        "versions",
-        "warnings",
-        "complete",
-        "summary",
-        "wall_s",
+        *("schema", "preset", "input", "processed", "frames", "sweep"),
+        *("versions", "warnings", "complete", "summary", "wall_s"),
     ]
 )
 

@@ -44,7 +44,7 @@ for arguments in {lines}:
     sys.argv = ["dlgmd", *arguments]
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
         main()
-    heavy = {{"av", "cv2", "matplotlib", "numba", "numpy", "yaml", "distributed", "fsspec", "pebble"}}
+    heavy = {{"av", "cv2", "matplotlib", "numba", "numpy", "yaml", "distributed", "pebble"}}
     assert not heavy & set(sys.modules), (arguments, heavy & set(sys.modules))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
