@@ -17,9 +17,6 @@ DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
 FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
-# A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
-# from before the damage may still be inside the decoder's threads.
-READS_PAST_DAMAGE = 32
 _MAX_DECODER_THREADS = 16
 
 # What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
@@ -61,7 +58,7 @@ class VideoInfo:
     height: int
     fps: float
     n_frames: int | None
-    decoder: str = DEFAULT_DECODER
+    decoder: str
 
 
 @dataclass(frozen=True)

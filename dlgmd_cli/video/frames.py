@@ -276,22 +276,10 @@ def processed_size(
     scale: float | None = None,
     size_wh: tuple[int, int] | None = None,
 ) -> tuple[int, int]:
-    """Width and height in px at which an input is processed.
+    """Width and height in px at which an input is processed; raises ParameterError.
 
-    Parameters
-    ----------
-    width, height : int
-        Size of the input, in px.
-    scale : float, optional
-        Linear scale, 0 < scale <= 1. Without it (and without `size_wh`) the width is reduced to
-        480 px, the paper's best size, and never enlarged.
-    size_wh : (int, int), optional
-        An exact size instead, in px.
-
-    Raises
-    ------
-    ParameterError
-        If scale or size are out of range, or both are given.
+    Without `scale`, 0 < scale <= 1, and an exact `size_wh` in px the width is reduced to 480 px,
+    the paper's best size, and never enlarged.
     """
     if size_wh is not None:
         if scale is not None:
@@ -311,23 +299,8 @@ def processed_size(
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """What tells an input from another of the same name, without decoding it.
 
-    Parameters
-    ----------
-    path : str or path
-        What `open_video` takes.
-
-    Returns
-    -------
-    dict
-        Of a file ``bytes`` and ``mtime_ns``; of pictures their number and a digest of the names,
-        sizes and times of change of all.
-
-    Raises
-    ------
-    SourceError
-        If there are no pictures.
-    OSError
-        If the files cannot be looked at.
+    Of a file ``bytes`` and ``mtime_ns``; of pictures their number and a digest of the names, sizes
+    and times of change of all. Raises SourceError if there are no pictures, and OSError.
     """
     import hashlib
 
