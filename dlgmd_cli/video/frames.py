@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.parameters import shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -89,11 +90,12 @@ class InputOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
-            object.__setattr__(self, "size", parse_size(str(self.size)))
+            text = self.size if isinstance(self.size, str) else shown(self.size)
+            object.__setattr__(self, "size", parse_size(text))
         for name, value in vars(self).items():
             why = "" if value is None else _why_wrong(name, value)
             if why:
-                option = f"--{name.replace('_', '-')} {str(value)[:40]}"
+                option = f"--{name.replace('_', '-')} {shown(value)}"
                 raise ParameterError("", f"{option} is not {why}")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
@@ -106,7 +108,7 @@ class InputOptions:
         known = {field.name for field in fields(cls)}
         for key in record:
             if key not in known:
-                raise ParameterError(origin, f"unknown option {str(key)[:40]!r} under 'options'")
+                raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
         try:
             return cls(**record)
         except ParameterError as error:
