@@ -13,12 +13,12 @@ import click
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
-from dlgmd_cli.video.frames import parse_size
+from dlgmd_cli.video.base import DECODERS, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
 
-ENGINES, DECODERS = ("opencv", "numba"), ("opencv", "pyav")
+ENGINES = ("opencv", "numba")
 
 
 class Size(click.ParamType):
