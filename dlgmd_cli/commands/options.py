@@ -14,12 +14,12 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.names import numbered as numbered
 from dlgmd_cli.names import told_apart as told_apart
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
-from dlgmd_cli.video.frames import parse_size
+from dlgmd_cli.video.base import DECODERS, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
 
-ENGINES, DECODERS = ("opencv", "numba"), ("opencv", "pyav")
+ENGINES = ("opencv", "numba")
 
 
 class Size(click.ParamType):
