@@ -126,6 +126,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
     drawn = BytesIO()
     with house_style():
+        layout = figure.get_layout_engine()
+        if layout is not None:  # once, or savefig would draw the figure twice
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
     path.write_bytes(drawn.getvalue())
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
