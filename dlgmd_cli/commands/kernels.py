@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -59,7 +59,11 @@ def _write_csv(connections: "Connections", path: Path) -> None:
     from dlgmd_cli.results.csv import write_columns
 
     y, x = np.indices(connections.latency.shape) - connections.radius_px
-    strengths = {"k_e": connections.excitation}
-    strengths |= {f"k_{delay}": kernel for delay, kernel in sorted(connections.inhibition.items())}
-    columns = {"x_px": x, "y_px": y, "latency_frames": connections.latency, **strengths}
+    columns: dict[str, Any] = {
+        "x_px": x,
+        "y_px": y,
+        "latency_frames": connections.latency,
+        "k_e": connections.excitation,
+        **{f"k_{delay}": kernel for delay, kernel in sorted(connections.inhibition.items())},
+    }
     write_columns(path, {name: values.ravel() for name, values in columns.items()})

@@ -151,17 +151,16 @@ def plot(
     shown = labels or numbered([name for name, _ in found])
     results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
     column = _column(kind, normalise, results, are_compared)
-    from dlgmd_cli.plots.style import figure_files
+    from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.timeline import Timeline
     from dlgmd_cli.plots.traces import plot as draw
 
     for line in annotations.outside(*Timeline.of(results.values()).frames):
         warn(line)
-    figure = {kind: lambda: draw(kind, results, annotations, column=column, width=width)}
-    suffixes = [target.suffix.lower()[1:] for target in targets]
+    figure = draw(kind, results, annotations, column=column, width=width)
     with appearing(*targets) as files:
-        for file, write in zip(files, figure_files(figure, suffixes).values(), strict=True):
-            write(file)
+        for file in files:
+            save_figure(figure, file)
     for target in targets:
         print_path(target)
 

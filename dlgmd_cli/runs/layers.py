@@ -11,7 +11,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, Setup, input_record
+from dlgmd_cli.runs.run import OnFrame, Setup, gathered_result
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
@@ -80,22 +80,11 @@ def run_layers(
                 break
     if cancel.requested() and not kept:
         raise cancel.Interrupted
-    columns = np.array(rows).reshape(-1, 6).T.copy()
-    number, time_s, p_sum, s_sum, attenuation_db, mp = columns
-    n_read = (int(number[-1]) + 1, float(time_s[-1])) if stops_early else None
-    record = {
-        **input_record(video, video.size_wh, len(number), identity, n_read),
-        **setup.named,
-        "model": setup.params.model,
-        "engine": model.engine_name,
-        **setup.params.to_dict(),
-        "options": options.to_record(),
-        "frames": [one.index for one, _ in kept],
-        "warnings": list(video.progress.warnings),
-        "complete": not cancel.requested() or len(kept) == len(frames),
-    }
-    result = Result(
-        number.astype(np.int64), time_s, mp, p_sum, s_sum, attenuation_db, setup.params, record
+    result = gathered_result(
+        *(rows, video, video.size_wh, setup, model, options, identity),
+        was_read=not stops_early,
+        frames=[one.index for one, _ in kept],
+        complete=not cancel.requested() or len(kept) == len(frames),
     )
     label = f"{video.info.name} · {setup.label}"
     return result, _sheet(kept, model.layer_units, label) if kept else None, ranges

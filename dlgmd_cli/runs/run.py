@@ -307,25 +307,50 @@ def run_models(
         raise cancel.Interrupted
     results = []
     for setup, model, size_wh, values in zip(setups, models, sizes, rows, strict=True):
-        columns = np.array(values).reshape(-1, _N_COLUMNS).T.copy()
-        frame, time_s, p_sum, s_sum, attenuation_db, mp = columns
-        n_read = None if complete else (int(frame[-1]) + 1, float(time_s[-1]))
-        record = {
-            **input_record(video, size_wh, len(frame), identity, n_read),
-            **setup.named,
-            "model": setup.params.model,
-            "engine": model.engine_name,
-            **setup.params.to_dict(),
-            "options": options.to_record(),
-            "warnings": list(video.progress.warnings),
-            "complete": complete,
-        }
-        result = Result(
-            frame.astype(np.int64), time_s, mp, p_sum, s_sum, attenuation_db, setup.params, record
+        result = gathered_result(
+            *(values, video, size_wh, setup, model, options, identity),
+            was_read=complete,
+            complete=complete,
         )
         result.warnings.extend(result.doubts())
         results.append(result)
     return results
+
+
+def gathered_result(
+    rows: "array[float]",
+    video: Video,
+    size_wh: tuple[int, int],
+    setup: Setup,
+    model: Model,
+    options: InputOptions,
+    identity: Mapping[str, Any],
+    *,
+    was_read: bool,
+    complete: bool,
+    **facts: Any,
+) -> Result:
+    """The result of a model that saw `video`: `rows` holds six numbers of each of its frames.
+
+    `was_read` says whether that was all that is to be read of the video, `complete` and `facts`
+    stand in the record.
+    """
+    columns = np.array(rows).reshape(-1, _N_COLUMNS).T.copy()
+    frame, time_s, p_sum, s_sum, attenuation_db, mp = columns
+    n_read = None if was_read else (int(frame[-1]) + 1, float(time_s[-1]))
+    record = {
+        **input_record(video, size_wh, len(frame), identity, n_read),
+        **setup.named,
+        "model": setup.params.model,
+        "engine": model.engine_name,
+        **setup.params.to_dict(),
+        "options": options.to_record(),
+        **facts,
+        "warnings": list(video.progress.warnings),
+        "complete": complete,
+    }
+    numbers = time_s, mp, p_sum, s_sum, attenuation_db
+    return Result(frame.astype(np.int64), *numbers, setup.params, record)
 
 
 def _feed(

@@ -243,13 +243,13 @@ def test_a_comparison_is_drawn_as_it_drew_itself(dlgmd, drawn):
     shutil.copytree("cmp", "absolute")
     record = Path("absolute/compare.yaml")
     record.write_text(record.read_text().replace("options: {}", "options: {normalise: absolute}"))
-    for paths, options, column in (
-        (["cmp"], [], "mp_seq"),
-        (["absolute"], [], "mp_abs"),
-        (["cmp"], ["--normalise", "absolute"], "mp_abs"),
-        (["cmp", "run"], [], "level"),
+    for paths, column in (
+        (["cmp"], "mp_seq"),
+        (["absolute"], "mp_abs"),
+        (["cmp", "--normalise", "absolute"], "mp_abs"),
+        (["cmp", "run"], "level"),
     ):
-        result = dlgmd("plot", "mp", *paths, *options, "--overwrite")
+        result = dlgmd("plot", "mp", *paths, "--overwrite")
         assert result.exit_code == 0 and drawn[-1][3]["column"] == column
 
 
