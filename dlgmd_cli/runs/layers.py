@@ -32,31 +32,10 @@ def run_layers(
 ) -> tuple[Result, LayerSheet | None, dict[str, Range]]:
     """Feed `video` to `model` until all of `frames` came, or, if `whole`, to its end.
 
-    Parameters
-    ----------
-    video, setup, options, identity, on_frame
-        As `run.run_models` takes them.
-    model : Model
-        The one of `setup`.
-    frames : collection of int
-        Numbers of the frames whose layers are kept.
-    whole : bool
-        Go on to the end, and measure the layers of every frame.
-
-    Returns
-    -------
-    Result
-        The numbers of every frame that was processed. The record's `frames` are those of the
-        sheet; `complete` says whether the stop flag left out none of them.
-    LayerSheet or None
-        The frames wanted, as far as they came; None if none did.
-    dict of str to (float, float)
-        For `s` and `g`, the extremes over all frames measured; infinite if there are none.
-
-    Raises
-    ------
-    Interrupted
-        If the stop flag ended it before there was a frame to keep.
+    Returns the numbers of every frame that was processed, with the sheet's `frames` in the record,
+    which is `complete` if the stop flag left out none of them; the sheet of the frames wanted, as
+    far as they came, None if none did; and, if `whole`, the extremes of `s` and `g` over all
+    frames. Raises Interrupted if the stop flag ended it before there was a frame to keep.
     """
     rows: array[float] = array("d")
     kept: list[tuple[Frame, Response]] = []

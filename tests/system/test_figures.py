@@ -177,7 +177,6 @@ def test_any_name_can_be_drawn_and_files_are_the_same_every_time(suffix, tmp_pat
     ("x", "y", "values"),
     [
         ("r=4", "a=1", [NAN]),
-        ("r=4", "a=1", [0.0]),
         ("r=4", "a=1:3:1", [-INF, -INF, -INF]),
         ("formulation=default,equations", "ffi_gd=true,false", [1e-30, 2.0, 1e30, NAN]),
         ("kappa=1e-6,1e-3,1", "a=1", [-1.0, -1.0, -1.0]),

@@ -118,7 +118,6 @@ def test_columns_and_what_the_axis_calls_them():
     sequence = "MP, normalised\nto its sequence"
     for results, column, name, has_threshold in (
         ([result], None, "Normalised MP", True),
-        ([result], "mp_abs", "Normalised MP", True),
         ([result], "mp_seq", sequence, False),
         ([by_sequence], None, sequence, True),
         ([result, by_sequence], None, "Normalised MP", True),
@@ -166,23 +165,17 @@ def test_labels_are_drawn_as_they_are_written():
 
 
 def test_frames_stand_above_seconds_at_their_true_places():
-    figure = plot("mp", {"a": make_result(frame_step=3)})
+    times, frames = np.cumsum(np.linspace(0.01, 0.2, 40)), 3 * np.arange(40)
+    result = result_of_level(np.full(40, 0.1), time_s=times, frame=frames)
+    figure = plot("mp", {"a": result})
     figure.draw_without_rendering()
     top, axes = frame_axis(figure), figure.axes[0]
     assert top.get_xlabel() == "Frame"
-    for frame in (0, 50, 117):
-        (above, _), (below, _) = (
-            top.transData.transform((frame, 0)),
-            axes.transData.transform((frame / 30, 0)),
-        )
+    for frame, time_s in ((0, times[0]), (51, times[17]), (117, times[39])):
+        above, _ = top.transData.transform((frame, 0))
+        below, _ = axes.transData.transform((time_s, 0))
         assert above == pytest.approx(below, abs=0.1)
-
-
-def test_times_that_are_uneven_are_placed_truly():
-    times = np.cumsum(np.linspace(0.01, 0.2, 40))
-    timeline = Timeline.of([result_of_level(np.full(40, 0.1), time_s=times)])
-    assert timeline.time_of(np.arange(40)) == pytest.approx(times)
-    assert timeline.frame_of(times) == pytest.approx(np.arange(40))
+    timeline = Timeline.of([result])
     assert timeline.frame_of(timeline.time_of([-3, 50.5])) == pytest.approx([-3, 50.5])
 
 
@@ -197,7 +190,7 @@ def test_frames_are_shown_where_all_results_agree():
         make_result(start_s=0.02),
         part(make_result(80), slice(50, 60)),  # no frame in common
     ):
-        figure = plot("overview", {"a": whole, "b": other})
+        figure = plot("mp", {"a": whole, "b": other})
         assert not any(axes.child_axes for axes in figure.axes)
         left, right = figure.axes[-1].get_xlim()
         assert left < min(other.time_s[0], 0.01) and right > max(other.time_s[-1], 3.9)
@@ -248,16 +241,14 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     assert dict(matplotlib.rcParams) == before  # the host's style is left alone
 
 
-@pytest.mark.parametrize("formulation", ["default", "equations"])
-def test_kernels_have_a_panel_each_and_one_scale_of_strength(formulation):
-    connections = connect(load_set(9, formulation=formulation))
+def test_kernels_have_a_panel_each_and_one_scale_of_strength():
+    connections = connect(load_set(9, formulation="equations"))
     figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
     figure.draw_without_rendering()
     maps = [axes for axes in figure.axes if axes.get_title()]
     titles = [axes.get_title() for axes in maps]
-    delays = "12" if formulation == "default" else "012"
     assert titles[0] == "Excitation $K_E$" and titles[-1].startswith(r"Latency $\tau$")
-    assert titles[1:-1] == [f"Inhibition $K_{{{delay}}}$" for delay in delays]
+    assert titles[1:-1] == [f"Inhibition $K_{{{delay}}}$" for delay in range(3)]
     limits = {axes.images[0].get_clim() for axes in maps[:-1]}
     assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
     assert maps[-1].images[0].get_clim()[0] == 0.0
