@@ -13,21 +13,10 @@ FloatImage = npt.NDArray[np.float32]
 class LayerSheet:
     """The layers of one model at n frames of one input.
 
-    Attributes
-    ----------
-    frame : ndarray, shape (n,), int64
-        Numbers of the frames in the input, from 0.
-    time_s : ndarray, shape (n,), float64
-        Their times, in seconds.
-    luminance : ndarray, shape (n, H, W), float32
-        The frames as the model took them, 0 to 1.
-    p, s, g : ndarray, shape (n, H, W), float32
-        The layers P, S and G, in the model's units of them; NaN throughout a frame where one is
-        not defined yet.
-    units : (str, str, str)
-        Units of P, S and G, in words.
-    label : str
-        What the figure says of its origin.
+    `frame` are the frames' numbers in the input, from 0, and `time_s` their times. `luminance`,
+    `p`, `s` and `g` have shape (n, H, W): the frames as the model took them, 0 to 1, and its
+    layers in its `units`, in words; NaN throughout a frame where one is not defined yet. `label`
+    is what the figure says of its origin.
     """
 
     frame: npt.NDArray[np.int64]
