@@ -172,24 +172,23 @@ def test_nothing_is_announced_without_compilation(loops):
     assert told == []
 
 
-@pytest.mark.parametrize("error", [OSError("disk full"), EOFError(), UnpicklingError("cut off")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError("disk full"),
+        EOFError(),
+        UnpicklingError("cut off"),
+        RuntimeError("cannot cache function: no locator available"),  # no place to write to
+    ],
+)
 def test_a_cache_that_fails_costs_only_time(loops, monkeypatch, error):
-    expected, whole = answers("numba", scene(20, 30)), loops.sum_layers
+    expected, compiled = answers("numba", scene(20, 30)), loops._compiled(True)
 
-    def fails(*arguments):
-        raise error
+    def load(on_disk):
+        if on_disk:
+            raise error
+        return compiled
 
-    monkeypatch.setattr(loops, "sum_layers", fails)
-    monkeypatch.setattr(loops, "_without_cache", lambda: whole)
+    monkeypatch.setattr(loops, "_compiled", load)
     found = answers("numba", scene(20, 30))
     assert [one.mp for one in found[3:]] == [one.mp for one in expected[3:]]
-
-
-def test_loops_are_compiled_where_nothing_can_be_kept(loops, monkeypatch):
-    def njit(cache=False, **options):
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return lambda function: function
-
-    monkeypatch.setattr(loops, "njit", njit)
-    assert loops._cached(len) is len

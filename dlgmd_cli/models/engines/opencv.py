@@ -5,7 +5,7 @@ so that it convolves as well.
 """
 
 from collections.abc import Callable
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -13,7 +13,7 @@ import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
 from dlgmd_cli.models.engines import Grouping, just_below
-from dlgmd_cli.models.engines.plan import Filter, Separable, Source, plan
+from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
 # Three float32 images of this size stay in a cache of 2 MB.
@@ -53,11 +53,7 @@ class OpencvEngine:
         self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
     ) -> None:
         kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
-        terms = sorted(plan(kernels, connections.gaussians), key=lambda term: term.source)
-        self._groups = [
-            (source, [term.filter for term in group])
-            for source, group in groupby(terms, lambda term: term.source)
-        ]
+        self._filters = plan(kernels, connections.gaussians)
         _, height, width = receptors.stack.shape
         self._tiles = tiles((height, width), connections.radius_px)
         largest = max(height * width for height, width in (tile.shape for tile in self._tiles))
@@ -95,7 +91,7 @@ class OpencvEngine:
     ) -> None:
         """S on the window of a tile; correct wherever the kernels stay inside the window."""
         is_first = True
-        for source, filters in self._groups:
+        for source, filters in self._filters.items():
             image = _floats(receptors, source, tile.window, spare)
             for one in filters:
                 apply(one, image, out=s if is_first else part)
@@ -109,10 +105,11 @@ class OpencvEngine:
 
 def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
     """Filter `image` into `out`, both (H, W)."""
-    if isinstance(one, Separable):
-        cv2.sepFilter2D(image, -1, one.row, one.column, dst=out, borderType=_BORDER)
+    if len(one) == 2:
+        column, row = one
+        cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
-        cv2.filter2D(image, -1, one.kernel, dst=out, borderType=_BORDER)
+        cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
