@@ -16,15 +16,15 @@ from pathlib import Path
 import cv2
 import pytest
 import yaml
-from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
-from dlgmd_cli.results.comparison import write_comparison
-from dlgmd_cli.results.files import fitting
-from dlgmd_cli.results.read import read_comparison
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import SourceError, printable
 from dlgmd_cli.parameters import MAX_CONFIG_BYTES
+from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
+from dlgmd_cli.results.comparison import write_comparison
+from dlgmd_cli.results.files import fitting
+from dlgmd_cli.results.read import read_comparison
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.video.base import FFMPEG_OPTIONS
 from dlgmd_cli.video.frames import open_video

@@ -276,18 +276,21 @@ def _places(
     """
     sources = sources_of(sums)
     size, block = (2 * radius + n_rows) * stride, n_rows * stride
-    outs = [len(sources) * size + k * block for k in range(len(sums))]
+    # With a gap, since a loop that reads where it writes is not turned into vector instructions.
+    outs = [len(sources) * size + stride + k * (block + stride) for k in range(len(sums))]
     outs[-1] += 3 * stride
+    # A sum up the columns is wanted at more columns than one along the row, which begins as S does.
+    begins = [radius if any(tap.dx for tap in taps) else 0 for taps in sums]
+    begins[-1] = radius
     places, weights = [], []
-    for k, taps in enumerate(sums):
-        right = radius if k == len(sums) - 1 else 0
+    for begin, taps in zip(begins, sums, strict=True):
         for tap in taps:
             if isinstance(tap.read, int):
-                start, weight = outs[tap.read], tap.weight
+                start, weight = outs[tap.read] - begins[tap.read], tap.weight
             else:
                 start = sources.index(tap.read) * size + (radius + tap.dy) * stride
                 weight = tap.weight * unit
-            places.append(start + tap.dx + right)
+            places.append(start + tap.dx + begin)
             weights.append(weight)
     ends = np.cumsum([len(taps) for taps in sums], dtype=np.int64)
     return np.array(outs), ends, np.array(places, np.uint64), np.array(weights, np.float32)

@@ -211,7 +211,7 @@ def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
     for source, whole in layout.items():
         kernel = _without_rounding(whole, np.abs(whole).max())
         radius, ranks = len(kernel) // 2, _low_rank(kernel)
-        by_taps, by_ranks = np.count_nonzero(kernel), 2 * len(ranks) * len(kernel)
+        by_taps, by_ranks = int(np.count_nonzero(kernel)), 2 * len(ranks) * len(kernel)
         fits = [_fit(kernel, profile, source) for profile in profiles]
         number = min(range(len(fits)), key=lambda i: fits[i][0], default=0)
         if fits and fits[number][0] < min(by_taps, by_ranks):
@@ -220,15 +220,21 @@ def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
         elif by_ranks < by_taps:
             kernel = np.zeros_like(kernel)
             for column, row in ranks:
-                sums.append([Tap(source, y - radius, 0, w) for y, w in enumerate(column)])
+                _append(sums, [Tap(source, y - radius, 0, w) for y, w in enumerate(column)])
                 along += [Tap(len(sums) - 1, 0, x - radius, w) for x, w in enumerate(row)]
         along += [Tap(source, y - radius, x - radius, kernel[y, x]) for y, x in np.argwhere(kernel)]
     for number, members in stairs.items():
         _add_stairs(sums, along, members, profiles[number])
-    while len(along) > MAX_TAPS:
-        sums.append(along[:MAX_TAPS])
-        along = [Tap(len(sums) - 1, 0, 0, 1.0), *along[MAX_TAPS:]]
-    return [*sums, along]
+    _append(sums, along)
+    return sums
+
+
+def _append(sums: list[Sum], taps: Sum) -> None:
+    """Add a sum, in as many parts as it takes."""
+    while len(taps) > MAX_TAPS:
+        sums.append(taps[:MAX_TAPS])
+        taps = [Tap(len(sums) - 1, 0, 0, 1.0), *taps[MAX_TAPS:]]
+    sums.append(taps)
 
 
 class Staircase(NamedTuple):
@@ -277,7 +283,7 @@ def _add_stairs(
                 for dy in range(-high, high + 1)
                 if abs(dy) > low
             ]
-            sums.append(begin + further)
+            _append(sums, begin + further)
             reached = heights
         if max(reached) >= 0:
             weight = profile[radius + distance] / profile[radius]
