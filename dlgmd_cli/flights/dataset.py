@@ -157,6 +157,9 @@ def render_flights(
 ) -> Iterator[tuple[int, DlgmdError | None]]:
     """Render flights; the files do not depend on how many processes do it.
 
+    Nobody else may write into the fleet's folder meanwhile: what killed processes left there is
+    removed.
+
     Parameters
     ----------
     fleet : Fleet
@@ -178,7 +181,7 @@ def render_flights(
     Interrupted
         If the user asks to stop.
     """
-    numbers = list(numbers)
+    remove_leftovers(fleet.folder)
     if jobs == 1:
         for number in numbers:
             error: DlgmdError | None = None

@@ -24,15 +24,20 @@ from dlgmd_cli.flights.bodies import (
 )
 from dlgmd_cli.flights.renderer.solids import Body, Motion, Round, Solid
 from dlgmd_cli.flights.renderer.texture import FloatImage
-from dlgmd_cli.flights.shadows import Wall, shaded
-from dlgmd_cli.flights.textures import Rng, Sheet, Size, plain
+from dlgmd_cli.flights.textures import Rng, Size, plain
 
 CATALOGUE = Path(__file__).with_name("furniture.yaml")
 PICTURES: dict[str, Callable[..., FloatImage]] = {
     made.__name__: made
     for made in (
         *(textures.brick, textures.concrete, textures.wood, textures.cloth, textures.metal),
-        *(textures.curtain, pictures.gridded, pictures.poster, pictures.whiteboard),
+        *(
+            textures.curtain,
+            textures.plaster,
+            pictures.gridded,
+            pictures.poster,
+            pictures.whiteboard,
+        ),
         *(pictures.carton_side, pictures.notebook_screen, pictures.keyboard, pictures.shirt),
         *(pictures.bookcase_front, pictures.cupboard_front, pictures.radiator_front),
         *(pictures.door_leaf, pictures.window_pane),
@@ -73,7 +78,7 @@ def furniture(
     Parameters
     ----------
     name : str
-        A piece of the catalogue, or "shelf", "cartons", "plant", "poster" or "doorway".
+        A piece of the catalogue, or "shelf", "cartons", "plant" or "poster".
     rng : numpy.random.Generator
         Where all that is random in it comes from.
     where : Spot
@@ -274,48 +279,9 @@ def _poster(rng: Rng, where: Spot) -> list[Solid]:
     return [panel("poster", at, size, skin(pictures.poster(rng, size, 500.0)))]
 
 
-def _doorway(rng: Rng, where: Spot) -> list[Solid]:
-    """A wall across a room, 5.6 m wide and 2.8 m high, with a doorway of 1.1 m by 2.1 m in it.
-
-    Its near side is at its spot. Its bodies are what is left of the doorway, right of it and above.
-    """
-    width, height, thick, tone = 5.6, 2.8, 0.15, 0.5
-    half, top, casing = 0.55, 2.1, 0.09
-    sheet = Sheet((width, height), 300.0, tone)
-    sheet.image = textures.plaster(rng, (width, height), 300.0, tone)
-    # As seen from the near side, y runs to the left.
-    start, end = width / 2 - half, width / 2 + half
-    sheet.rectangle(0.0, height - 0.08, width, 0.08, 0.22)
-    # Posts up to the ceiling: where the parts of the wall meet there is an edge in any case.
-    for x in (start - casing, end):
-        sheet.rectangle(x, 0.0, casing, height, 0.2)
-        sheet.rectangle(x, 0.0, 0.012, height, 0.1)
-    sheet.rectangle(start, height - top - casing, end - start, casing, 0.2)
-    seen = Wall(np.zeros(3), np.array([width, 0.0, 0.0]), np.array([0.0, 0.0, -height]))
-    picture = shaded(sheet.finished(), seen, ())
-    frame = skin(textures.wood(rng, (0.2, 2.2), 300.0, 0.2), (0.2, 2.2))
-
-    def part(y: tuple[float, float], z: tuple[float, float], inner: str) -> Solid:
-        """One of the three, with its share of the picture."""
-        columns = [round((width / 2 - each) * sheet.scale) for each in (y[1], y[0])]
-        rows = [round((height - each) * sheet.scale) for each in (z[1], z[0])]
-        share = picture[rows[0] : rows[1], columns[0] : columns[1]]
-        faced = {"back": skin(share), "front": skin(share[:, ::-1])}
-        low, high = (0.0, y[0], z[0]), (thick, y[1], z[1])
-        shown = ("front", "back", inner)
-        return block("doorway", where, low, high, frame, sides=shown, others=faced)
-
-    return [
-        part((half, width / 2), (0.0, height), "right"),
-        part((-width / 2, -half), (0.0, height), "left"),
-        part((-half, half), (top, height), "bottom"),
-    ]
-
-
 _DRAWN: dict[str, Callable[[Rng, Spot], list[Solid]]] = {
     "shelf": _shelf,
     "cartons": _cartons,
     "plant": _plant,
     "poster": _poster,
-    "doorway": _doorway,
 }

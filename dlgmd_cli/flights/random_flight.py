@@ -1,7 +1,7 @@
 """A random room, a random flight through it, and whatever comes of that."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,8 +39,7 @@ _EARLIEST_S, _LEAST_WAY_M, _LEAST_M_S = 1.2, 1.8, 0.4
 _MAX_TRIES = 50
 # What is planned, and how often: what comes of it may be different.
 _PLANS = {"hit": 0.45, "wall": 0.1, "pass": 0.25, "stop": 0.2}
-_CORRIDOR_M, _HEIGHT_M = 2.4, 2.8
-
+_CORRIDOR_M = 2.4
 
 # What may stand in a room: the piece of furniture, which part of it is to be met, how large it may
 # be, and from which height to which it can be hit, at its usual size.
@@ -54,14 +53,12 @@ _OBSTACLES = (
 )
 
 
-@dataclass(frozen=True)
-class _Obstacle:
-    """What may stand in a room: how it is built, and from which height to which it can be hit."""
+class _Obstacle(NamedTuple):
+    """What may stand in a room: its name, how it is built, and a height at which it can be hit."""
 
     name: str
     build: Build
-    low_m: float
-    high_m: float
+    height_m: float
 
 
 def random_flight(seed: int) -> Stage:
@@ -81,7 +78,7 @@ def random_flight(seed: int) -> Stage:
 def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     """A stage, or None if it would be over before it has begun."""
     obstacle = _obstacle(rng)
-    script, height = _script(rng, obstacle, stops=plan == "stop")
+    script, height = _script(rng, obstacle.height_m, stops=plan == "stop")
     start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
     turned = rng.uniform(-6.0, 6.0)
     free = fly(script, position_m=start, yaw_deg=turned, seed=seed)
@@ -142,12 +139,11 @@ def _obstacle(rng: Rng) -> _Obstacle:
     def build(at_m: tuple[float, float], yaw_deg: float) -> list[Body]:
         return furniture(piece, looks, spot(at_m, yaw_deg, scale))
 
-    return _Obstacle(name, build, scale * low_m, scale * high_m)
+    return _Obstacle(name, build, rng.uniform(scale * low_m, scale * high_m))
 
 
-def _script(rng: Rng, obstacle: _Obstacle, *, stops: bool) -> tuple[list[Phase], float]:
+def _script(rng: Rng, height: float, *, stops: bool) -> tuple[list[Phase], float]:
     """What is to be flown, and the height of the camera at the start."""
-    height = rng.uniform(obstacle.low_m, obstacle.high_m)
     tilt = rng.uniform(5.0, 14.0)
     script = [hover(rng.uniform(0.3, 1.0))]
     if rng.random() < 0.2:
@@ -178,7 +174,8 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
     sides = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     widest = max([np.abs(track[:, 1]).max(), *(body.reach(sides).max() for body in guests)])
     if widest < _CORRIDOR_M / 2 - 0.2 and rng.random() < 0.4:
-        return corridor(rng, length_m=length, width_m=_CORRIDOR_M, guests=guests)
+        # As high as a pillar.
+        return corridor(rng, length_m=length, width_m=_CORRIDOR_M, height_m=2.8, guests=guests)
     width = max(5.2, 2.0 * widest + 2.2) + rng.uniform(0.0, 0.8)
     kind = cluttered_room if rng.random() < 0.7 else simple_room
     return kind(rng, length_m=length, width_m=width, guests=guests)

@@ -285,10 +285,15 @@ def simple_room(
 
 
 def corridor(
-    rng: Rng, *, length_m: float, width_m: float = 2.2, guests: Sequence[Body] = ()
+    rng: Rng,
+    *,
+    length_m: float,
+    width_m: float = 2.2,
+    height_m: float = 2.6,
+    guests: Sequence[Body] = (),
 ) -> Place:
     """A long and narrow place with doors and posters on both sides and lamps along it."""
-    furnishing = Furnishing(Hall((length_m, width_m, 2.6)), guests)
+    furnishing = Furnishing(Hall((length_m, width_m, height_m)), guests)
     for side, start in (("left", 0.4), ("right", 1.4)):
         names = [str(rng.choice(["door", "door", "poster"])) for _ in range(int(length_m))]
         furnishing.line(rng, side, names, (start, length_m - 0.2), depth_m=0.1, gap_m=(0.5, 1.3))

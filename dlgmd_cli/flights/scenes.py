@@ -25,7 +25,7 @@ from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.flights.textures import Rng
 from dlgmd_cli.parameters import nearest
 from dlgmd_cli.stimuli.base import Scene
-from dlgmd_cli.stimuli.looming import Approach, ApproachOptions, Ball, Cube
+from dlgmd_cli.stimuli.looming import Approach, ApproachOptions
 from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 
 NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
@@ -118,15 +118,15 @@ def _x(path: FlightPath, time_s: float) -> float:
 
 def _flat_scenes() -> Iterator[Scene[Any]]:
     """Plain objects on a plain background."""
-    yield Approach("looming-cube", "a cube that comes straight at the camera", Cube(), _LOOMING)
+    yield Approach("looming-cube", "a cube that comes straight at the camera", "cube", _LOOMING)
     yield Approach(
         "receding-cube",
         "a cube that goes straight away from the camera",
-        Cube(),
+        "cube",
         _RECEDING,
         recedes=True,
     )
-    yield Approach("looming-ball", "a ball that comes straight at the camera", Ball(), _LOOMING)
+    yield Approach("looming-ball", "a ball that comes straight at the camera", "ball", _LOOMING)
     yield Translation(
         "translating-cubes",
         "cubes that cross the picture, each at its own speed",

@@ -126,7 +126,7 @@ class Scene(ABC, Generic[OptionsT]):
     defaults : ClipOptions
         Its options, with their defaults.
     truth_type : type
-        The dataclass of what is so at a frame; its fields are the columns of the CSV.
+        The dataclass of the ground truth of a frame; its fields are the columns of the CSV.
     is_playable : bool
         Whether its video is to be one that most players show, rather than the same everywhere.
     has_record : bool
@@ -173,8 +173,8 @@ class Scene(ABC, Generic[OptionsT]):
 
     @abstractmethod
     def truth(self, options: OptionsT) -> Iterator[Any]:
-        """What is so at each frame, as a `truth_type`; NaN where nothing is defined."""
+        """The ground truth of each frame, as a `truth_type`; NaN where nothing is defined."""
 
     def record(self, options: OptionsT) -> dict[str, Any]:
-        """What is so of the clip as a whole, as YAML can hold it."""
+        """Facts about the clip as a whole, as YAML can hold them."""
         return {}

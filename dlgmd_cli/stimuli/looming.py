@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 from dlgmd_cli.stimuli.base import MAX_FRAMES, GreyImage, Scene, invalid, option
 from dlgmd_cli.stimuli.plain import (
@@ -15,6 +16,7 @@ from dlgmd_cli.stimuli.plain import (
     render,
 )
 
+Shape = Literal["cube", "ball"]
 MIN_METRES, MAX_METRES = 0.001, 10_000
 
 
@@ -37,47 +39,6 @@ class ApproachOptions(FlatOptions):
     distance_m: float = option(7.5, "--distance", MIN_METRES, MAX_METRES, unit="m")
 
 
-class Cube:
-    """A cube on the optical axis, seen face on; only its front face is in sight.
-
-    Sizes, and distances to the nearest point, are in m.
-    """
-
-    def angle(self, size: float, distance: float) -> float:
-        """Angular size in rad: 2 atan(s / 2d), across the face."""
-        return 2.0 * math.atan2(size, 2.0 * distance)
-
-    def angle_slope(self, size: float, distance: float) -> float:
-        """Its derivative with respect to the distance, in rad/m: -s / (d² + s²/4)."""
-        return -size / (distance**2 + size**2 / 4.0)
-
-    def patch(self, options: ApproachOptions, distance: float) -> Patch:
-        """Its projection on the picture: a square of side f s / d."""
-        side = options.focal_px * options.object_size_m / distance
-        return rectangle(options.shape, _middle(options), (side, side))
-
-
-class Ball:
-    """A ball of diameter s; its centre lies at D = d + s/2, behind its nearest point.
-
-    It is told what a `Cube` is.
-    """
-
-    def angle(self, size: float, distance: float) -> float:
-        """2 asin(R / D), with R = s / 2."""
-        return 2.0 * math.atan2(size / 2.0, _tangent(size, distance))
-
-    def angle_slope(self, size: float, distance: float) -> float:
-        """-2 R / (D sqrt(D² - R²))."""
-        return -size / ((distance + size / 2.0) * _tangent(size, distance))
-
-    def patch(self, options: ApproachOptions, distance: float) -> Patch:
-        """A disc of radius f R / sqrt(D² - R²): the outline is where sight touches the ball."""
-        size = options.object_size_m
-        radius = options.focal_px * (size / 2.0) / _tangent(size, distance)
-        return disc(options.shape, _middle(options), radius)
-
-
 class Approach(Scene[ApproachOptions]):
     """An object of one kind that moves along the optical axis at constant speed.
 
@@ -85,7 +46,7 @@ class Approach(Scene[ApproachOptions]):
     ----------
     name, description : str
         See `Scene`.
-    solid : Cube or Ball
+    solid : {"cube", "ball"}
         The kind of object.
     defaults : ApproachOptions
         See `Scene`.
@@ -99,7 +60,7 @@ class Approach(Scene[ApproachOptions]):
         self,
         name: str,
         description: str,
-        solid: Cube | Ball,
+        solid: Shape,
         defaults: ApproachOptions,
         *,
         recedes: bool = False,
@@ -133,19 +94,19 @@ class Approach(Scene[ApproachOptions]):
         return render(
             options,
             self.n_frames(options),
-            lambda index: [self._solid.patch(options, self._distance(options, index))],
+            lambda index: [_patch(self._solid, options, self._distance(options, index))],
         )
 
     def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
-        """What is so at each frame, from the geometry alone."""
+        """The ground truth of each frame, from the geometry alone."""
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance = self._distance(options, index)
-            slope = self._solid.angle_slope(options.object_size_m, distance)
+            slope = _angle_slope(self._solid, options.object_size_m, distance)
             yield FlatTruth(
                 index,
                 index / options.fps,
-                math.degrees(self._solid.angle(options.object_size_m, distance)),
+                math.degrees(_angle(self._solid, options.object_size_m, distance)),
                 math.degrees(slope * rate),
                 math.nan if self._recedes else distance / options.speed_m_s,
             )
@@ -156,12 +117,36 @@ class Approach(Scene[ApproachOptions]):
         return options.distance_m + (covered if self._recedes else -covered)
 
 
-def _middle(options: FlatOptions) -> tuple[float, float]:
-    """Where the optical axis meets the picture."""
+def _sight_m(shape: Shape, size: float, distance: float) -> float:
+    """How far away the object's outline is, in m: what it spans in the picture is f s / that.
+
+    Of a cube seen face on, it is the distance d of its front face. Of a ball, whose centre lies at
+    D = d + s/2, it is where sight touches it: sqrt(D² - R²), without cancellation.
+    """
+    return distance if shape == "cube" else math.sqrt(distance * (distance + size))
+
+
+def _angle(shape: Shape, size: float, distance: float) -> float:
+    """Angular size in rad: 2 atan(s / 2d) of a cube, 2 asin(R / D) of a ball."""
+    return 2.0 * math.atan2(size, 2.0 * _sight_m(shape, size, distance))
+
+
+def _angle_slope(shape: Shape, size: float, distance: float) -> float:
+    """Its derivative with respect to the distance, in rad/m.
+
+    It is -s / (d² + s²/4) of a cube, and -2 R / (D sqrt(D² - R²)) of a ball.
+    """
+    if shape == "cube":
+        return -size / (distance**2 + size**2 / 4.0)
+    return -size / ((distance + size / 2.0) * _sight_m(shape, size, distance))
+
+
+def _patch(shape: Shape, options: ApproachOptions, distance: float) -> Patch:
+    """Its projection on the picture: a square or a disc."""
+    size = options.object_size_m
+    span_px = options.focal_px * size / _sight_m(shape, size, distance)
     height, width = options.shape
-    return height / 2.0, width / 2.0
-
-
-def _tangent(size: float, distance: float) -> float:
-    """From the camera to where sight touches the ball: sqrt(D² - R²), without cancellation."""
-    return math.sqrt(distance * (distance + size))
+    middle = height / 2.0, width / 2.0
+    if shape == "cube":
+        return rectangle(options.shape, middle, (span_px, span_px))
+    return disc(options.shape, middle, span_px / 2.0)

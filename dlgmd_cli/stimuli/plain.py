@@ -53,7 +53,7 @@ class FlatOptions(ClipOptions):
 
 @dataclass(frozen=True)
 class FlatTruth:
-    """What is so at one frame of a flat scene."""
+    """The ground truth of one frame of a flat scene."""
 
     frame: int
     time_s: float

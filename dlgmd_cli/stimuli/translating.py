@@ -78,7 +78,7 @@ class Translation(Scene[TranslationOptions]):
         return render(options, n_frames, lambda index: _squares(options, index, n_frames))
 
     def truth(self, options: TranslationOptions) -> Iterator[FlatTruth]:
-        """What is so at each frame: nothing grows, and nothing comes closer.
+        """The ground truth of each frame: nothing grows, and nothing comes closer.
 
         The angular size is that of a square in the middle of the picture.
         """

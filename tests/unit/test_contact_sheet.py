@@ -58,7 +58,12 @@ def title(sheet):
 
 @pytest.fixture
 def synth(dlgmd, monkeypatch):
-    """Call `dlgmd synth quick --sheet`, with some seeds at fault."""
+    """Call `dlgmd synth quick --sheet`, with some seeds at fault; sheets are quickly drawn."""
+
+    def draw(sheet, path):
+        path.write_bytes(cv2.imencode(".png", np.hstack(sheet.images))[1].tobytes())
+
+    monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
 
     def call(*arguments, **faults):
         monkeypatch.setitem(SCENES, "quick", Quick(**faults))
@@ -146,16 +151,15 @@ def test_frames_are_shown_as_they_are_or_averaged_over_area():
 
 
 @pytest.mark.parametrize(
-    ("n", "shape", "name"),
+    ("n", "shape", "name", "phase"),
     [
-        (6, (270, 480), "flight"),
-        (12, (1080, 1920), "x" * 300),
-        (5, (640, 480), "flight"),
-        (1, (400, 16), "x" * 300),
-        (12, (16, 400), "flight"),
+        (6, (270, 480), "flight", ""),
+        (12, (1080, 1920), "x" * 300, "a phase of many words, and some more words"),
+        (5, (640, 480), "flight", "hover"),
+        (1, (400, 16), "x" * 300, "hover"),
+        (12, (16, 400), "flight", "a phase of many words, and some more words"),
     ],
 )
-@pytest.mark.parametrize("phase", ["", "a phase of many words, and some more words"])
 def test_words_neither_overlap_nor_leave_the_figure(n, shape, name, phase):
     figure = plot_contact_sheet(make_sheet(n, shape, collision=n - 1, phase=phase, name=name))
     assert figure.get_size_inches()[0] <= 7.17 and figure.get_size_inches()[1] < 9.5  # of a page

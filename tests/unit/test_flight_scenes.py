@@ -47,13 +47,6 @@ def test_options_out_of_range(scene, flag, value):
         scene.configure({flag: value})
 
 
-def test_defaults_of_the_camera():
-    options = FlightOptions()
-    assert (options.fov_deg, options.exposure_ms, options.rolling_shutter_ms) == (80.0, 0.0, 0.0)
-    assert (options.noise, options.shot_noise) == (0.002, 0.01)
-    assert (options.vignette, options.gamma) == (0.3, 2.2)
-
-
 def test_options_of_flat_scenes_are_none_of_a_flight(scene):
     with pytest.raises(ParameterError, match=r"^--contrast: quick has no such option\. It takes "):
         scene.configure({"--contrast": 0.5})
@@ -124,15 +117,6 @@ def test_phases_are_those_of_the_truth(scene, fps):
         for _ in range(phase["first_frame"], phase["last_frame"] + 1)
     ]
     assert spelled_out == [row.phase for row in scene.truth(options)]
-
-
-def test_phases_have_no_gaps(scene):
-    phases = scene.record(scene.configure({"--fps": 30.0}))["phases"]
-    assert phases == [
-        {"name": "hover", "first_frame": 0, "last_frame": 5},
-        {"name": "cruise", "first_frame": 6, "last_frame": 8},
-        {"name": "hover", "first_frame": 9, "last_frame": 18},
-    ]
 
 
 def test_a_scene_goes_to_other_processes_without_what_it_built(scene):

@@ -232,6 +232,14 @@ def test_one_that_fails_keeps_the_others(synth):
     assert synth().exit_code == 0 and labels() == LABELS_OF_4
 
 
+def test_what_a_killed_process_left_is_removed(synth):
+    (OUT / ".dlgmd-abc").mkdir(parents=True)
+    (OUT / ".dlgmd-abc" / "video.mp4").touch()
+    (OUT / ".dlgmd-quick-0001.csv").touch()
+    assert synth(count=1).exit_code == 0
+    assert len(contents()) == 4
+
+
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
     assert result.exit_code == 1

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.flights import pictures, rooms, textures
-from dlgmd_cli.flights.bodies import Skin, block, skin, spot
+from dlgmd_cli.flights.bodies import Skin, block, spot
 from dlgmd_cli.flights.furniture import PICTURES, catalogue, furniture, furniture_at_wall
 from dlgmd_cli.flights.renderer.solids import Round, Solid
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.renderer.visibility import Order
 from dlgmd_cli.flights.shadows import shaded
-from dlgmd_cli.flights.textures import plain
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
@@ -24,12 +23,12 @@ SURFACES = {
     made.__name__: made
     for made in (
         *PICTURES.values(),
-        *(textures.plaster, textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
+        *(textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
         *(pictures.spines, pictures.ceiling_panels),
     )
     if made is not pictures.gridded
 }
-DRAWN = ("shelf", "cartons", "plant", "poster", "doorway")
+DRAWN = ("shelf", "cartons", "plant", "poster")
 GUESTS = tuple(furniture("chair", np.random.default_rng(0), spot((5.0, 0.0), 170.0)))
 
 
@@ -99,12 +98,6 @@ def test_surfaces_reflect_what_things_do_and_come_from_the_seed(name):
         assert small.std() > 0.012 * image.mean(), f"1/{times}"
 
 
-def test_tone_is_the_mean_of_a_material():
-    for made in (textures.plaster, textures.wood, textures.cloth, textures.concrete):
-        dark, bright = (made(seeded(), SIZE, 500.0, tone=tone).mean() for tone in (0.2, 0.5))
-        assert dark == pytest.approx(0.2, rel=0.15) and bright == pytest.approx(0.5, rel=0.15)
-
-
 def runs(line):
     """How many dark stretches there are along a line of pixels."""
     return sum(dark for dark, _ in groupby(line < 0.4))
@@ -151,18 +144,6 @@ def test_a_block_shows_each_side_where_it_is():
     assert lid.normals.tolist() == [[0, 0, 1]]
 
 
-def test_a_skin_that_is_cut_keeps_its_scale_and_runs_along_the_longer_side():
-    covered = skin(plain(0.3), (0.5, 2.0))
-    body = block("b", spot((0, 0)), (0, 0, 0), (0.1, 1.5, 0.2), covered, sides=("front", "left"))
-    front, left = body.faces
-    assert np.abs(front.down_m) == pytest.approx([0, 2.0, 0])
-    assert np.abs(front.right_m) == pytest.approx([0, 0, 0.5])
-    assert np.abs(left.down_m) == pytest.approx([0, 0, 2.0])
-    for face in (front, left):
-        on = (face.corners_m - face.origin_m) @ np.stack([face.right_m, face.down_m], axis=1)
-        assert on.min() >= -1e-9  # no corner is where the picture has nothing
-
-
 # Furniture
 
 
@@ -206,13 +187,6 @@ def test_shelves_side_by_side_are_told_apart():
     assert Order(both).is_exact
 
 
-def test_a_notebook_leans_back_on_its_hinge():
-    base, lid = furniture("notebook", seeded(), spot((0, 0)), detail=0.2)
-    screen = lid.faces[0]
-    assert screen.normal == pytest.approx([np.cos(np.radians(15)), 0, np.sin(np.radians(15))])
-    assert reach_m([lid])[1][2] == pytest.approx(reach_m([base])[0][2], abs=1e-3)
-
-
 def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
     def motion(time_s):
         return (0.0, time_s, 0.0)
@@ -230,12 +204,20 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
 
 
 def test_a_doorway_is_open():
-    left, right, lintel = furniture("doorway", seeded(), spot((4.0, 0.0)))
-    assert reach_m([left])[1][1] == pytest.approx(0.55)
-    assert reach_m([right])[0][1] == pytest.approx(-0.55)
-    assert reach_m([lintel])[1] == pytest.approx([4.0, -0.55, 2.1])
-    high, low = reach_m([left, right, lintel])
-    assert low == pytest.approx([4.0, -2.8, 0]) and high == pytest.approx([4.15, 2.8, 2.8])
+    parts = furniture("doorway", seeded(), spot((4.0, 0.0)))
+    high, low = reach_m(parts)
+    assert low == pytest.approx([3.99, -2.8, 0]) and high == pytest.approx([4.16, 2.8, 2.8])
+    for y, z, is_open in (
+        (0.0, 2.05, True),
+        (0.5, 0.1, True),
+        (0.6, 1.0, False),
+        (0.0, 2.15, False),
+    ):
+        inside = [
+            np.all((reach_m([part])[1] < (4.05, y, z)) & ((4.05, y, z) < reach_m([part])[0]))
+            for part in parts
+        ]
+        assert any(inside) != is_open
 
 
 # Rooms
@@ -259,16 +241,6 @@ def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
     assert sum(area_of(face) * face.normal for face in inside.faces) == pytest.approx(0, abs=1e-9)
     high, low = reach_m([inside])
     assert low == pytest.approx([0, -1.5, 0]) and high == pytest.approx([4, 1.5, 2.5])
-
-
-def test_what_walls_are_made_of_can_be_told():
-    plastered, bricked = (
-        rooms.room(rooms.Hall((3.0, 3.0, 2.5)), seeded(), wall=wall)
-        .faces[0]
-        .texture.image[200:400, 200:400]
-        for wall in ("plaster", "brick")
-    )
-    assert bricked.std() > 2.0 * plastered.std()
 
 
 def test_furniture_darkens_the_floor_and_the_wall_behind_it():

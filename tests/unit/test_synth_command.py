@@ -59,12 +59,6 @@ def test_all_options_arrive(dlgmd):
     assert Path("here", "looming-cube.csv").read_text().splitlines()[-1].startswith("2,0.2,")
 
 
-def test_every_speed_is_a_cube(dlgmd):
-    dlgmd("synth", "translating-cubes", *SMALL, "--lossless", "--speed", 1, "--speed", -2.5)
-    rows = (frames_of(Path("translating-cubes.avi"))[0] < 204).any(axis=1)
-    assert rows[12] and rows[36] and not rows[24]
-
-
 def test_noise_in_mpeg4_is_pointed_out(dlgmd):
     arguments = ["synth", "looming-cube", "--noise", "0.02", "--overwrite", *SMALL]
     assert dlgmd(*arguments).stderr == (
@@ -81,16 +75,6 @@ def test_a_flight_has_a_record_and_no_note_on_its_noise(dlgmd, monkeypatch):
     assert result.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
     monkeypatch.setitem(sys.modules, "av", None)
     assert dlgmd("synth", "quick", "--noise", 0.5, "--overwrite").stderr == ""
-
-
-def test_pictures(dlgmd):
-    result = dlgmd("synth", "looming-cube", "--png", "--lossless", "--size", "63x47", "--frames", 2)
-    assert result.stdout.split() == ["looming-cube", "looming-cube.csv"] and result.stderr == ""
-    pictures = sorted(Path("looming-cube").iterdir())
-    assert [path.name for path in pictures] == ["0000.png", "0001.png"]
-    assert cv2.imread(str(pictures[0]), cv2.IMREAD_UNCHANGED).shape == (47, 63)
-    refused = dlgmd("synth", "looming-cube", "--png")
-    assert refused.exit_code == 2 and "Error: looming-cube: it already exi" in refused.stderr
 
 
 def test_a_bar_counts_the_frames(dlgmd, monkeypatch):
@@ -158,15 +142,6 @@ def test_wrong_usage(dlgmd, arguments, message):
     assert result.exit_code == 2
     assert message in result.stderr and result.stdout == ""
     assert not Path("new").exists()
-
-
-def test_refuses_to_replace_files(dlgmd):
-    arguments = ["synth", "looming-cube", *SMALL]
-    assert dlgmd(*arguments).exit_code == 0
-    refused = dlgmd(*arguments)
-    assert refused.exit_code == 2
-    assert "looming-cube.mp4" in refused.stderr and "--overwrite" in refused.stderr
-    assert dlgmd(*arguments, "--overwrite").exit_code == 0
 
 
 def test_folder_that_cannot_be_made(dlgmd):
