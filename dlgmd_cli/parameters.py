@@ -10,7 +10,7 @@ import numbers
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from difflib import SequenceMatcher, get_close_matches
+from difflib import SequenceMatcher
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
@@ -174,12 +174,12 @@ class Parameters:
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The word of `known` that is most like `word`, the first of equals, or None."""
-    known = list(known)
-    word = word.lower()
-    close = get_close_matches(word, known, n=len(known))
-    return max(
-        close, key=lambda k: (SequenceMatcher(None, k, word).ratio(), -known.index(k)), default=None
-    )
+
+    def likeness(one: str) -> float:
+        return SequenceMatcher(None, one, word.lower()).ratio()
+
+    best = max(known, key=likeness, default="")
+    return best if likeness(best) >= 0.6 else None
 
 
 def shown(value: Any) -> str:
@@ -369,7 +369,7 @@ def load_preset(name: str | int) -> Config:
 
 
 def load_model_preset(model: str) -> Config:
-    """The published values of a model other than the D-LGMD; ParameterError if there are none."""
+    """The published values of a model other than the D-LGMD."""
     return load_config(presets_dir() / f"{model}.yaml")
 
 
@@ -410,13 +410,11 @@ def load_config(path: Path) -> Config:
     for key in document:
         if not isinstance(key, str):
             raise ParameterError(name, f"unknown parameter {shown(key)!r}", _SHOW_HINT)
-    words = {key: document.pop(key, None) for key in ("model", "engine")}
-    for key, word in words.items():
-        if word is not None and not isinstance(word, str):
-            raise ParameterError(name, f"{key} is not a name", _SHOW_HINT)
-    options = document.pop("options", None)
-    if options is not None and not isinstance(options, dict):
-        raise ParameterError(name, "options is not a mapping", _SHOW_HINT)
+    own = {key: document.pop(key, None) for key in ("model", "engine", "options")}
+    for key, value in own.items():
+        right, what = (dict, "a mapping") if key == "options" else (str, "a name")
+        if not isinstance(value, right | None):
+            raise ParameterError(name, f"{key} is not {what}", _SHOW_HINT)
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
     named = {"set": values.pop("set")} if "set" in values else {}
     if named:
@@ -424,7 +422,8 @@ def load_config(path: Path) -> Config:
             values = {**load_preset(shown(named["set"]).strip("'")).values, **values}
         except ParameterError as error:
             raise ParameterError(name, error.why, error.mend) from None
-    return Config(name, **words, values=values, options=options or {}, named=named)
+    own["options"] = own["options"] or {}
+    return Config(name, **own, values=values, named=named)
 
 
 _PLAIN = "Only plain numbers, true, false and names are read."
@@ -443,9 +442,8 @@ def _read(path: Path) -> str:
             data = file.read(MAX_CONFIG_BYTES + 1)
         size = max(path.stat().st_size, len(data))
         if size > MAX_CONFIG_BYTES:
-            raise ParameterError(
-                name, f"{size / 1e6:.1f} MB is too large for a configuration", _SHOW_HINT
-            )
+            why = f"{size / 1e6:.1f} MB is too large for a configuration"
+            raise ParameterError(name, why, _SHOW_HINT)
         return data.decode("utf-8")
     except UnicodeDecodeError:
         raise ParameterError(name, "it is not UTF-8 text", _SHOW_HINT) from None
@@ -470,13 +468,10 @@ def _parse(name: str, text: str) -> Any:
                 what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
                 raise ParameterError(name, f"{what[:200]} is not allowed", _PLAIN)
         return yaml.load(text, Loader=loader)
-    except yaml.constructor.ConstructorError as error:
-        problem = (error.problem or "it cannot be built").splitlines()[0][:200]
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ParameterError(name, f"{problem}{line}", _PLAIN) from None
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = f" in line {mark.line + 1}" if mark else ""
+        where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        if isinstance(error, yaml.constructor.ConstructorError):  # a key twice, or of no use as one
+            raise ParameterError(name, f"{str(error.problem)[:200]}{where}", _PLAIN) from None
         raise ParameterError(name, f"it is not valid YAML{where}", _SHOW_HINT) from None
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
         raise ParameterError(name, "it is not valid YAML", _SHOW_HINT) from None

@@ -218,7 +218,7 @@ class NumbaEngine:
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
         below = just_below(grouping.t_de) if grouping.t_de > 0.0 else -1.0
-        constants = tuple(map(np.float32, (grouping.gain, below, grouping.cap)))
+        constants = np.float32(grouping.gain), np.float32(below), np.float32(grouping.cap)
 
         def work(band: int, compute: Callable[..., tuple[float, float]]) -> tuple[float, float]:
             return compute(
