@@ -55,19 +55,19 @@ class Spec:
         return f"{self.low:g} to {self.high:g}"
 
 
-def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
+def _key(default: Any, *spec: Any, **choices: Any) -> Any:
     """A field of `Parameters`: its default and its `Spec`."""
-    return field(default=default, metadata={"spec": Spec(symbol, unit, meaning, **limits)})
+    return field(default=default, metadata={"spec": Spec(*spec, **choices)})
 
 
 def _t_mp(default: float) -> Any:
     """The threshold that every model has."""
-    return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
+    return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
 
 
 def _n_sp() -> Any:
     """The count that every model has."""
-    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", low=1, high=1000)
+    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
 class Parameters:
@@ -206,24 +206,20 @@ class DlgmdParameters(Parameters):
     preset: ClassVar[str] = "9"
     source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
 
-    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
-    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
-    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
-    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0.01, high=100)
-    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
-    r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
-    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=1e-12, high=100)
+    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", -10, 64)
+    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", 0, 100)
+    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", 0, 10)
+    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", 0.01, 100)
+    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", 0.01, 100)
+    r: int = _key(6, "r", "px", "radius of the kernels", 1, 32)
+    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", 0, 100)
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
     ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
-    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
-    m: float = _key(
-        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100
-    )
+    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
+    m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
-    kappa: float = _key(
-        0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
-    )
+    kappa: float = _key(0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = _key(
         *("default", "–", "–", "how delays that are not whole frames are rounded"),
         choices=FORMULATIONS,
@@ -260,20 +256,18 @@ class LgmdParameters(Parameters):
     # Its own normalisation is 1 / (1 + exp(-K / n_cell)), from 1/2 at rest.
     kappa = None
 
-    p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", low=-1, high=1)
-    p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", low=-1, high=1)
-    w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", low=0, high=100)
-    delta_c: float = _key(
-        0.01, "Δ_C", "grey levels", "least of the scale of grouping", low=1e-6, high=255
-    )
+    p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", -1, 1)
+    p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", -1, 1)
+    w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", 0, 100)
+    delta_c: float = _key(0.01, "Δ_C", "grey levels", "least of the scale of grouping", 1e-6, 255)
     c_omega: float = _key(
-        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", low=0.001, high=1000
+        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", 0.001, 1000
     )
-    c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", low=1e-6, high=100)
-    t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", low=0, high=1e6)
+    c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", 1e-6, 100)
+    t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", 0, 1e6)
     # At 25 it would switch the cell off through contact; 255 is never.
     t_ffi: float = _key(
-        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", low=0, high=255
+        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", 0, 255
     )
     t_mp: float = _t_mp(0.999)
     n_sp: int = _n_sp()
@@ -296,19 +290,15 @@ class EmdLgmdParameters(Parameters):
     preset: ClassVar[str] = "emd-lgmd"
     source: ClassVar[str] = "EMD-LGMD; after Bermudez i Badia, Pyk and Verschure, 2007"
 
-    tau_high: float = _key(
-        8.0, "τ_h", "frames", "time constant of the high-pass", low=0.01, high=1000
-    )
-    tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", low=0.01, high=1000)
-    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", low=0, high=1)
-    f_active: float = _key(
-        0.05, "F_a", "luminance", "change that makes a cell count", low=0, high=1
-    )
-    c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", low=0, high=100)
+    tau_high: float = _key(8.0, "τ_h", "frames", "time constant of the high-pass", 0.01, 1000)
+    tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", 0.01, 1000)
+    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", 0, 1)
+    f_active: float = _key(0.05, "F_a", "luminance", "change that makes a cell count", 0, 1)
+    c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
     kappa: float = _key(
-        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", low=1e-12, high=100
+        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
     )
 
 
