@@ -26,18 +26,14 @@ Window = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
-    """A part of the image, and the surroundings that its result depends on.
+    """A part of the image, `target`, with the surroundings it depends on, `window`.
 
-    `window` is the tile and its surroundings, and `target` the tile itself, both in the image;
-    `core` is the tile itself and `grouped` what its grouping looks at, both in `window`; `inner` is
-    the tile itself in `grouped`.
+    Both are places in the image; `core` is the place of the tile in `window`.
     """
 
     window: Window
     target: Window
     core: Window
-    grouped: Window
-    inner: Window
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -69,16 +65,14 @@ class OpencvEngine:
         s_sum = g_sum = 0.0
         for tile in self._tiles:
             height, width = tile.shape
-            s, part, spare = (m[: height * width].reshape(height, width) for m in self._memory)
-            self._summate(receptors, tile, s, part, spare)
+            s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
+            self._summate(receptors, tile, s, part, g)
             s_sum += cv2.sumElems(s[tile.core])[0]
-            around = part[tile.grouped]
-            sum_4x4(s[tile.grouped], out=around)
-            g = spare[tile.core]
-            _group(s[tile.core], around[tile.inner], grouping, g)
-            g_sum += cv2.sumElems(g)[0]
+            sum_4x4(s, out=part)
+            _group(s[tile.core], part[tile.core], grouping, g[tile.core])
+            g_sum += cv2.sumElems(g[tile.core])[0]
             if layers is not None:
-                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g
+                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
         return s_sum, g_sum
 
     def _summate(
@@ -133,17 +127,10 @@ def _spans(side: int, limit: int) -> list[tuple[int, int]]:
     return list(pairwise(side * i // count for i in range(count + 1)))
 
 
-def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, ...]:
+def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, slice, slice]:
     """The fields of a `Tile` along one side, for the cells `start` up to `stop`."""
-    first, last = max(0, start - BEFORE), min(side, stop + AFTER)
-    begin, end = max(0, first - radius), min(side, last + radius)
-    return (
-        slice(begin, end),
-        slice(start, stop),
-        slice(start - begin, stop - begin),
-        slice(first - begin, last - begin),
-        slice(start - first, stop - first),
-    )
+    begin, end = max(0, start - BEFORE - radius), min(side, stop + AFTER + radius)
+    return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
 def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
