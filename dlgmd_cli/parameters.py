@@ -512,14 +512,8 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 def merge(
     kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
 ) -> ParametersT:
-    """Defaults, then `config`, then `overrides`; errors name whichever is at fault.
-
-    Raises
-    ------
-    ParameterError
-        If a key is unknown or a value is not valid.
-    """
-    values = dict(config.values) if config else {}
+    """Defaults, then `config`, then `overrides`; a ParameterError names whichever is at fault."""
+    values = config.values if config else {}
     try:
         return kind.from_mapping({**values, **overrides})
     except ParameterError as error:

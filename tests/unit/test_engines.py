@@ -12,7 +12,6 @@ from reference import slow
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models import engines
-from dlgmd_cli.models.base import CACHE_LINE, aligned
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import just_below
 from dlgmd_cli.models.engines.opencv import TILE_HW, tiles
@@ -93,14 +92,6 @@ def test_what_is_no_number_is_not_hidden(loops, engine):
     assert math.isfinite(responses[8].s_sum)  # it has left the history
 
 
-def test_memory_starts_at_a_cache_line():
-    for shape in ((1,), (7, 3), (2, 5, 9)):
-        for dtype in (np.uint8, np.float32):
-            memory = aligned(shape, dtype)
-            assert memory.shape == shape and memory.dtype == dtype and memory.flags.c_contiguous
-            assert memory.ctypes.data % CACHE_LINE == 0
-
-
 @pytest.mark.parametrize("threshold", [1e-30, 0.1, 0.25, 1 / 3, 0.3, 1.0, 7.25])
 def test_just_below_turns_greater_into_at_least(threshold):
     below = just_below(threshold)
@@ -160,15 +151,6 @@ def test_compilation_is_announced_once(loops):
             start_event("numba:compile")
             end_event("numba:compile")
     assert len(told) == 1 and "Compiling the numba engine" in told[0]
-
-
-def test_nothing_is_announced_without_compilation(loops):
-    answers("numba", scene(20, 20))
-    told = []
-    model = DLGMD(engine="numba", tell=told.append)
-    for frame in scene(20, 20):
-        model.step(frame)
-    assert told == []
 
 
 @pytest.mark.parametrize(

@@ -35,19 +35,10 @@ class Engine(Protocol):
         grouping: Grouping,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame, in units of luminance.
+        """ΣS and ΣG of the newest frame, in units of luminance; S and G into `layers`, (H, W).
 
-            S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
-            G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
-
-        Parameters
-        ----------
-        receptors : Photoreceptors
-            With P(t) and as many before it as the largest delay.
-        grouping : Grouping
-            Constants of this frame's grouping layer.
-        layers : (ndarray, ndarray), optional
-            Filled with S and G; shape (H, W) float32 each.
+        S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
+        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
         """
         ...
 
@@ -55,23 +46,10 @@ class Engine(Protocol):
 def choose_engine(
     name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
 ) -> str:
-    """Resolve `auto` to the engine that suits the size; any other name stays as it is.
+    """Resolve `auto` to the engine that suits `n_cells` = H · W; other names stay as they are.
 
-    Parameters
-    ----------
-    name : str
-        One of `ENGINES`, or `auto`.
-    n_cells : int
-        H · W of the frames.
-    tell : callable, optional
-        Called with a message if Numba would suit the size but cannot be loaded.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such engine.
-    MissingExtraError
-        If the package that it needs is not installed.
+    Raises ParameterError if there is no such engine, and MissingExtraError if the package that it
+    needs is not there. `tell` is called if Numba would suit the size but cannot be loaded.
     """
     if name not in (*ENGINES, AUTO):
         raise ParameterError(

@@ -297,7 +297,7 @@ def _places(
 
 
 def _zeros(size: int) -> npt.NDArray[np.float32]:
-    """Zeros on a cache line, with room for what a vector reads beyond the end."""
+    """Zeros on a cache line."""
     memory = aligned((size,))
     memory[:] = 0.0
     return memory
