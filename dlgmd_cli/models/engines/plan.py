@@ -38,7 +38,8 @@ DFT_COST = 11.3  # filter2D beyond 11 x 11, where OpenCV turns to the Fourier tr
 MAX_TAPS_SIDE = 11
 # Loops: what it costs to convert one more image or difference, in loads per pixel.
 IMAGE_COST = 4.0
-MAX_TAPS = 15  # of one sum
+# Of one sum. Numba's cache does not notice a change here: change engines/numba.py with it.
+MAX_TAPS = 15
 
 
 class Source(NamedTuple):
@@ -204,7 +205,7 @@ def sources_of(sums: list[Sum]) -> list[Source]:
 
 
 def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
-    """Sums for kernels on the frames that `layout` says."""
+    """Sums for kernels on the frames that `layout` says: staircases, products, and taps."""
     sums: list[Sum] = []
     along: Sum = []
     stairs: dict[int, list[Staircase]] = defaultdict(list)
