@@ -65,27 +65,30 @@ _total = _unrolled(MAX_TAPS)
 
 
 @njit(**_OPTIONS)
-def _subtract(out, newer, older):
-    """A row of the difference of two images, as float32."""
-    for x in range(out.size):
-        out[x] = np.float32(newer[x]) - np.float32(older[x])
+def _read_row(out, start, stack, newer, older, y):
+    """A row of one image as float32, less that of another unless `older` is -1."""
+    a, b, row = np.uint64(newer), np.uint64(max(older, 0)), np.uint64(y)
+    if older < 0:
+        for i in range(stack.shape[2]):
+            x = np.uint64(i)
+            out[start + x] = np.float32(stack[a, row, x])
+    else:
+        for i in range(stack.shape[2]):
+            x = np.uint64(i)
+            out[start + x] = np.float32(stack[a, row, x]) - np.float32(stack[b, row, x])
 
 
 @njit(**_OPTIONS)
 def _read(memory, stack, newer, older, shape, top, first_new):
-    """The rows of a block that are new, of every source; an image -1 is black."""
+    """The rows of a block that are new, of every source."""
     radius, n_rows, stride = shape
-    _, height, width = stack.shape
     depth = 2 * radius + n_rows
-    black = np.zeros(width, stack.dtype)
     for q in range(newer.size):
         for row in range(first_new, depth):
             y, at = top - radius + row, (q * depth + row) * stride
-            if 0 <= y < height:
-                inside = memory[at + 1 + radius : at + 1 + radius + width]
-                _subtract(
-                    inside, stack[newer[q], y], stack[older[q], y] if older[q] >= 0 else black
-                )
+            if 0 <= y < stack.shape[1]:
+                start = np.uint64(at + 1 + radius)
+                _read_row(memory, start, stack, newer[q], older[q], y)
             else:
                 memory[at : at + stride] = 0.0
 
