@@ -21,7 +21,7 @@ from dlgmd_cli.results.layers import LayerSheet
 
 _WIDTH_IN = width_in("two")
 # In inches: a tile at most, and beside the tiles the names, the colour bars and the titles.
-_MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.1, 0.65
+_MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.25, 0.65
 # Between tiles, as a share of their width.
 _GAP = 0.06
 
@@ -55,6 +55,12 @@ def plot_layers(sheet: LayerSheet) -> Figure:
         _write_titles(grid[0], sheet)
         label = plain(sheet.label, 30 if n_frames < 3 else 80)
         figure.suptitle(label, color=GREY, fontsize=7)
+        # The tiles' proportions move what the layout was made for: it is made twice, and leaves
+        # some room on the left.
+        left = 0.08 / figure.get_figwidth()
+        layout: Any = figure.get_layout_engine()
+        layout.set(rect=(left, 0, 1 - left, 1))
+        figure.draw_without_rendering()
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # everything stays where it is
         for picture in (picture for axes in grid[1:] for picture in axes.get_images()):

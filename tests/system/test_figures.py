@@ -141,7 +141,7 @@ def test_one_active_cell_of_many_is_visible(shape):
 @pytest.mark.parametrize(
     ("n", "shape"),
     [
-        *[(1, (270, 480)), (5, (480, 270)), (12, (270, 480))],
+        *[(1, (270, 480)), (3, (480, 270)), (5, (480, 270)), (12, (270, 480))],
         *[(1, (400, 4)), (5, (4, 400)), (1, (1, 1))],
     ],
 )
@@ -156,6 +156,7 @@ def test_sizes_and_proportions(n, shape):
             assert box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
             if min(box.width, box.height) > 1.5:
                 assert box.width / box.height == pytest.approx(shape[1] / shape[0], rel=1e-3)
+    assert all(axes.yaxis.label.get_window_extent().x0 >= 0 for axes in rows(figure))
     labels = [*rows(figure)[0].get_xticklabels(), figure._suptitle]
     boxes = [label.get_window_extent() for label in labels]
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
