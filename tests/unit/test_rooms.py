@@ -15,7 +15,6 @@ from dlgmd_cli.flights.furniture import PICTURES, catalogue, furniture, furnitur
 from dlgmd_cli.flights.renderer.solids import Round, Solid
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.renderer.visibility import Order
-from dlgmd_cli.flights.shadows import shaded
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
@@ -197,10 +196,10 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
     high, low = reach_m(walker)
     assert high[2] == pytest.approx(1.75, abs=0.03) and low[2] == pytest.approx(0, abs=0.03)
     floor, light = rooms.Hall((4.0, 4.0, 2.5)).walls()["floor"], np.ones((100, 100), np.float32)
-    bare = shaded(light, floor, [])
-    assert np.array_equal(shaded(light, floor, walker), bare)
+    bare = rooms.shaded(light, floor, [])
+    assert np.array_equal(rooms.shaded(light, floor, walker), bare)
     at_rest = furniture("person", seeded(), spot((2.0, 0.0)))
-    assert shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
+    assert rooms.shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
 
 
 def test_a_doorway_is_open():
@@ -249,7 +248,7 @@ def test_furniture_darkens_the_floor_and_the_wall_behind_it():
     stands = furniture("cupboard", seeded(), spot(*hall.stand("left", 1.0, 0.25)))
     light = np.ones((400, 400), np.float32)
     for side in ("floor", "left"):
-        bare, dark = (shaded(light, walls[side], bodies) for bodies in ([], stands))
+        bare, dark = (rooms.shaded(light, walls[side], bodies) for bodies in ([], stands))
         # The cupboard stands at x = 0.5 to 1.5 m and y = 1.5 to 2 m, and is 1.9 m high.
         rows, columns = np.nonzero(dark / bare < 0.75)
         assert (columns.min(), columns.max()) == pytest.approx((50, 149), abs=4)
