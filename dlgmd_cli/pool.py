@@ -90,7 +90,7 @@ def run_tasks(
         If no process lives long enough to begin a task.
     """
     waiting, n_broken = iter(tasks), 0
-    pool: Any = _new_pool(jobs)
+    pool: Any = _new_pool(function, jobs)
     running: dict[Any, TaskT] = {}
     try:
         while True:
@@ -121,17 +121,21 @@ def run_tasks(
                     raise WorkerError("", "worker processes end before they begin their work")
                 _end(pool)
                 waiting = chain(running.values(), chosen, waiting)
-                pool, running = _new_pool(jobs), {}
+                pool, running = _new_pool(function, jobs), {}
     finally:
         _end(pool)
 
 
-def _new_pool(jobs: int) -> Any:
-    """So many processes, which start with the first task."""
+def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
+    """So many processes, which start with the first task.
+
+    They get `function` as they start, so that they import what it needs before they take a task:
+    who is killed while it takes one would keep the others from theirs.
+    """
     return ProcessPool(
         max_workers=jobs,
         initializer=_begin,
-        initargs=(max(1, n_processors() // jobs),),
+        initargs=(max(1, n_processors() // jobs), function),
         context=multiprocessing.get_context("spawn"),
     )
 
@@ -173,7 +177,7 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(n_threads: int) -> None:
+def _begin(n_threads: int, function: Callable[..., Any]) -> None:
     """What every process of the pool does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):

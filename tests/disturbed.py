@@ -47,7 +47,7 @@ def fault_of_result(folder: Path):
 
 def faults_of(out: Path, truth=None):
     """What is wrong with all results below a folder; `truth` are the `files_of` whole ones."""
-    records = sorted(out.rglob(store.RUN)) if out.is_dir() else []
+    records = sorted(one for one in out.rglob(store.RUN) if one.is_file())
     faults = [fault for one in records if (fault := fault_of_result(one.parent))]
     for record in records:
         if truth is None or read_record(record)["complete"] is not True:
@@ -70,7 +70,7 @@ def files_of(folder: Path):
 
 def hidden_in(folder: Path):
     """What was left half written below a folder."""
-    return [path for path in folder.rglob(f"{store.PREFIX}*")]
+    return list(folder.rglob(f"{store.PREFIX}*"))
 
 
 def environment():

@@ -1,4 +1,4 @@
-"""Work on videos in which, by its name, one takes its process with it; see `runs.batch.run_video`."""
+"""Work on videos in which, by its name, one takes its process with it."""
 
 import os
 import signal

@@ -5,16 +5,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
 from dlgmd_cli.commands.options import FiniteRange, decoder_option, engine_option
 from dlgmd_cli.commands.progress import progress
-
-if TYPE_CHECKING:
-    from dlgmd_cli.runs.benchmark import Measurement
 
 TABLE_IV_SET = 7
 
@@ -109,11 +106,11 @@ def bench(
                 on_step=on_step,
                 tell=say,
             )
-        for warning in measured.warnings:
+        for warning in measured["warnings"]:
             warn(f"{input_path or 'the clip'}: {warning}")
         _show(measured, as_json=as_json)
         for file in files:
-            _write_csv(file, measured.rows)
+            _write_csv(file, measured["rows"])
     if csv_path is not None and not as_json:
         print_path(csv_path)
 
@@ -153,16 +150,11 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _show(measured: "Measurement", *, as_json: bool) -> None:
+def _show(measured: dict[str, Any], *, as_json: bool) -> None:
     """The table, and how long the whole takes compared with decoding alone."""
-    rows, alone_ms = measured.rows, measured.decoding_alone_ms
+    rows, alone_ms = measured["rows"], measured["decoding_alone_ms"]
     if as_json:
-        facts = {
-            "frames": measured.n_frames,
-            "decoder": measured.decoder,
-            "decoding_alone_ms": alone_ms,
-        }
-        print_json({**facts, "rows": rows})
+        print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
         return
     print_table(
         (
@@ -189,9 +181,9 @@ def _show(measured: "Measurement", *, as_json: bool) -> None:
         for row in rows
         if row["radius"] == rows[0]["radius"]
     )
-    width, height = measured.input_wh
+    width, height = measured["input_wh"]
     click.echo(
-        f"Decoding {measured.n_frames} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"per frame ({measured.decoder}). With r = {rows[0]['radius']}, the whole takes "
+        f"Decoding {measured['frames']} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
+        f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole takes "
         f"{shares}."
     )

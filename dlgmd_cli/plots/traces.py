@@ -114,9 +114,7 @@ def plot(
         )
         highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
         highest.spines["top"].set_visible(False)
-        entries: Entries = []
-        for axes, draw in zip(axes_of, draws, strict=True):
-            entries += draw(axes, traces, column)
+        found = [draw(axes, traces, column) for axes, draw in zip(axes_of, draws, strict=True)]
         timeline.label(axes_of[-1], axes_of[0] if not above else highest)
         if above:
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
@@ -129,8 +127,13 @@ def plot(
             axes.tick_params(axis="x", bottom=False)
         figure.align_ylabels(axes_of)
         figure.set_figheight(sum(above + heights) + _AXES_LABELS_IN)
-        add_legend(figure, list({label: (handle, label) for handle, label in entries}.values()))
+        add_legend(figure, _entries(found if kind != "spikes" else found[::-1]))
     return figure
+
+
+def _entries(found: list[Entries]) -> Entries:
+    """The entries of all panels, each once."""
+    return list({label: (handle, label) for some in found for handle, label in some}.values())
 
 
 def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:

@@ -71,10 +71,10 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     try:
         from upath import UPath
 
-        found = UPath(url.rstrip("/"))
+        found = UPath(url)
         if not found.fs or not found.path.strip("/"):
             raise ParameterError(url, "it names no folder", "Give one, as s3://bucket/results.")
-        return found
+        return UPath(url.rstrip("/"))
     except ImportError as error:
         raise MissingExtraError(
             url,
@@ -245,9 +245,11 @@ def names_in(folder: "Path | UPath") -> set[str]:
     """What a folder holds now; nothing if a bucket has no such folder."""
     if not is_url(str(folder)):
         return {path.name for path in folder.iterdir()}
-    folder.fs.invalidate_cache()  # type: ignore[union-attr]
+    bucket: Any = folder
+    bucket.fs.invalidate_cache()
     with suppress(FileNotFoundError):
-        return {path.name for path in folder.iterdir()}
+        paths = bucket.fs.ls(bucket.path, detail=False)
+        return {path.rstrip("/").rpartition("/")[2] for path in paths}
     return set()
 
 

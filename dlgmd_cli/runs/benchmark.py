@@ -28,26 +28,8 @@ MAX_KEPT, N_WARM = 24, 4
 
 
 @dataclass
-class Timing:
-    """One radius at one scale; times are in ms per frame, one for each repeat.
-
-    Attributes
-    ----------
-    params : DlgmdParameters
-        Of the model.
-    scale : float
-        Linear scale of the frames.
-    video : Video
-        The input at that scale.
-    core_ms : list of float
-        The model alone, on decoded frames.
-    whole_ms : list of float
-        A run as `dlgmd run` does it: decoding ahead of the model.
-    decode_ms : list of float
-        Decoding, grey, resizing, without the model.
-    engine : str
-        What computed the model.
-    """
+class _Timing:
+    """One radius at one scale; times are in ms per frame, one for each repeat."""
 
     params: DlgmdParameters
     scale: float
@@ -96,33 +78,6 @@ class Timing:
         }
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """A whole table, and what it is compared with: decoding every frame and nothing else.
-
-    Attributes
-    ----------
-    rows : list of dict
-        One a radius and scale: `radius` in px, `scale`, `width` and `height` of the processed
-        frames in px, `engine`; medians of `core_ms`, `decode_ms` and `whole_ms` per frame, and from
-        the last `frames_per_s` and `whole_s` for 120 frames; `paper_s`, what the paper reports for
-        120 frames, and `ratio`, how many times as fast this is, None where they are not known.
-    decoding_alone_ms : float
-        Decoding a frame, neither turned grey nor resized.
-    n_frames, input_wh, decoder
-        Of the input.
-    warnings : list of str
-        What is doubtful about it.
-    """
-
-    rows: list[dict[str, Any]]
-    decoding_alone_ms: float
-    n_frames: int
-    input_wh: tuple[int, int]
-    decoder: str
-    warnings: list[str]
-
-
 def measure(
     open_at: Callable[[float], Video],
     params: DlgmdParameters,
@@ -133,7 +88,7 @@ def measure(
     engine: str = "auto",
     on_step: Callable[[int], None] = lambda n_done: None,
     tell: Tell = lambda message: None,
-) -> Measurement:
+) -> dict[str, Any]:
     """Time runs of the model and their parts in turn, so that a slow moment hits all alike.
 
     Parameters
@@ -153,6 +108,17 @@ def measure(
     tell : callable, optional
         See `DLGMD`.
 
+    Returns
+    -------
+    dict
+        `frames`, `decoder`, `decoding_alone_ms` (a frame, neither turned grey nor resized),
+        `input_wh` in px, `warnings`, and `rows`, one per radius and scale: `radius` in px, `scale`,
+        `width` and `height` of the processed frames in px, `engine`; medians per frame of the model
+        alone on decoded frames (`core_ms`), of decoding with grey and resizing (`decode_ms`), and
+        of a run as `dlgmd run` does it (`whole_ms`), which gives `frames_per_s` and `whole_s` for
+        120 frames; `paper_s`, what the paper reports for these, and `ratio`, how many times as fast
+        this is, None where that is not known.
+
     Raises
     ------
     SourceError
@@ -165,7 +131,7 @@ def measure(
         first = videos[scales[0]]
         decode_ms: dict[float, list[float]] = {scale: [] for scale in scales}
         timings = [
-            Timing(replace(params, r=radius), scale, video, decode_ms[scale])
+            _Timing(replace(params, r=radius), scale, video, decode_ms[scale])
             for radius in radii
             for scale, video in videos.items()
         ]
@@ -180,14 +146,14 @@ def measure(
                 cancel.check()
                 n_done += 1
                 on_step(n_done)
-        return Measurement(
-            [timing.row() for timing in timings],
-            median(alone_ms),
-            first.progress.n_decoded,
-            (first.info.width, first.info.height),
-            first.info.decoder,
-            list(dict.fromkeys(first.progress.warnings)),
-        )
+        return {
+            "frames": first.progress.n_decoded,
+            "decoder": first.info.decoder,
+            "decoding_alone_ms": median(alone_ms),
+            "input_wh": (first.info.width, first.info.height),
+            "warnings": list(dict.fromkeys(first.progress.warnings)),
+            "rows": [timing.row() for timing in timings],
+        }
 
 
 def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:

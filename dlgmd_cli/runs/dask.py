@@ -127,8 +127,6 @@ def _work(
             why = "every worker that ran it was lost, as happens when memory runs out"
             mend = "Start fewer workers on a machine, or process smaller frames with --scale."
             yield task, Outcome(KILLED, error=WorkerError("", why, mend))
-        elif isinstance(error, OSError | MemoryError):  # what the worker's machine is short of
-            yield task, Outcome(FAILED, error=error)
         elif error is not None:
             why = " ".join(str(error).split())[:200]
             raise WorkerError(
@@ -137,13 +135,16 @@ def _work(
                 "Install the same versions of Python, dlgmd and Dask everywhere.",
             )
         else:
-            yield task, Outcome(DONE, _asked(scheduler, future.result, timeout=CONNECT_S))
+            yield task, _asked(scheduler, future.result, timeout=CONNECT_S)
 
 
-def _call(function: Callable[[TaskT], Any], task: TaskT) -> Any:
-    """One task, in a worker that shares its machine with others."""
+def _call(function: Callable[[TaskT], Any], task: TaskT) -> Outcome:
+    """How one task ended, in a worker that shares its machine with others."""
     limit_threads(1)
-    return function(task)
+    try:
+        return Outcome(DONE, function(task))
+    except Exception as error:
+        return Outcome(FAILED, error=error)
 
 
 def _connect(scheduler: str) -> Any:

@@ -191,7 +191,8 @@ def test_a_worker_killed_costs_one_video(long):
     moments, n_lost = random.Random(23), 0
     for _ in range(2 * N_SIGNALS):
         with started(*long.command(), cwd=long.folder) as process:
-            time.sleep(moments.uniform(0.6, 1.6))
+            wait_until(lambda: any(long.out.rglob(store.RUN)))
+            time.sleep(moments.uniform(0.0, 0.1))
             with suppress(ProcessLookupError, IndexError):
                 os.kill(workers_of(process.pid)[-1], signal.SIGKILL)
             _, said = process.communicate(timeout=PATIENCE_S)
@@ -333,16 +334,21 @@ def test_odd_names(tmp_path, clips):
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(clips / "loom.avi", path)
             made.append(os.fsdecode(name))
-    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--format", "png", "--jobs", "2"]
+    command = ["batch", str(tmp_path / "in"), "--out", str(out), "--no-plots", "--jobs", "2"]
     result = CliRunner().invoke(cli, command, prog_name="dlgmd")
     rows = rows_of(out)
     failed = {name: row["error"] for name, row in rows.items() if row["status"] != "done"}
     assert result.exit_code == 0 and not failed
     assert rows.keys() == {text_cell(name) for name in made}
-    assert faults_of(out) == [] and len(list(out.rglob(store.RUN))) == len(made)
+    assert faults_of(out) == []
     again = CliRunner().invoke(cli, command, prog_name="dlgmd")
     assert f"{len(made)} of {len(made)} videos are done already." in again.stderr
     assert sorted(os.listdir(tmp_path)) == ["in", "out"]
+    # As titles of plots, where a $ begins a formula, and not every letter has a shape.
+    for name in made:
+        if not set(name) & set("$\n\x1b\udcff"):
+            (tmp_path / "in" / name).unlink()
+    assert CliRunner().invoke(cli, [*command[:4], "--format", "png"]).exit_code == 0
 
 
 @pytest.mark.parametrize("where", ["behind a link", "among the videos"])

@@ -21,15 +21,16 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.errors import SourceError, printable
 from dlgmd_cli.parameters import MAX_CONFIG_BYTES
-from dlgmd_cli.results.cells import STARTS_FORMULA, cell, text_cell
-from dlgmd_cli.results.comparison import write_comparison
-from dlgmd_cli.results.files import fitting
-from dlgmd_cli.results.read import read_comparison
+from dlgmd_cli.results.csv import cell, text_cell, write_comparison
 from dlgmd_cli.results.record import yaml_text
+from dlgmd_cli.results.result import read_comparison
+from dlgmd_cli.results.store import fitting
 from dlgmd_cli.video.base import FFMPEG_OPTIONS
 from dlgmd_cli.video.frames import open_video
 from dlgmd_cli.video.opencv import guarded
-from tests.conftest import result_of_level
+
+pytestmark = pytest.mark.slow
+STARTS_FORMULA = "=+-@＝＋－＠﹦﹢﹣﹫−"
 
 # A title for the window, a C1 control, text that runs backwards, two ends of a line, no UTF-8.
 HOSTILE = "a\x1b]0;x\x07\x9b2J\u202eb\n\r" + os.fsdecode(b"\xff")

@@ -1,16 +1,12 @@
 """Annotations: what falls outside, how options are read, and where figures put them."""
 
-from itertools import combinations
-
 import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from figures import make_result
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from test_plots import make_result
 
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.plots.annotations import Annotations
@@ -132,30 +128,6 @@ def test_collisions_are_black_and_alarms_are_not():
     assert {"collision", "false positive", "pitching"} <= set(texts(figure))
     colours = [to_rgb(item.get_facecolor()[0]) for item in figure.axes[1].collections]
     assert sorted(colours) == [(0, 0, 0), (0, 0, 0), to_rgb(VERMILION)]  # two spans, the alarm
-
-
-@settings(max_examples=8, deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 39), st.text("abW i.$_", min_size=1, max_size=60)), max_size=9
-    ),
-    st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), max_size=4),
-    st.sampled_from(["one", "two"]),
-)
-def test_no_text_touches_another_or_leaves_the_figure(marks, spans, width):
-    annotations = Annotations(
-        tuple(marks), tuple((min(span), max(span), "as long as it takes") for span in spans), 24, 22
-    )
-    figure = plot("mp", {"a": make_result()}, annotations, width=width)
-    figure.draw_without_rendering()
-    strip = figure.axes[0]
-    extents = [text.get_window_extent() for text in strip.texts]
-    assert len(extents) == len(marks) + len(spans) + 2
-    assert not any(one.overlaps(other) for one, other in combinations(extents, 2))
-    top = strip.get_window_extent()
-    for box in extents:
-        assert box.x0 >= 0 and box.x1 <= figure.bbox.width
-        assert box.y0 >= top.y0 - 3 and box.y1 <= top.y1 + 3
 
 
 def test_a_line_passes_below_the_texts_that_it_would_cross():

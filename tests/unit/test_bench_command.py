@@ -71,7 +71,7 @@ def test_own_clip_is_compared_with_the_paper(dlgmd):
 
 def test_the_ratio_says_how_many_times_as_fast_as_the_paper():
     video = SimpleNamespace(info=SimpleNamespace(width=1920, height=1080), size_wh=(1920, 1080))
-    timing = benchmark.Timing(DlgmdParameters(r=6), 1.0, video, [3.0], [2.0], [7.65, 9.0, 1.0])
+    timing = benchmark._Timing(DlgmdParameters(r=6), 1.0, video, [3.0], [2.0], [7.65, 9.0, 1.0])
     row = timing.row()
     assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))
 

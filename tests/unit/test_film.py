@@ -119,17 +119,3 @@ def test_an_alarm_is_said_while_it_lasts(film):
 def test_the_header_changes_with_the_frame(film):
     headers = [film.picture(row, images(), images(), images())[:50, :500].copy() for row in (7, 8)]
     assert not np.array_equal(*headers)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1000, 4), (4, 1000), (480, 270)])
-@pytest.mark.parametrize("n", [1, 60])
-def test_any_shape_and_length(shape, n):
-    film = make_film(make_result(n), shape, label="$^{ \x07 飞" + "y" * 300)
-    for row in range(min(n, 3)):
-        assert film.picture(row, images(shape), images(shape, 1.0), images(shape)).any()
-
-
-@pytest.mark.parametrize("scale", [None, Scale.over(0.0, 0.0)])
-def test_nothing_to_scale(scale):
-    film = Film(make_result(normalise="sequence"), (54, 96), (scale, scale), UNITS)
-    assert film.picture(3, images(), images(), images()).shape == (HEIGHT, WIDTH, 3)

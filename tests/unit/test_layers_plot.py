@@ -1,41 +1,18 @@
 """The contact sheet: tiles, scales, titles, and that nothing active is lost in it."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from figures import UNITS, bars, hot, make_sheet, pixels, rows, tile_pixels
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.plots.heat import Scale, strongest
 from dlgmd_cli.plots.layers import plot_layers
-from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.results.layers import LayerSheet, write_npz
-
-UNITS = ("luminance", "luminance", "luminance²")
-
-
-def make_sheet(n=3, shape=(27, 48), *, label="", start=0):
-    """Frame k has one active cell in each layer, of strength k in P, 10k in S, 100k in G."""
-    layers = np.zeros((3, n, *shape), np.float32)
-    for k in range(n):
-        layers[:, k, shape[0] // 3, shape[1] // 4] = (k, 10 * k, 100 * k)
-    frame = start + 10 * np.arange(n)
-    grey = np.full((n, *shape), 0.25, np.float32)
-    return LayerSheet(frame, frame / 30, grey, *layers, UNITS, label)
-
-
-def rows(figure):
-    """The axes of the rows: input, P, S, G."""
-    return [axes for axes in figure.axes if not hasattr(axes, "_colorbar")]
-
-
-def bars(figure):
-    return [axes for axes in figure.axes if hasattr(axes, "_colorbar") and axes.get_visible()]
+from dlgmd_cli.results.layers import write_npz
 
 
 def titles(figure):
@@ -44,28 +21,6 @@ def titles(figure):
 
 def words(axes):
     return [text.get_text() for text in axes.texts]
-
-
-def pixels(figure):
-    """The figure as it is saved, (H, W, 3) in RGB order."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
-
-
-def tile_pixels(picture, image):
-    """The pixels of one tile, without its rim."""
-    box, height = image.get_window_extent(), picture.shape[0]
-    return picture[
-        round(height - box.y1) + 1 : round(height - box.y0) - 1,
-        round(box.x0) + 1 : round(box.x1) - 1,
-    ]
-
-
-def hot(shown):
-    """Where the strongest colour is."""
-    top = np.array(colormaps["inferno"](1.0)[:3]) * 255
-    return np.abs(shown - top).max(axis=2) < 2
 
 
 def test_a_row_a_layer_and_a_column_a_frame():
@@ -119,17 +74,6 @@ def test_all_zero_has_words_for_a_bar():
     assert np.abs(dark - np.array(colormaps["inferno"](0.0)[:3]) * 255).max() < 2
 
 
-@pytest.mark.parametrize(("shape", "width"), [((540, 960), "one"), ((500, 501), "two")])
-def test_one_active_cell_of_many_is_visible(shape, width):
-    figure = plot_layers(make_sheet(5, shape), width=width)
-    picture = pixels(figure)
-    for axes in rows(figure)[1:]:
-        hottest = hot(tile_pixels(picture, axes.get_images()[4]))
-        places = np.argwhere(hottest)
-        assert 1 <= len(places) <= 4
-        assert places.mean(axis=0) / hottest.shape == pytest.approx((1 / 3, 1 / 4), abs=0.04)
-
-
 @given(
     arrays(
         np.float32,
@@ -169,43 +113,6 @@ def test_painting_agrees_with_matplotlib():
         assert np.abs(painted - 255 * expected[:, :, :3]).max() < 8
     assert Scale.over(np.inf, -np.inf) is None
     assert Scale.of(np.full((2, 2), np.nan, np.float32)) is None
-
-
-@pytest.mark.parametrize("width", ["one", "two"])
-@pytest.mark.parametrize("shape", [(270, 480), (480, 270), (400, 4), (4, 400), (1, 1)])
-@pytest.mark.parametrize("n", [1, 5])
-def test_sizes_and_proportions(n, shape, width):
-    figure = plot_layers(make_sheet(n, shape, label="x" * 200), width=width)
-    figure_width, figure_height = figure.get_size_inches()
-    assert figure_width <= {"one": 3.5, "two": 7.16}[width] + 1e-9
-    assert figure_height < 9.5  # of a page
-    for axes in rows(figure):
-        for image in axes.get_images():
-            box = image.get_window_extent()
-            assert box.x0 >= -1 and box.y0 >= -1
-            assert box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
-            if min(box.width, box.height) > 1.5:
-                assert box.width / box.height == pytest.approx(shape[1] / shape[0], rel=1e-3)
-
-
-@pytest.mark.parametrize(("n", "start", "width"), [(3, 12345, "one"), (12, 0, "two")])
-def test_titles_neither_overlap_nor_leave_the_figure(n, start, width):
-    figure = plot_layers(make_sheet(n, (270, 480), start=start, label="flight"), width)
-    labels = [*rows(figure)[0].get_xticklabels(), figure._suptitle]
-    boxes = [label.get_window_extent() for label in labels]
-    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
-    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
-    for axes in bars(figure):
-        box = axes.get_tightbbox()
-        assert box.x1 <= figure.bbox.x1 + 1 and box.y0 >= -1
-
-
-@pytest.mark.parametrize("suffix", ["png", "svg"])
-def test_any_name_can_be_drawn_and_files_are_the_same_every_time(suffix, tmp_path):
-    for name in "ab":
-        figure = plot_layers(make_sheet(2, label="$x^{$ · \x07\n" + "y" * 500))
-        save_figure(figure, tmp_path / f"{name}.{suffix}")
-    assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
 def test_arrays_come_back(tmp_path):

@@ -1,60 +1,22 @@
 """Figures over time and of kernels: what is drawn, where, and that they can be written."""
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import matplotlib
 import numpy as np
 import pytest
 from conftest import result_of_level
+from figures import NAN, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
-from dlgmd_cli.plots.annotations import Annotations, Timeline
+from dlgmd_cli.plots.annotations import Timeline
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files, save_figure
-from dlgmd_cli.plots.traces import KINDS, LOOKS, MAX_POINTS, plot, stretches, thinned
+from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
 
-NAN = np.nan
 WIDTHS_IN = {"one": 3.5, "two": 7.16}
-EVERY = pytest.mark.parametrize("kind", KINDS)
-
-
-def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
-    """Spikes at rows 20 to 24 and alarms from row 21 on; nothing passes at rows 10 to 12."""
-    level = np.full(n, 0.1)
-    level[:3] = NAN
-    level[20:25] = [0.5, 0.6, 0.9, 0.7, 0.45]
-    attenuation = np.linspace(-30, -5, n)
-    attenuation[:3] = NAN
-    attenuation[10:13] = -np.inf
-    attenuation[30:31] = NAN
-    times, frames = start_s + np.arange(n) / 10, np.arange(n) * frame_step
-    return result_of_level(
-        level * scale, time_s=times, frame=frames, attenuation_db=attenuation, **options
-    )
-
-
-def part(result, rows):
-    return result_of_level(
-        result.mp_abs[rows],
-        time_s=result.time_s[rows],
-        frame=result.frame[rows],
-        attenuation_db=result.attenuation_db[rows],
-    )
-
-
-def long_result(n=20_000):
-    level = 0.2 + 0.1 * np.sin(np.arange(n) / 11)
-    level[n // 4 : n // 3] = NAN
-    level[[0, n // 16, n // 3 - 100, n - 1]] = [0.91, 0.92, 0.93, 0.94]
-    attenuation = -40 * level
-    attenuation[n // 2] = -np.inf
-    return result_of_level(level, time_s=np.arange(n) / 30, attenuation_db=attenuation)
-
-
-def legend(figure):
-    return [text.get_text() for item in figure.legends for text in item.get_texts()]
 
 
 def handles(figure):
@@ -65,15 +27,6 @@ def handles(figure):
 def curve(axes, place=0):
     """The values of the line of a result, NaN included."""
     return [line for line in axes.get_lines() if line.get_marker() != "."][place].get_ydata()
-
-
-def frame_axis(figure):
-    (top,) = [child for axes in figure.axes for child in axes.child_axes]
-    return top
-
-
-def boxes(texts):
-    return [text.get_window_extent() for text in texts if text.get_text()]
 
 
 def test_one_result_shows_level_threshold_spikes_and_alarm():
@@ -212,29 +165,6 @@ def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
     assert len(looks) == 30
 
 
-@EVERY
-@pytest.mark.parametrize("width", WIDTHS_IN)
-def test_nothing_is_covered_or_cut_off(kind, width):
-    results = {f"{number} {'long name ' * 9}"[:60]: make_result() for number in range(6)}
-    figure = plot(kind, results, Annotations(((3, "a mark"),)), width=width)
-    figure.draw_without_rendering()
-    assert figure.get_figwidth() == WIDTHS_IN[width]
-    (item,) = figure.legends
-    box = item.get_window_extent()
-    assert box.x0 >= 0 and box.x1 <= figure.bbox.width + 1 and box.y1 <= figure.bbox.height + 1
-    assert len(item.get_texts()) >= 6 and len(set(legend(figure))) == len(legend(figure))
-    top = frame_axis(figure)
-    assert all(text.y1 <= box.y0 + 3 for text in boxes([top.xaxis.label, *top.get_xticklabels()]))
-    for axes in figure.axes:
-        tight = axes.get_tightbbox()
-        assert tight.x0 >= -1 and tight.y0 >= -1 and tight.x1 <= figure.bbox.width + 1
-    for upper, lower in combinations(figure.axes, 2):
-        assert upper.get_position().y0 >= lower.get_position().y1
-    for axis in (figure.axes[-1].xaxis, top.xaxis):
-        labels = boxes(axis.get_ticklabels())
-        assert len(labels) > 2 and all(one.x1 < other.x0 for one, other in pairwise(labels))
-
-
 def test_labels_are_drawn_as_they_are_written():
     names = ["_hidden", "$x^2$", "two\nlines", "bell\a", "\udcff", "x" * 99]
     figure = plot("mp", dict.fromkeys(names, make_result()))
@@ -319,28 +249,6 @@ def test_a_long_result_loses_no_spike():
     assert len(thinned(np.full(3_000, 5.0), np.arange(3_000.0))[1]) == 1
 
 
-@EVERY
-def test_every_kind_of_result_can_be_drawn(kind, tmp_path):
-    whole = make_result()
-    single, undefined = part(whole, slice(3, 4)), part(whole, slice(0, 2))
-    mixture = [whole, single, undefined, long_result(2_500)]
-    for results in ([single], [undefined], mixture):
-        labelled = {str(place): result for place, result in enumerate(results)}
-        figure = plot(kind, labelled, Annotations(((1, "x"),), ((0, 3, "y"),), 2, 3))
-        save_figure(figure, tmp_path / "x.svg")
-        assert (tmp_path / "x.svg").stat().st_size > 1000
-
-
-@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
-def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
-    noisy = np.random.default_rng(0).random(20_000)
-    result = result_of_level(noisy, attenuation_db=-noisy)
-    for name in ("a", "b"):
-        save_figure(plot("spikes", {"a": result}), tmp_path / f"{name}.{suffix}")
-    data = (tmp_path / f"a.{suffix}").read_bytes()
-    assert data == (tmp_path / f"b.{suffix}").read_bytes() and len(data) < 400_000
-
-
 def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
     drawn = []
 
@@ -381,18 +289,3 @@ def test_kernels_have_a_panel_each_and_one_scale_of_strength(formulation):
     limits = {axes.images[0].get_clim() for axes in maps[:-1]}
     assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
     assert maps[-1].images[0].get_clim()[0] == 0.0
-
-
-@pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
-def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
-    figure = kernels_figure(number, r=radius)
-    if number == 1:
-        (latency,) = [axes for axes in figure.axes if "Latency" in axes.get_title()]
-        assert [text.get_text() for text in latency.texts] == ["only 1"]
-    for axes in figure.axes:
-        box = axes.get_tightbbox()
-        assert box is None or (box.x0 >= -1 and box.x1 <= figure.bbox.width + 1)
-        assert box is None or (box.y0 >= -1 and box.y1 <= figure.bbox.height + 1)
-    feet = [axes.xaxis for axes in figure.axes if axes.get_xlabel()]
-    labels = [box for axis in feet for box in boxes(axis.get_ticklabels())]
-    assert not any(one.overlaps(other) for one, other in combinations(labels, 2))

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from figures import NAN, attenuation, axis, legend, result_of
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import LogNorm, TwoSlopeNorm
 
-from dlgmd_cli.parameters import DlgmdParameters
-from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.plots.sweeps import (
     IMPOSSIBLE,
     INFINITE,
@@ -16,24 +15,8 @@ from dlgmd_cli.plots.sweeps import (
     edges,
     plot_sweep,
 )
-from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 
-NAN, INF = np.nan, np.inf
-
-
-def axis(text):
-    return Axis.parse(text, DlgmdParameters)
-
-
-def result_of(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
-    grid = Grid(axis(x), axis(y))
-    columns = {key: np.array(c, dtype=float).reshape(-1, *grid.shape) for key, c in columns.items()}
-    there = np.ones(grid.shape, dtype=bool) if possible is None else np.array(possible, dtype=bool)
-    return SweepResult(grid, tuple(speeds), columns, there, set(range(len(grid))))
-
-
-def attenuation(values, speeds=(1.0,), **options):
-    return result_of({"attenuation_db": values}, speeds=speeds, **options)
+INF = np.inf
 
 
 def maps(figure):
@@ -54,10 +37,6 @@ def marked(axes, look):
         if isinstance(collection, PolyCollection) and (collection.get_hatch() or "") == look.hatch
         for path in collection.get_paths()
     )
-
-
-def legend(figure):
-    return [text.get_text() for one in figure.legends for text in one.get_texts()]
 
 
 @pytest.mark.parametrize(
@@ -165,26 +144,3 @@ def test_a_panel_a_measure():
 )
 def test_labels_are_symbols_with_units(text, label):
     assert axis_name(axis(text)) == label
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "values"),
-    [
-        ("r=4", "a=1", [NAN]),
-        ("r=4", "a=1", [0.0]),
-        ("r=4", "a=1:3:1", [-INF, -INF, -INF]),
-        ("formulation=default,equations", "ffi_gd=true,false", [1e-30, 2.0, 1e30, NAN]),
-        ("kappa=1e-6,1e-3,1", "a=1", [-1.0, -1.0, -1.0]),
-    ],
-)
-def test_every_grid_can_be_drawn(tmp_path, x, y, values):
-    save_figure(plot_sweep(attenuation(values, x=x, y=y)), tmp_path / "sweep.svg")
-    assert (tmp_path / "sweep.svg").stat().st_size > 1000
-
-
-def test_a_large_grid_makes_no_large_file(tmp_path):
-    values = np.random.default_rng(1).normal(size=10_000)
-    values[::3] = NAN
-    result = attenuation(values, x="a=0.1:10:0.1", y="sigma_e=0.1:10:0.1")
-    save_figure(plot_sweep(result), tmp_path / "sweep.png")
-    assert (tmp_path / "sweep.png").stat().st_size < 1e6

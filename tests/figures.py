@@ -1,0 +1,115 @@
+"""Results, sheets and sweeps to draw, and what tests of figures look at."""
+
+import numpy as np
+from conftest import result_of_level
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.results.layers import LayerSheet
+from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
+
+NAN = np.nan
+UNITS = ("luminance", "luminance", "luminance²")
+
+
+def make_result(n=40, *, frame_step=1, start_s=0.0, scale=1.0, **options):
+    """Spikes at rows 20 to 24 and alarms from row 21 on; nothing passes at rows 10 to 12."""
+    level = np.full(n, 0.1)
+    level[:3] = NAN
+    level[20:25] = [0.5, 0.6, 0.9, 0.7, 0.45]
+    attenuation = np.linspace(-30, -5, n)
+    attenuation[:3] = NAN
+    attenuation[10:13] = -np.inf
+    attenuation[30:31] = NAN
+    times, frames = start_s + np.arange(n) / 10, np.arange(n) * frame_step
+    return result_of_level(
+        level * scale, time_s=times, frame=frames, attenuation_db=attenuation, **options
+    )
+
+
+def part(result, rows):
+    return result_of_level(
+        result.mp_abs[rows],
+        time_s=result.time_s[rows],
+        frame=result.frame[rows],
+        attenuation_db=result.attenuation_db[rows],
+    )
+
+
+def long_result(n=20_000):
+    level = 0.2 + 0.1 * np.sin(np.arange(n) / 11)
+    level[n // 4 : n // 3] = NAN
+    level[[0, n // 16, n // 3 - 100, n - 1]] = [0.91, 0.92, 0.93, 0.94]
+    attenuation = -40 * level
+    attenuation[n // 2] = -np.inf
+    return result_of_level(level, time_s=np.arange(n) / 30, attenuation_db=attenuation)
+
+
+def legend(figure):
+    return [text.get_text() for item in figure.legends for text in item.get_texts()]
+
+
+def frame_axis(figure):
+    (top,) = [child for axes in figure.axes for child in axes.child_axes]
+    return top
+
+
+def boxes(texts):
+    return [text.get_window_extent() for text in texts if text.get_text()]
+
+
+def make_sheet(n=3, shape=(27, 48), *, label="", start=0):
+    """Frame k has one active cell in each layer, of strength k in P, 10k in S, 100k in G."""
+    layers = np.zeros((3, n, *shape), np.float32)
+    for k in range(n):
+        layers[:, k, shape[0] // 3, shape[1] // 4] = (k, 10 * k, 100 * k)
+    frame = start + 10 * np.arange(n)
+    grey = np.full((n, *shape), 0.25, np.float32)
+    return LayerSheet(frame, frame / 30, grey, *layers, UNITS, label)
+
+
+def rows(figure):
+    """The axes of the rows: input, P, S, G."""
+    return [axes for axes in figure.axes if not hasattr(axes, "_colorbar")]
+
+
+def bars(figure):
+    return [axes for axes in figure.axes if hasattr(axes, "_colorbar") and axes.get_visible()]
+
+
+def pixels(figure):
+    """The figure as it is saved, (H, W, 3) in RGB order."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
+
+
+def tile_pixels(picture, image):
+    """The pixels of one tile, without its rim."""
+    box, height = image.get_window_extent(), picture.shape[0]
+    return picture[
+        round(height - box.y1) + 1 : round(height - box.y0) - 1,
+        round(box.x0) + 1 : round(box.x1) - 1,
+    ]
+
+
+def hot(shown):
+    """Where the strongest colour is."""
+    top = np.array(colormaps["inferno"](1.0)[:3]) * 255
+    return np.abs(shown - top).max(axis=2) < 2
+
+
+def axis(text):
+    return Axis.parse(text, DlgmdParameters)
+
+
+def result_of(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
+    grid = Grid(axis(x), axis(y))
+    columns = {key: np.array(c, dtype=float).reshape(-1, *grid.shape) for key, c in columns.items()}
+    there = np.ones(grid.shape, dtype=bool) if possible is None else np.array(possible, dtype=bool)
+    return SweepResult(grid, tuple(speeds), columns, there, set(range(len(grid))))
+
+
+def attenuation(values, speeds=(1.0,), **options):
+    return result_of({"attenuation_db": values}, speeds=speeds, **options)

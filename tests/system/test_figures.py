@@ -1,0 +1,214 @@
+"""Whole figures: nothing covers anything or is cut off, and every kind of data can be drawn."""
+
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from conftest import result_of_level
+from figures import (
+    NAN,
+    UNITS,
+    attenuation,
+    bars,
+    boxes,
+    frame_axis,
+    hot,
+    legend,
+    long_result,
+    make_result,
+    make_sheet,
+    part,
+    pixels,
+    rows,
+    tile_pixels,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters import load_set
+from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.film import Film
+from dlgmd_cli.plots.heat import Scale
+from dlgmd_cli.plots.kernels import plot_kernels
+from dlgmd_cli.plots.layers import plot_layers
+from dlgmd_cli.plots.style import save_figure
+from dlgmd_cli.plots.sweeps import plot_sweep
+from dlgmd_cli.plots.traces import KINDS, plot
+
+pytestmark = pytest.mark.slow
+
+INF = np.inf
+WIDTHS_IN = {"one": 3.5, "two": 7.16}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("width", WIDTHS_IN)
+def test_nothing_is_covered_or_cut_off(kind, width):
+    results = {f"{number} {'long name ' * 9}"[:60]: make_result() for number in range(6)}
+    figure = plot(kind, results, Annotations(((3, "a mark"),)), width=width)
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() == WIDTHS_IN[width]
+    (item,) = figure.legends
+    box = item.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width + 1 and box.y1 <= figure.bbox.height + 1
+    assert len(item.get_texts()) >= 6 and len(set(legend(figure))) == len(legend(figure))
+    top = frame_axis(figure)
+    assert all(text.y1 <= box.y0 + 3 for text in boxes([top.xaxis.label, *top.get_xticklabels()]))
+    for axes in figure.axes:
+        tight = axes.get_tightbbox()
+        assert tight.x0 >= -1 and tight.y0 >= -1 and tight.x1 <= figure.bbox.width + 1
+    for upper, lower in combinations(figure.axes, 2):
+        assert upper.get_position().y0 >= lower.get_position().y1
+    for axis in (figure.axes[-1].xaxis, top.xaxis):
+        labels = boxes(axis.get_ticklabels())
+        assert len(labels) > 2 and all(one.x1 < other.x0 for one, other in pairwise(labels))
+
+
+def test_every_kind_of_result_can_be_drawn(tmp_path):
+    whole = make_result()
+    single, undefined = part(whole, slice(3, 4)), part(whole, slice(0, 2))
+    mixture = [whole, single, undefined, long_result(2_500)]
+    for results in ([single], [undefined], mixture):
+        labelled = {str(place): result for place, result in enumerate(results)}
+        figure = plot("overview", labelled, Annotations(((1, "x"),), ((0, 3, "y"),), 2, 3))
+        save_figure(figure, tmp_path / "x.svg")
+        assert (tmp_path / "x.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+def test_files_are_small_and_the_same_every_time(suffix, tmp_path):
+    noisy = np.random.default_rng(0).random(20_000)
+    result = result_of_level(noisy, attenuation_db=-noisy)
+    for name in ("a", "b"):
+        save_figure(plot("spikes", {"a": result}), tmp_path / f"{name}.{suffix}")
+    data = (tmp_path / f"a.{suffix}").read_bytes()
+    assert data == (tmp_path / f"b.{suffix}").read_bytes() and len(data) < 400_000
+
+
+@pytest.mark.parametrize(("number", "radius"), [(1, 4), (4, 1), (9, 32)])
+def test_kernels_say_their_values_and_stay_on_the_figure(number, radius):
+    connections = connect(load_set(number, r=radius))
+    figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
+    figure.draw_without_rendering()
+    if number == 1:
+        (latency,) = [axes for axes in figure.axes if "Latency" in axes.get_title()]
+        assert [text.get_text() for text in latency.texts] == ["only 1"]
+    for axes in figure.axes:
+        box = axes.get_tightbbox()
+        assert box is None or (box.x0 >= -1 and box.x1 <= figure.bbox.width + 1)
+        assert box is None or (box.y0 >= -1 and box.y1 <= figure.bbox.height + 1)
+    feet = [axes.xaxis for axes in figure.axes if axes.get_xlabel()]
+    labels = [box for axis in feet for box in boxes(axis.get_ticklabels())]
+    assert not any(one.overlaps(other) for one, other in combinations(labels, 2))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 39), st.text("abW i.$_", min_size=1, max_size=60)), max_size=9
+    ),
+    st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), max_size=4),
+    st.sampled_from(["one", "two"]),
+)
+def test_no_text_touches_another_or_leaves_the_figure(marks, spans, width):
+    annotations = Annotations(
+        tuple(marks), tuple((min(span), max(span), "as long as it takes") for span in spans), 24, 22
+    )
+    figure = plot("mp", {"a": make_result()}, annotations, width=width)
+    figure.draw_without_rendering()
+    strip = figure.axes[0]
+    extents = [text.get_window_extent() for text in strip.texts]
+    assert len(extents) == len(marks) + len(spans) + 2
+    assert not any(one.overlaps(other) for one, other in combinations(extents, 2))
+    top = strip.get_window_extent()
+    for box in extents:
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+        assert box.y0 >= top.y0 - 3 and box.y1 <= top.y1 + 3
+
+
+@pytest.mark.parametrize(("shape", "width"), [((540, 960), "one"), ((500, 501), "two")])
+def test_one_active_cell_of_many_is_visible(shape, width):
+    figure = plot_layers(make_sheet(5, shape), width=width)
+    picture = pixels(figure)
+    for axes in rows(figure)[1:]:
+        hottest = hot(tile_pixels(picture, axes.get_images()[4]))
+        places = np.argwhere(hottest)
+        assert 1 <= len(places) <= 4
+        assert places.mean(axis=0) / hottest.shape == pytest.approx((1 / 3, 1 / 4), abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("n", "shape", "width"),
+    [
+        *[(1, (270, 480), "one"), (5, (480, 270), "two"), (5, (270, 480), "one")],
+        *[(1, (400, 4), "two"), (5, (4, 400), "one"), (1, (1, 1), "two")],
+    ],
+)
+def test_sizes_and_proportions(n, shape, width):
+    figure = plot_layers(make_sheet(n, shape, label="x" * 200), width=width)
+    figure_width, figure_height = figure.get_size_inches()
+    assert figure_width <= {"one": 3.5, "two": 7.16}[width] + 1e-9
+    assert figure_height < 9.5  # of a page
+    for axes in rows(figure):
+        for image in axes.get_images():
+            box = image.get_window_extent()
+            assert box.x0 >= -1 and box.y0 >= -1
+            assert box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
+            if min(box.width, box.height) > 1.5:
+                assert box.width / box.height == pytest.approx(shape[1] / shape[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(("n", "start", "width"), [(3, 12345, "one"), (12, 0, "two")])
+def test_titles_neither_overlap_nor_leave_the_figure(n, start, width):
+    figure = plot_layers(make_sheet(n, (270, 480), start=start, label="flight"), width)
+    labels = [*rows(figure)[0].get_xticklabels(), figure._suptitle]
+    boxes = [label.get_window_extent() for label in labels]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
+    for axes in bars(figure):
+        box = axes.get_tightbbox()
+        assert box.x1 <= figure.bbox.x1 + 1 and box.y0 >= -1
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_any_name_can_be_drawn_and_files_are_the_same_every_time(suffix, tmp_path):
+    for name in "ab":
+        figure = plot_layers(make_sheet(2, label="$x^{$ · \x07\n" + "y" * 500))
+        save_figure(figure, tmp_path / f"{name}.{suffix}")
+    assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "values"),
+    [
+        ("r=4", "a=1", [NAN]),
+        ("r=4", "a=1", [0.0]),
+        ("r=4", "a=1:3:1", [-INF, -INF, -INF]),
+        ("formulation=default,equations", "ffi_gd=true,false", [1e-30, 2.0, 1e30, NAN]),
+        ("kappa=1e-6,1e-3,1", "a=1", [-1.0, -1.0, -1.0]),
+    ],
+)
+def test_every_grid_can_be_drawn(tmp_path, x, y, values):
+    save_figure(plot_sweep(attenuation(values, x=x, y=y)), tmp_path / "sweep.svg")
+    assert (tmp_path / "sweep.svg").stat().st_size > 1000
+
+
+def test_a_large_grid_makes_no_large_file(tmp_path):
+    values = np.random.default_rng(1).normal(size=10_000)
+    values[::3] = NAN
+    result = attenuation(values, x="a=0.1:10:0.1", y="sigma_e=0.1:10:0.1")
+    save_figure(plot_sweep(result), tmp_path / "sweep.png")
+    assert (tmp_path / "sweep.png").stat().st_size < 1e6
+
+
+@pytest.mark.parametrize(
+    ("n", "shape"), [(1, (1, 1)), (60, (1000, 4)), (2, (4, 1000)), (60, (480, 270))]
+)
+@pytest.mark.parametrize("scale", [None, Scale.over(0.0, 0.0), Scale.over(0.0, 2.0)])
+def test_a_film_of_any_shape_and_length(n, shape, scale):
+    result = make_result(60) if n == 60 else result_of_level(np.full(n, 0.1))
+    film = Film(result, shape, (scale, scale), UNITS[1:], "$^{ \x07 飞" + "y" * 300)
+    layer = np.ones(shape, np.float32)
+    for row in range(min(n, 3)):
+        assert film.picture(row, layer, layer, None).shape == (720, 1280, 3)
