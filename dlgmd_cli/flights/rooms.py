@@ -5,14 +5,14 @@ place; nothing is put where they are, and those at rest cast their shadows on th
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.flights import textures
-from dlgmd_cli.flights.bodies import Spot, Triple, spot
+from dlgmd_cli.flights.bodies import Spot, spot
 from dlgmd_cli.flights.furniture import catalogue, furniture_at_wall
 from dlgmd_cli.flights.pictures import ceiling_panels
 from dlgmd_cli.flights.renderer.camera import FloatArray
@@ -23,22 +23,12 @@ from dlgmd_cli.flights.textures import Rng, limited
 OFF_WALL_M = 0.01
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
 _GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
-_WALLS: dict[str, Callable[..., FloatImage]] = {
-    "plaster": textures.plaster,
-    "wallpaper": textures.wallpaper,
-    "brick": textures.brick,
-}
-_FLOORS: dict[str, Callable[..., FloatImage]] = {
-    "parquet": textures.parquet,
-    "tiles": textures.tiles,
-    "carpet": textures.carpet,
-}
 # What stands along the walls, by the name that the catalogue has for it.
 _CLUTTER = (
-    *("shelf", "desk", "window", "sofa", "cupboard", "plant", "cartons", "bookcase", "door"),
-    *("sideboard", "lamp", "window", "bookcase", "poster"),
+    *("bookcase", "desk", "window", "sofa", "cupboard", "stools", "cartons", "bookcase", "door"),
+    *("sideboard", "bookcase", "window", "desk", "poster"),
 )
-_LITTLE = ("window", "door", "cupboard", "poster", "plant", "window", "poster", "sideboard")
+_LITTLE = ("window", "door", "cupboard", "poster", "stools", "window", "poster", "sideboard")
 _END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
 _FLAT = ("poster", "door", "window")
 _SPACE_M = 0.02  # between two things
@@ -89,7 +79,7 @@ class Hall:
         Length, width and height.
     """
 
-    size_m: Triple
+    size_m: tuple[float, float, float]
 
     def walls(self) -> dict[str, Wall]:
         """Its sides: "near" (at x = 0), "far", "left" (towards y), "right", "floor", "ceiling"."""
@@ -192,15 +182,14 @@ def room(
 ) -> Solid:
     """Walls, floor and ceiling, with the soft shadows of `bodies` that stand in front of them.
 
-    `wall` is plaster, wallpaper or brick, `floor` is parquet, tiles or carpet; there are so many
-    columns, along x, and rows of `lamps` in the ceiling. The faces are in the order of
-    `Hall.walls`.
+    `wall` is plaster or brick, `floor` is parquet or carpet; there are so many columns, along x,
+    and rows of `lamps` in the ceiling. The faces are in the order of `Hall.walls`.
     """
     tone = rng.uniform(0.4, 0.7)
     faces = []
     for side, seen in hall.walls().items():
         if side == "floor":
-            image = _FLOORS[floor](rng, seen.size_m, _FLOOR_PX_PER_M)
+            image = getattr(textures, floor)(rng, seen.size_m, _FLOOR_PX_PER_M)
         elif side == "ceiling":
             image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, lamps=lamps)
         else:
@@ -212,8 +201,7 @@ def room(
 
 def _wall(rng: Rng, material: str, seen: Wall, tone: float) -> FloatImage:
     """A wall with its skirting board."""
-    tones = {} if material == "brick" else {"tone": tone}
-    image = _WALLS[material](rng, seen.size_m, _WALL_PX_PER_M, **tones)
+    image = getattr(textures, material)(rng, seen.size_m, _WALL_PX_PER_M, tone)
     board = round(0.08 * image.shape[0] / seen.size_m[1])
     image[-board:] = 0.22
     image[-board : 2 - board] = 0.5
@@ -276,15 +264,13 @@ class Furnishing:
                     at = middle + half + rng.uniform(*gap_m)
                     break
 
-    def finished(
-        self, rng: Rng, wall: str, floors: Sequence[str], lamps: tuple[int, int] | None = None
-    ) -> Place:
-        """The room with all that was put in it, on one of some floors."""
+    def finished(self, rng: Rng, wall: str, lamps: tuple[int, int] | None = None) -> Place:
+        """The room with all that was put in it."""
         inside = room(
             self.hall,
             rng,
             wall=wall,
-            floor=str(rng.choice(floors)),
+            floor=str(rng.choice(["parquet", "carpet"])),
             lamps=lamps or (max(1, round(self.hall.size_m[0] / 2.5)), 2),
             bodies=[*self.guests, *self.bodies],
         )
@@ -344,8 +330,7 @@ def cluttered_room(
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
     furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
-    wall = str(rng.choice(["plaster", "wallpaper", "plaster", "brick"]))
-    return furnishing.finished(rng, wall, ["parquet", "carpet", "tiles"])
+    return furnishing.finished(rng, str(rng.choice(["plaster", "plaster", "brick"])))
 
 
 def simple_room(
@@ -362,7 +347,7 @@ def simple_room(
         depth_m = width_m / 2 - 1.3
         furnishing.line(rng, side, share, span, depth_m=depth_m, gap_m=(0.3, 1.2))
     furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
-    return furnishing.finished(rng, "plaster", ["parquet", "carpet", "tiles"])
+    return furnishing.finished(rng, "plaster")
 
 
 def corridor(
@@ -381,4 +366,4 @@ def corridor(
     for side in ("far", "near"):
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
     lamps = (max(1, round(length_m / 2.4)), 1)
-    return furnishing.finished(rng, "plaster", ["tiles", "carpet"], lamps)
+    return furnishing.finished(rng, "plaster", lamps)

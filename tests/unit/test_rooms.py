@@ -11,23 +11,20 @@ import pytest
 
 from dlgmd_cli.flights import pictures, rooms, textures
 from dlgmd_cli.flights.bodies import Skin, block, spot
-from dlgmd_cli.flights.furniture import PICTURES, catalogue, furniture, furniture_at_wall
+from dlgmd_cli.flights.furniture import catalogue, furniture, furniture_at_wall
 from dlgmd_cli.flights.renderer.solids import Round, Solid
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.renderer.visibility import Order
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
-SURFACES = {
-    made.__name__: made
-    for made in (
-        *PICTURES.values(),
-        *(textures.wallpaper, textures.parquet, textures.tiles, textures.carpet),
-        *(pictures.spines, pictures.ceiling_panels),
-    )
-    if made is not pictures.gridded
-}
-DRAWN = ("shelf", "cartons", "plant", "poster")
+SURFACES = (
+    *(textures.plaster, textures.brick, textures.parquet, textures.carpet),
+    *(textures.wood, textures.cloth),
+    *(pictures.poster, pictures.bookcase_front, pictures.whiteboard, pictures.carton_side),
+    *(pictures.notebook_screen, pictures.door_leaf, pictures.window_pane),
+    *(pictures.cupboard_front, pictures.ceiling_panels),
+)
 GUESTS = tuple(furniture("chair", np.random.default_rng(0), spot((5.0, 0.0), 170.0)))
 
 
@@ -80,9 +77,8 @@ def clutter():
 # Surfaces
 
 
-@pytest.mark.parametrize("name", SURFACES)
-def test_surfaces_reflect_what_things_do_and_come_from_the_seed(name):
-    made = SURFACES[name]
+@pytest.mark.parametrize("made", SURFACES, ids=lambda made: made.__name__)
+def test_surfaces_reflect_what_things_do_and_come_from_the_seed(made):
     image = made(seeded(), SIZE, 250.0)
     assert image.dtype == np.float32 and image.shape == (200, 275)
     assert image.min() >= 0.02 and image.max() <= 0.95
@@ -128,27 +124,22 @@ def check_convex(body):
 
 
 def test_a_block_shows_each_side_where_it_is():
-    by_side = {
-        side: Skin(Texture(np.full((1, 1), 0.1 * number, np.float32)))
-        for number, side in enumerate(("front", "back", "left", "right", "top", "bottom"))
-    }
-    low, high = (-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)
-    body = block("b", spot((0, 0)), low, high, by_side["front"], others=by_side)
+    sides = ("front", "back", "left", "right", "top", "bottom")
+    skins = {side: Skin(Texture(0.1 * number)) for number, side in enumerate(sides)}
+    corners = np.array([(-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
+    body = block("b", spot((0, 0)), corners, skins, None)
     looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
     expected = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     assert [tuple(looks[round(0.1 * i, 1)]) for i in range(6)] == expected
-    high_m, low_m = reach_m([body])
-    assert tuple(high_m) == high and tuple(low_m) == low
-    lid = block("b", spot((0, 0)), low, high, by_side["top"], sides=("top",), others=by_side)
-    assert lid.normals.tolist() == [[0, 0, 1]]
+    assert np.array_equal(reach_m([body]), corners[::-1])
 
 
 # Furniture
 
 
-@pytest.mark.parametrize("name", [*catalogue()["pieces"], *DRAWN])
+@pytest.mark.parametrize("name", catalogue()["pieces"])
 def test_furniture_is_convex_bodies_apart_from_each_other(name):
-    bodies = furniture(name, seeded(), spot((2.0, -1.0), 137.0), detail=0.2)
+    bodies = furniture(name, seeded(), spot((2.0, -1.0), 137.0))
     for body in solids(bodies):
         check_convex(body)
     assert Order(bodies).is_exact
@@ -157,7 +148,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
     assert np.abs((high + low)[:2] / 2 - (2.0, -1.0)).max() < 0.3
     named = {catalogue()["pieces"].get(name, {}).get("name", name)}
     assert {body.name for body in bodies} & (named | {"notebook", "carton"})
-    again = furniture(name, seeded(), spot((2.0, -1.0), 137.0), detail=0.2)
+    again = furniture(name, seeded(), spot((2.0, -1.0), 137.0))
     assert fingerprint(bodies) == fingerprint(again)
 
 
@@ -166,24 +157,16 @@ def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
     entry = catalogue()["at_walls"][name]
     for seed in range(3):
         high, low = reach_m(furniture_at_wall(name, seeded(seed), spot((0, 0))))
-        assert low[0] >= 0.0 and high[0] <= entry["depth_m"] + 0.031
+        assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
 
 
 def test_furniture_is_turned_lifted_and_enlarged_by_its_spot():
-    plain_one = furniture("notebook", seeded(), spot((0, 0)), detail=0.2)
-    turned = furniture("notebook", seeded(), spot((3, 1, 0.5), 90, 2.0), detail=0.2)
+    plain_one = furniture("notebook", seeded(), spot((0, 0)))
+    turned = furniture("notebook", seeded(), spot((3, 1, 0.5), 90, 2.0))
     for one, other in zip(plain_one, turned, strict=True):
         x, y, z = 2.0 * one.corners_m.T
         assert other.corners_m == pytest.approx(np.stack([3 - y, 1 + x, z + 0.5], axis=1))
-
-
-def test_shelves_side_by_side_are_told_apart():
-    where = spot((2.0, 0.0), 30.0)
-    both = [
-        part for y in (-0.5, 0.5) for part in furniture("shelf", seeded(), where.inside((0, y, 0)))
-    ]
-    assert Order(both).is_exact
 
 
 def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
@@ -297,8 +280,8 @@ def test_places_are_free_to_fly_through_and_can_be_painted_in_order(
 def test_clutter_is_clutter_but_not_too_much_to_paint(furnished):
     for seed in range(2):
         cluttered, simple = (furnished(name, seed) for name in ("cluttered_room", "simple_room"))
-        assert len({body.name for body in cluttered.bodies}) >= 10
-        assert 45 <= len(cluttered.bodies) <= 80
+        assert len({body.name for body in cluttered.bodies}) >= 8
+        assert 35 <= len(cluttered.bodies) <= 80
         assert sum(len(body.faces) for body in cluttered.bodies) <= 260
         assert len(simple.bodies) < len(cluttered.bodies) / 2
         # Only a simple room is bare at its far wall.
