@@ -37,22 +37,9 @@ def in_the_way(
 ) -> list[Body]:
     """An obstacle straight ahead, so far that the camera comes within reach of it at a time.
 
-    Parameters
-    ----------
-    path : Path
-        The flight as if nothing were there.
-    contact_s : float
-    build : callable
-        Makes the obstacle.
-    target : str
-        The name of what is met; other parts of the obstacle must not be met before.
-    turned_deg : float
-        How far the obstacle's front is turned from where the drone comes from.
-
-    Raises
-    ------
-    PassedError
-        If the camera does not come within reach of it.
+    The path is that as if nothing were there. `target` is the name of what is met; other parts of
+    the obstacle must not be met before. Its front is turned from where the drone comes from. Raises
+    PassedError if the camera does not come within reach of it.
     """
     state = path.state(contact_s)
     ahead = heading(state.velocity_m_s)
@@ -83,15 +70,7 @@ def beside(
 ) -> list[Body]:
     """An obstacle that looks at the drone from beside or before where it is at a time.
 
-    Parameters
-    ----------
-    path : Path
-    time_s : float
-    build : callable
-        Makes the obstacle.
-    aside_m, ahead_m : float
-        How far left of the drone it stands and how far ahead, as it flies then; as its nose
-        points, if it does not.
+    It is so far left of the drone and ahead, as it flies then; as its nose points, if it does not.
     """
     state = path.state(time_s)
     stands = np.linalg.norm(state.velocity_m_s) < _STANDS_M_S

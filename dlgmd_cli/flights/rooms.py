@@ -43,13 +43,7 @@ _FARTHEST_M = 0.9
 
 @dataclass(frozen=True)
 class Wall:
-    """A rectangle seen from inside a room.
-
-    Attributes
-    ----------
-    origin_m, right_m, down_m : ndarray, shape (3,)
-        As `Face` has them.
-    """
+    """A rectangle seen from inside a room, as `Face` has it."""
 
     origin_m: FloatArray
     right_m: FloatArray
@@ -73,10 +67,7 @@ class Wall:
 class Hall:
     """The inside of a room: x from 0 to its length, y from -width/2 to width/2, z from 0.
 
-    Attributes
-    ----------
-    size_m : (float, float, float)
-        Length, width and height.
+    `size_m` is its length, width and height.
     """
 
     size_m: tuple[float, float, float]
@@ -236,18 +227,8 @@ class Furnishing:
     ) -> None:
         """Put things along a wall from one end of a span to the other, as far as they go.
 
-        Parameters
-        ----------
-        side : str
-            The wall; see `Hall.stand`.
-        names : sequence of str
-            What the catalogue has `at_walls`, in their order along the wall.
-        span_m : (float, float)
-            Where along the wall.
-        depth_m : float
-            What reaches farther into the room than this is left out.
-        gap_m : (float, float)
-            The least and the most space between two things.
+        The names are what the catalogue has `at_walls`, in their order along the wall. What reaches
+        farther into the room than `depth_m` is left out. Gaps have a least and a greatest width.
         """
         at, end = span_m
         for name in names:
@@ -307,16 +288,8 @@ def cluttered_room(
 ) -> Place:
     """A room full of furniture along its walls.
 
-    Parameters
-    ----------
-    length_m, width_m : float
-        Of the room; see `Hall`.
-    free_width_m : float
-        No furniture is within half of this from the x axis, up to `end_m` before the far wall.
-    end_m : float
-        How far furniture at the far wall may reach into the room.
-    guests : sequence of Body
-        See the head of this module.
+    No furniture is within half of `free_width_m` from the x axis, but at the far wall, where it
+    reaches `end_m` into the room.
     """
     furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
     depth, half_m = (width_m - free_width_m) / 2, width_m / 2
@@ -336,10 +309,7 @@ def cluttered_room(
 def simple_room(
     rng: Rng, *, length_m: float, width_m: float = 5.0, guests: Sequence[Body] = ()
 ) -> Place:
-    """A room with a few things at its side walls, at least 1.3 m from the x axis.
-
-    The far wall is bare. The parameters are those of `cluttered_room`.
-    """
+    """A room with a few things 1.3 m or more from the x axis; its far wall is bare."""
     furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
     names = list(rng.permutation(_LITTLE))
     for side, share in (("left", names[::2]), ("right", names[1::2])):

@@ -45,19 +45,7 @@ _SMALL = FlightOptions(shape=(360, 640))
 
 
 def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
-    """A flight that `scenes.yaml` describes.
-
-    Parameters
-    ----------
-    spec : mapping
-        Its description.
-    seed : int
-        Of the room, of what stands in it, and of what disturbs the drone.
-
-    Returns
-    -------
-    Stage
-    """
+    """The flight that a part of `scenes.yaml` describes, with the seed of all that is random."""
     phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
     flight = partial(
         fly, phases, position_m=spec["start_m"], yaw_deg=spec.get("yaw_deg", 0.0), seed=seed

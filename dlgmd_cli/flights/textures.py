@@ -27,14 +27,8 @@ _EVENED = 1.16  # what interpolation takes off the standard deviation
 class Sheet:
     """A picture of something flat; x goes right and y down, in m from its top left corner.
 
-    Parameters
-    ----------
-    size_m : (float, float)
-        Width and height.
-    px_per_m : float
-        Its resolution; less where a side would have more than `MAX_SIDE_PX`.
-    tone : float
-        Reflectance that it has before anything is drawn.
+    It has less resolution where a side would have more than `MAX_SIDE_PX`, and one tone before
+    anything is drawn.
     """
 
     def __init__(self, size_m: Size, px_per_m: float, tone: float = 0.5) -> None:

@@ -20,11 +20,6 @@ class Renderer:
 
     Every face is drawn by its exact homography, far ones first; pixels on an edge get the exact
     share that is covered, and textures are sampled at the size that they are seen at.
-
-    Parameters
-    ----------
-    world : World
-    camera : Camera
     """
 
     def __init__(self, world: World, camera: Camera) -> None:
@@ -38,15 +33,8 @@ class Renderer:
     ) -> FloatImage:
         """The picture at a time: (H, W) float32, the light that comes from each pixel.
 
-        A white surface in ordinary light is 1.
-
-        Parameters
-        ----------
-        pose : Pose
-        time_s : float
-            Time of the moving bodies and of the light.
-        rows : (int, int), optional
-            The first row and the one after the last: only they are painted and returned.
+        A white surface in ordinary light is 1. Of some rows, the first and the one after the last,
+        only they are painted and returned.
         """
         offsets = self._surfaces.offsets(time_s)
         for index, body in enumerate(self.world.bodies):

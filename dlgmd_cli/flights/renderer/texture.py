@@ -31,12 +31,9 @@ _VANISHING = 1e-9
 
 
 class Texture:
-    """Reflectance over a rectangle.
+    """Reflectance over a rectangle, (h, w) float32 in 0..1, linear in light.
 
-    Parameters
-    ----------
-    image : ndarray, shape (h, w), float32
-        Reflectance in 0..1, linear in light. A single pixel is a plain colour.
+    A single number is a plain colour.
     """
 
     def __init__(self, image: npt.ArrayLike) -> None:
