@@ -83,7 +83,7 @@ class Fleet:
         self._check_labels(overwrite=overwrite)
 
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
-        """Write the labels of flights; raises OutputExistsError if those of other videos are there."""
+        """Write the labels of flights, unless those of other videos are there."""
         self._check_labels(overwrite=overwrite)
         with appearing(self.labels_path) as (path,):
             write_labels(path, [labels[number] for number in sorted(labels)])

@@ -10,7 +10,7 @@ import numpy as np
 from dlgmd_cli.flights.geometry import Nearest
 from dlgmd_cli.flights.path import REACH_M, Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, World
+from dlgmd_cli.flights.renderer.solids import Body, World
 from dlgmd_cli.flights.rooms import Place
 
 # Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front looks along its x.
@@ -62,7 +62,7 @@ def in_the_way(
     for _ in range(_N_HALVINGS):
         middle = 0.5 * (near + far)
         near, far = (middle, far) if touches(middle) else (near, middle)
-    return [_placed(body, near * ahead) for body in bodies]
+    return [body.moved(near * ahead) for body in bodies]
 
 
 def beside(
@@ -119,7 +119,6 @@ def singled_out(world: World, index: int) -> World:
 
 def _other(body: Body) -> Body:
     """The same body by another name."""
-    assert isinstance(body, Solid | Round)
     return replace(body, name=f"other {body.name}")
 
 
@@ -128,10 +127,3 @@ def heading(velocity_m_s: FloatArray) -> FloatArray:
     level = velocity_m_s * (1.0, 1.0, 0.0)
     ahead: FloatArray = level / np.linalg.norm(level)
     return ahead
-
-
-def _placed(body: Body, by_m: FloatArray) -> Body:
-    """A body at rest elsewhere."""
-    if body.motion is not None:
-        raise ValueError("what moves cannot be put in the way")
-    return body.moved(by_m)
