@@ -142,12 +142,7 @@ SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_flat_scenes()
 
 
 def find_scene(name: str) -> Scene[Any]:
-    """The scene called `name`.
-
-    Raises
-    ------
-    ParameterError
-        If there is none.
+    """The scene called `name`; raises ParameterError if there is none.
 
     Examples
     --------
