@@ -303,7 +303,7 @@ def cluttered_room(
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
     furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
-    return furnishing.finished(rng, str(rng.choice(["plaster", "plaster", "brick"])))
+    return furnishing.finished(rng, str(rng.choice(["brick", "plaster", "plaster"])))
 
 
 def simple_room(

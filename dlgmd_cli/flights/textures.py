@@ -155,13 +155,13 @@ def plaster(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6) -> Float
     return limited(sheet.finished(1.2) * (1.0 + 0.045 * uneven - 0.06 * stained))
 
 
-def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
-    """A brick wall; its joints are brighter than the bricks."""
-    sheet = Sheet(size_m, px_per_m, min(0.8, 1.7 * tone))
+def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
+    """A brick wall; its joints have the tone, and the bricks are darker."""
+    sheet = Sheet(size_m, px_per_m, tone)
     long, high, joint = 0.25, 0.08, 0.012
     for row, y in enumerate(np.arange(0.0, size_m[1], high)):
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
-            of_brick = tone * rng.uniform(0.7, 1.3)
+            of_brick = tone * rng.uniform(0.42, 0.78)
             sheet.rectangle(x, y, long - joint, high - joint, of_brick)
     return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
 
