@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flightscenes import Quick
 
 from dlgmd_cli.flights.geometry import first_contact, surroundings
 from dlgmd_cli.flights.path import REACH_M
@@ -152,16 +153,20 @@ def test_a_drone_at_rest_sees_the_same_but_for_noise(scene_of):
     assert (noisy[0] != noisy[1]).any()
 
 
-def test_hover_jitter_makes_small_differences_only(scene_of):
-    scene, *_ = scene_of("group1")
-    options = scene.configure(
-        {"--size": (180, 320), "--noise": 0.0, "--shot-noise": 0.0, "--frames": 6}
-    )
-    frames = np.array(list(scene.frames(options)), float)
-    assert 0.0 < np.abs(np.diff(frames, axis=0)).mean() < 1.5
+# Many of them
 
 
-# Many of them, stopped from outside
+def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick(at_3="kill", at_4="error"))
+    result = dlgmd("synth", "quick", "--out", "f", "--count", 6, "--jobs", 2)
+    assert result.exit_code == 1
+    said = sorted(result.stderr.splitlines())
+    assert said[0].startswith("Error: 2 of 6 flights failed; the other 4 are in")
+    assert said[1].startswith("quick-0003: its process was killed")
+    assert said[2] == "quick-0004: here: it cannot be. Mend it."
+    listed = [label.video for label in read_labels(Path("f", "labels.csv"))]
+    assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
+    assert len(list(Path("f").iterdir())) == 3 * 4 + 1  # nothing half made
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends the signal as POSIX has it")

@@ -3,7 +3,6 @@
 import hashlib
 from collections import Counter
 from functools import lru_cache
-from itertools import groupby
 
 import cv2
 import numpy as np
@@ -69,11 +68,6 @@ def furnished():
     return made
 
 
-@pytest.fixture(scope="module")
-def clutter():
-    return rooms.cluttered_room(seeded(3), length_m=4.0)
-
-
 # Surfaces
 
 
@@ -91,19 +85,6 @@ def test_surfaces_reflect_what_things_do_and_come_from_the_seed(made):
     for times in (4, 16):
         small = cv2.resize(image, None, fx=1 / times, fy=1 / times, interpolation=cv2.INTER_AREA)
         assert small.std() > 0.012 * image.mean(), f"1/{times}"
-
-
-def runs(line):
-    """How many dark stretches there are along a line of pixels."""
-    return sum(dark for dark, _ in groupby(line < 0.4))
-
-
-def test_gridded_has_nine_lines_and_square_cells():
-    image = pictures.gridded(seeded(), (0.9, 0.9), 800.0)
-    assert runs(image[50]) == runs(image[:, 50]) == 9
-    assert image.min() < 0.06 and image.max() > 0.8
-    image = pictures.gridded(seeded(), (0.9, 0.46), 800.0)
-    assert (runs(image[50]), runs(image[:, 50])) == (9, 5)
 
 
 # Bodies
@@ -161,14 +142,6 @@ def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
 
 
-def test_furniture_is_turned_lifted_and_enlarged_by_its_spot():
-    plain_one = furniture("notebook", seeded(), spot((0, 0)))
-    turned = furniture("notebook", seeded(), spot((3, 1, 0.5), 90, 2.0))
-    for one, other in zip(plain_one, turned, strict=True):
-        x, y, z = 2.0 * one.corners_m.T
-        assert other.corners_m == pytest.approx(np.stack([3 - y, 1 + x, z + 0.5], axis=1))
-
-
 def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
     def motion(time_s):
         return (0.0, time_s, 0.0)
@@ -183,23 +156,6 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
     assert np.array_equal(rooms.shaded(light, floor, walker), bare)
     at_rest = furniture("person", seeded(), spot((2.0, 0.0)))
     assert rooms.shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
-
-
-def test_a_doorway_is_open():
-    parts = furniture("doorway", seeded(), spot((4.0, 0.0)))
-    high, low = reach_m(parts)
-    assert low == pytest.approx([3.99, -2.8, 0]) and high == pytest.approx([4.16, 2.8, 2.8])
-    for y, z, is_open in (
-        (0.0, 2.05, True),
-        (0.5, 0.1, True),
-        (0.6, 1.0, False),
-        (0.0, 2.15, False),
-    ):
-        inside = [
-            np.all((reach_m([part])[1] < (4.05, y, z)) & ((4.05, y, z) < reach_m([part])[0]))
-            for part in parts
-        ]
-        assert any(inside) != is_open
 
 
 # Rooms
@@ -306,8 +262,8 @@ def test_nothing_is_put_where_something_stands():
     assert not furnishing.add(stool(4.9, 0.0)), "half in the wall"
 
 
-def test_a_place_comes_from_its_seed_and_reflects_what_things_do(clutter):
-    again, other = (rooms.cluttered_room(seeded(seed), length_m=4.0) for seed in (3, 4))
+def test_a_place_comes_from_its_seed_and_reflects_what_things_do():
+    clutter, again, other = (rooms.cluttered_room(seeded(s), length_m=4.0) for s in (3, 3, 4))
     assert fingerprint([clutter.room]) == fingerprint([again.room])
     assert fingerprint(clutter.bodies) == fingerprint(again.bodies)
     assert fingerprint([clutter.room]) != fingerprint([other.room])
