@@ -6,12 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from flightscenes import Quick
+from flightscenes import SMALL, Quick, scene_of
 
 from dlgmd_cli.flights.geometry import first_contact, surroundings
 from dlgmd_cli.flights.path import REACH_M
@@ -24,7 +23,6 @@ from dlgmd_cli.results.labels import read_labels
 
 pytestmark = pytest.mark.slow
 
-SMALL = {"--size": (36, 64)}
 GROUPS = ("group1", "group2", "group3", "group4", "group5")
 # How near each may come to what it is about, in m.
 MISSES = {
@@ -37,26 +35,13 @@ MISSES = {
 }
 
 
-@pytest.fixture(scope="module")
-def scene_of():
-    """Scenes by name with their options and the rows of their truth, each made once."""
-
-    @lru_cache
-    def get(name):
-        scene = SCENES[name]
-        options = scene.configure(SMALL)
-        return scene, options, list(scene.truth(options))
-
-    return get
-
-
 def placed(bodies, time_s):
     """The bodies where they are at a time."""
     return [body.moved(body.motion(time_s)) if body.motion else body for body in bodies]
 
 
 @pytest.mark.parametrize("name", MISSES)
-def test_near_misses_miss(scene_of, name):
+def test_near_misses_miss(name):
     scene, options, rows = scene_of(name)
     stage = scene.stage(options)
     assert stage.contact_s is None and scene.record(options)["collision_frame"] is None
@@ -69,7 +54,7 @@ def test_near_misses_miss(scene_of, name):
         assert world.distances(stage.path.state(time_s).position_m, time_s).min() > 0.3
 
 
-def test_through_the_doorway_means_through(scene_of):
+def test_through_the_doorway_means_through():
     scene, options, rows = scene_of("through-doorway")
     stage = scene.stage(options)
     parts = [body for body in stage.world.bodies if body.name == "doorway"]
@@ -79,7 +64,7 @@ def test_through_the_doorway_means_through(scene_of):
     assert x[0] < begins < ends < x[-1]
 
 
-def test_the_light_goes_on_after_two_seconds(scene_of):
+def test_the_light_goes_on_after_two_seconds():
     scene, options, _ = scene_of("light-on")
     means = np.array([frame.mean() for frame in scene.frames(options)])
     steps = np.abs(np.diff(means))
@@ -87,7 +72,7 @@ def test_the_light_goes_on_after_two_seconds(scene_of):
     assert np.delete(steps, 59).max() < 1.0
 
 
-def test_the_person_crosses_the_picture(scene_of):
+def test_the_person_crosses_the_picture():
     scene, options, _ = scene_of("person-crossing")
     stage = scene.stage(options)
     camera = Camera(options.shape, options.fov_deg)
@@ -100,7 +85,7 @@ def test_the_person_crosses_the_picture(scene_of):
 
 
 @pytest.mark.parametrize("name", [*GROUPS, *MISSES, "ball-and-capsules"])
-def test_bodies_are_apart_and_in_the_room(scene_of, name):
+def test_bodies_are_apart_and_in_the_room(name):
     scene, options, _ = scene_of(name)
     stage = scene.stage(options)
     for time_s in (0.0, stage.duration_s / 2, stage.duration_s):
@@ -143,7 +128,7 @@ def test_a_seed_is_a_flight():
     assert next(scene.frames(other)).tolist() != next(again.frames(two)).tolist()
 
 
-def test_a_drone_at_rest_sees_the_same_but_for_noise(scene_of):
+def test_a_drone_at_rest_sees_the_same_but_for_noise():
     """Texture does not flicker when nothing moves."""
     scene, *_ = scene_of("group4")
     calm = scene.configure({**SMALL, "--noise": 0.0, "--shot-noise": 0.0, "--frames": 20})

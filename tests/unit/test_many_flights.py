@@ -186,13 +186,6 @@ def test_labels_of_others_are_refused(synth, text, why):
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
 
 
-def test_labels_cannot_take_the_place_of_a_folder(synth):
-    (OUT / "labels.csv").mkdir(parents=True)
-    result = synth("--overwrite")
-    assert result.exit_code == 2 and "labels.csv: it is a folder" in result.stderr
-    assert len(list(OUT.iterdir())) == 1
-
-
 # Ending before the end
 
 

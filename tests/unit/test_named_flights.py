@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
+from flightscenes import SMALL, scene_of
 
 from dlgmd_cli.flights.bodies import spot
 from dlgmd_cli.flights.drone import fly
@@ -21,7 +21,6 @@ from dlgmd_cli.flights.scene import FlightOptions, film
 from dlgmd_cli.flights.scenes import SCENES
 from dlgmd_cli.flights.script import cruise, hover, yaw
 
-SMALL = {"--size": (36, 64)}
 # The paper's Table III: what is hit, and at which frame.
 GROUPS = {
     "group1": ("chair", 120),
@@ -30,19 +29,6 @@ GROUPS = {
     "group4": ("gridded pattern", 210),
     "group5": ("carton", 196),
 }
-
-
-@pytest.fixture(scope="module")
-def scene_of():
-    """Scenes by name with their options and the rows of their truth, each made once."""
-
-    @lru_cache
-    def get(name):
-        scene = SCENES[name]
-        options = scene.configure(SMALL)
-        return scene, options, list(scene.truth(options))
-
-    return get
 
 
 def chair(at_m, yaw_deg=0.0):
@@ -76,7 +62,7 @@ def test_groups_hit_what_the_paper_says_when_it_says(name):
 
 
 @pytest.mark.parametrize("name", ["group2", "group3"])
-def test_the_truth_leads_to_the_contact(scene_of, name):
+def test_the_truth_leads_to_the_contact(name):
     scene, options, rows = scene_of(name)
     frame = GROUPS[name][1]
     assert len(rows) == scene.n_frames(options)
@@ -88,7 +74,7 @@ def test_the_truth_leads_to_the_contact(scene_of, name):
     assert sizes[0] < 30 and sizes[-1] > max(60, max(sizes) - 3)
 
 
-def test_group2_pitches_from_40_and_brakes_from_125(scene_of):
+def test_group2_pitches_from_40_and_brakes_from_125():
     scene, options, rows = scene_of("group2")
     phases = phases_of(scene, options)
     assert phases["pitch"]["first_frame"] == 40
@@ -102,7 +88,7 @@ def test_group2_pitches_from_40_and_brakes_from_125(scene_of):
     assert speeds[138] < speeds[125]
 
 
-def test_ball_and_capsules_is_the_scene_of_the_papers_fig_8(scene_of):
+def test_ball_and_capsules_is_the_scene_of_the_papers_fig_8():
     scene, options, rows = scene_of("ball-and-capsules")
     stage = scene.stage(options)
     record = scene.record(options)

@@ -272,19 +272,6 @@ def test_of_bodies_that_cut_the_nearer_one_is_seen():
         assert seen(ordered, look(x=6.0, yaw=180.0))[60, 80] == 0.5
 
 
-def test_of_bodies_that_hide_each_other_in_a_ring_the_farthest_is_painted_first():
-    """Three bars along the axes, each before the next one as seen from afar along (1, 1, 1)."""
-    eye, everywhere = np.full(3, 10.0), dict.fromkeys(range(3), (0.0, 0.0, 9.0, 9.0))
-    for farthest in range(3):
-        bars = []
-        for axis in range(3):
-            middle = np.roll([0.0, 1.0, -1.0], axis) - 2.0 * (axis == farthest) * np.eye(3)[axis]
-            half = np.where(np.arange(3) == axis, 4.0, 0.2)
-            bars.append(box(middle - half, middle + half))
-        expected = [(farthest + step) % 3 for step in range(3)]
-        assert Order(bars).back_to_front(eye, everywhere) == expected
-
-
 def test_a_moving_body_is_where_it_moves_to():
     mover = box((2, -0.2, -0.2), (2.4, 0.2, 0.2), 1.0, motion=lambda t: [0, t, 0])
     wall = box((3, -4, -4), (3.2, 4, 4), 0.25)
@@ -361,13 +348,6 @@ def test_a_round_body_is_textured_from_wherever_it_is_seen():
         assert picture.min() < 0.01 and picture.max() > 0.99, (x, z)
         for away in (90, 180, 270):
             assert np.isfinite(renderer.render(look(x, 0, z, pitch=pitch + away))).all()
-
-
-def test_the_top_of_a_capsule_has_the_top_of_its_texture():
-    ramp = np.linspace(1.0, 0.0, 64)[:, None] * np.ones((1, 16))
-    column = seen([capsule([2, 0, -0.3], [2, 0, 0.3], 0.2, Texture(ramp))])[:, 80]
-    lit = np.flatnonzero(column > 0.05)
-    assert (np.diff(column[lit[1] : lit[-1]]) < 0).all() and column[lit[2]] > 0.85
 
 
 @pytest.mark.parametrize(
