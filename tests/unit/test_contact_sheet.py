@@ -150,11 +150,9 @@ def test_frames_are_shown_as_they_are_or_averaged_over_area():
 @pytest.mark.parametrize(
     ("n", "shape", "name", "phase"),
     [
-        (6, (270, 480), "flight", ""),
         (12, (1080, 1920), "x" * 300, "a phase of many words, and some more words"),
         (5, (640, 480), "flight", "hover"),
         (1, (400, 16), "x" * 300, "hover"),
-        (12, (16, 400), "flight", "a phase of many words, and some more words"),
     ],
 )
 def test_words_neither_overlap_nor_leave_the_figure(n, shape, name, phase):

@@ -136,7 +136,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
 @pytest.mark.parametrize("name", catalogue()["at_walls"])
 def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
     entry = catalogue()["at_walls"][name]
-    for seed in range(3):
+    for seed in range(2):
         high, low = reach_m(furniture_at_wall(name, seeded(seed), spot((0, 0))))
         assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
@@ -229,8 +229,7 @@ def check_place(place, free_m, end_m):
 def test_places_are_free_to_fly_through_and_can_be_painted_in_order(
     name, free_m, end_m, size, furnished
 ):
-    for seed in range(2):
-        check_place(furnished(name, seed, **size), free_m, end_m)
+    check_place(furnished(name, 0, **size), free_m, end_m)
 
 
 def test_clutter_is_clutter_but_not_too_much_to_paint(furnished):
@@ -263,7 +262,7 @@ def test_nothing_is_put_where_something_stands():
 
 
 def test_a_place_comes_from_its_seed_and_reflects_what_things_do():
-    clutter, again, other = (rooms.cluttered_room(seeded(s), length_m=4.0) for s in (3, 3, 4))
+    clutter, again, other = (rooms.cluttered_room(seeded(s), length_m=3.0) for s in (3, 3, 4))
     assert fingerprint([clutter.room]) == fingerprint([again.room])
     assert fingerprint(clutter.bodies) == fingerprint(again.bodies)
     assert fingerprint([clutter.room]) != fingerprint([other.room])
