@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.flights import textures
-from dlgmd_cli.flights.bodies import Spot, spot
+from dlgmd_cli.flights.bodies import spot
 from dlgmd_cli.flights.furniture import catalogue, furniture_at_wall
 from dlgmd_cli.flights.pictures import ceiling_panels
 from dlgmd_cli.flights.renderer.camera import FloatArray
@@ -20,7 +20,6 @@ from dlgmd_cli.flights.renderer.solids import Body, Solid, quad
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
 from dlgmd_cli.flights.textures import Rng, limited
 
-OFF_WALL_M = 0.01
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
 _GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
 # What stands along the walls, by the name that the catalogue has for it.
@@ -100,11 +99,6 @@ class Hall:
             "left": ((along_m, width / 2 - off_m), -90.0),
             "right": ((along_m, off_m - width / 2), 90.0),
         }[side]
-
-    def on(self, side: str, along_m: float, up_m: float = 0.0) -> Spot:
-        """A spot on a wall, `up_m` over the floor, that looks into the room; see `stand`."""
-        (x, y), yaw_deg = self.stand(side, along_m, OFF_WALL_M)
-        return spot((x, y, up_m), yaw_deg)
 
 
 @dataclass(frozen=True)
