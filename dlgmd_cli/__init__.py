@@ -41,7 +41,7 @@ _HOMES = {
     "run": "runs.run",
 }
 
-__all__ = [*_HOMES]  # noqa: PLE0604
+__all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> object:

@@ -25,7 +25,10 @@ MAX_CONFIG_BYTES = 100_000
 MAX_DEPTH = 20
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
-    "schema preset input processed frames sweep versions warnings complete summary wall_s".split()
+    [
+        *("schema", "preset", "input", "processed", "frames", "sweep"),
+        *("versions", "warnings", "complete", "summary", "wall_s"),
+    ]
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")

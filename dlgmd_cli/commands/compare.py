@@ -31,7 +31,6 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import printable
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
 
 if TYPE_CHECKING:
@@ -52,6 +51,7 @@ def _setups(
     engine: str | None,
 ) -> "list[Setup]":
     """Every model that the options ask for, each once, under labels that differ."""
+    from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.runs.run import DEFAULT_SET, choose
 
     derives = bool(formulations) or no_ffi_gd
@@ -64,7 +64,7 @@ def _setups(
     for path, label in zip(
         files, told_apart([path.with_suffix("") for path in files]), strict=True
     ):
-        found.append(replace(_sized(choose(config=path)), label=printable(label)))
+        found.append(replace(_sized(choose(config=path)), label=text_cell(label)))
     found += [choose(model=name) for name in dict.fromkeys(models)]
     if not any(isinstance(one.params, DlgmdParameters) for one in found):
         for option, is_given in (

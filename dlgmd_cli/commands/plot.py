@@ -39,7 +39,7 @@ class _Remark(click.ParamType):
         self.name, self._pattern, self._example = name, pattern, example
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """What stands before the colon as numbers, then the text."""
+        """The numbers before the colon, then the text."""
         if isinstance(value, tuple):
             return value
         given = printable(str(value))
@@ -266,7 +266,7 @@ def _column(
 
 def _warn_of_annotations(annotations: "Annotations", results: dict[str, "Result"]) -> None:
     """Say which annotations the figure cannot show."""
-    from dlgmd_cli.plots.annotations import Timeline
+    from dlgmd_cli.plots.timeline import Timeline
 
     for line in annotations.outside(*Timeline.of(results.values()).frames):
         warn(line)

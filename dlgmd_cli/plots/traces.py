@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dlgmd_cli.plots.annotations import NONE, ROW_IN, Annotations, Timeline, draw_annotations
+from dlgmd_cli.plots.annotations import NONE, Annotations
 from dlgmd_cli.plots.style import (
     BLUE,
     GREEN,
@@ -24,6 +24,7 @@ from dlgmd_cli.plots.style import (
     house_style,
     new_figure,
 )
+from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
 
 # Less than a millionth of P passes: a few cells' rounding, which would flatten the rest.
@@ -34,6 +35,8 @@ MIN_SPAN_DB = 5.0
 MAX_POINTS = 1400
 
 COLUMNS = ("level", "mp_abs", "mp_seq")
+# By whether it is scaled to the extremes of its own sequence.
+LEVEL_NAMES = {False: "Normalised MP", True: "MP, normalised\nto its sequence"}
 # Two neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
 LOOKS: tuple[tuple[str, Any], ...] = (
     (BLUE, "-"),
@@ -205,7 +208,7 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
     axes.set_ylim(-0.03, 1.05)
-    axes.set_ylabel("MP, normalised\nto its sequence" if by_sequence == {True} else "Normalised MP")
+    axes.set_ylabel(LEVEL_NAMES[by_sequence == {True}])
     return entries
 
 
@@ -230,7 +233,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
 
 
 def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """Attenuation in dB; marks below, a row a result, where nothing passes."""
+    """Attenuation in dB; marks below, one row per result, where nothing passes."""
     entries: Entries = []
     silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
     shown = [
@@ -258,7 +261,8 @@ def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
 
 def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
     """Limits of the vertical axis; `foot` is the share of it below all values."""
-    known = np.concatenate([values[~np.isnan(values)] for values in shown])
+    drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
+    known = drawn[~np.isnan(drawn)]
     if not known.size:
         return FLOOR_DB, 0.0
     low, high = float(known.min()), float(known.max())
@@ -269,7 +273,7 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
 
 
 def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """A row of spikes and one of alarms; of several results a row each with both."""
+    """One row of spikes and one of alarms; with several results, one row per result with both."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         result = traces[0].result

@@ -93,7 +93,10 @@ def is_url(text: str | os.PathLike[str]) -> bool:
 
 def fitting(name: str) -> str:
     """As much of the beginning of a file's name as file systems take, with a suffix to come."""
-    return os.fsencode(name)[:_MAX_NAME_BYTES].decode(errors="ignore")
+    encoded = os.fsencode(name)
+    if len(encoded) <= _MAX_NAME_BYTES:
+        return name
+    return encoded[:_MAX_NAME_BYTES].decode(errors="ignore")
 
 
 def result_folder(out: Path, name: str) -> Path:

@@ -14,7 +14,7 @@ from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.run import OnFrame, Setup, input_record
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
-from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def watch(
     """
     model.reset()
     # The decoder has threads of its own; OpenCV's would only be in its way.
-    with opencv_threads(1), ReadAhead(video) as frames:
+    with opencv_threads(1), read_ahead(video) as frames:
         for frame in frames:
             has_layers = wanted is None or frame.index in wanted
             response = model.step(frame.grey, frame.time_s, layers=has_layers)

@@ -30,7 +30,7 @@ from dlgmd_cli.video.frames import (
     fingerprint,
     processed_size,
 )
-from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
 ENGINES = ("opencv", "numba")
@@ -165,29 +165,12 @@ def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
 
 
 @overload
-def run(
-    video: str | os.PathLike[str],
-    models: None = None,
-    *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: str | None = None,
-    formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
-    engine: str | None = None,
-    on_frame: OnFrame = _nothing,
-    **options: Any,
-) -> Result: ...
+def run(video: str | os.PathLike[str], models: None = None, **options: Any) -> Result: ...
 
 
 @overload
 def run(
-    video: str | os.PathLike[str],
-    models: Sequence[Parameters | str | int],
-    *,
-    engine: str | None = None,
-    on_frame: OnFrame = _nothing,
-    **options: Any,
+    video: str | os.PathLike[str], models: Sequence[Parameters | str | int], **options: Any
 ) -> list[Result]: ...
 
 
@@ -360,7 +343,7 @@ def _feed(
             yield {size: video.frame(picture, size) for size in distinct}
 
     # The decoder has threads of its own; OpenCV's would only be in its way.
-    with opencv_threads(1), ReadAhead(frames()) as ahead:
+    with opencv_threads(1), read_ahead(frames()) as ahead:
         for by_size in ahead:
             for model, size_wh, values in zip(models, sizes, rows, strict=True):
                 frame = by_size[size_wh]

@@ -30,7 +30,7 @@ from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sweep import Grid, Series, SweepResult
 from dlgmd_cli.runs.run import OnFrame, Tell, input_identity, input_record, too_short
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
-from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 RECORD, TABLE, FIGURE = "sweep.yaml", "sweep.csv", "sweep"
 PRODUCTS = frozenset({RECORD, TABLE, *(f"{FIGURE}.{suffix}" for suffix in store.PLOT_FORMATS)})
@@ -108,7 +108,7 @@ def video_subject(
     identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
 
     def frames() -> Iterator[Frame]:
-        with opencv_threads(1), ReadAhead(video) as ahead:
+        with opencv_threads(1), read_ahead(video) as ahead:
             yield from ahead
 
     def facts(n_frames: int) -> dict[str, Any]:

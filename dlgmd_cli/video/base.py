@@ -1,9 +1,11 @@
-"""What every input consists of: pictures with their times, facts about the file, progress."""
+"""What all decoders share: pictures and facts, limits, and what FFmpeg may open."""
 
 import math
-from collections.abc import Callable
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dlgmd_cli.threads import n_processors, thread_limit
@@ -76,17 +78,6 @@ class Picture:
     levels: tuple[int, int] | None = None
 
 
-class Verdict(Enum):
-    """What to do with a frame of which only the time is known yet."""
-
-    TAKE = "take"
-    SKIP = "skip"
-    STOP = "stop"
-
-
-Select = Callable[[float], Verdict]
-
-
 @dataclass
 class Progress:
     """How far the reading has come, and what went wrong."""
@@ -96,8 +87,8 @@ class Progress:
     warnings: list[str] = field(default_factory=list)
 
 
-class VideoFacts(NamedTuple):
-    """What a video file states; None where it states nothing.
+class Facts(NamedTuple):
+    """What a decoder learns when it opens an input; None where the input states nothing.
 
     `width` and `height` are those of its first frame as it is shown. `shown_s` is the length of
     the part that is shown, in seconds, where an edit list may hide the rest; infinite otherwise.
@@ -110,21 +101,8 @@ class VideoFacts(NamedTuple):
     shown_s: float = math.inf
 
 
-class Grab(NamedTuple):
-    """A frame that can be decoded: its timestamp in seconds, NaN for none.
-
-    `new_size` is its width and height, if they differ from those of the first frame.
-    """
-
-    stamp_s: float
-    new_size: tuple[int, int] | None = None
-
-
-class Decoded(NamedTuple):
-    """The image and the levels of a `Picture`."""
-
-    image: "npt.NDArray[Any]"
-    levels: tuple[int, int] | None = None
+class Unreadable(Exception):  # noqa: N818
+    """A file or a frame cannot be decoded; the message says why."""
 
 
 def decoder_threads() -> int:
@@ -138,3 +116,28 @@ def decoder_threads() -> int:
 def plausible_fps(fps: float) -> float | None:
     """`fps` if it can be a frame rate, else None."""
     return fps if math.isfinite(fps) and 0.0 < fps <= MAX_PLAUSIBLE_FPS else None
+
+
+@contextmanager
+def openable(path: Path) -> Iterator[str]:
+    """A name for an absolute path that FFmpeg opens as it is: no pattern, and valid UTF-8.
+
+    Only opening needs it; reading goes on without.
+    """
+    name = str(path)
+    try:
+        name.encode("utf-8")
+        needs_link = "%" in name
+    except UnicodeEncodeError:  # OpenCV would crash
+        needs_link = True
+    if not needs_link:
+        yield name
+        return
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        # The suffix helps FFmpeg to recognise raw streams; an odd one may be part of the trouble.
+        suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
+        link = Path(folder) / f"video{suffix}"
+        with suppress(OSError):  # not every system lets its users make links
+            link.symlink_to(path)
+            name = str(link)
+        yield name

@@ -1,40 +1,38 @@
-"""From what a user typed to the frames a model takes: opened, chosen by time, grey, reduced."""
+"""From what a user typed to an open video: options, processed size, decoder, fingerprint."""
 
 import math
 import numbers
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.parameters import shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
+    FALLBACK_FPS,
     Picture,
-    Progress,
-    Select,
-    Verdict,
+    Unreadable,
     VideoInfo,
+    openable,
 )
+from dlgmd_cli.video.reading import Frame, Selection, Video
 
-# NumPy and OpenCV are imported inside the functions that need them: --help loads this module.
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
+    from dlgmd_cli.video.reading import Decoder
 
-    from dlgmd_cli.video.files import FileReader
-    from dlgmd_cli.video.images import ImageReader
-
+# What decodes pictures is imported inside functions: --help loads this module.
 __all__ = [
     "DECODERS",
     "DEFAULT_DECODER",
     "Frame",
     "InputOptions",
     "Picture",
-    "Progress",
     "Video",
     "VideoInfo",
     "fingerprint",
@@ -46,37 +44,18 @@ __all__ = [
 DEFAULT_WIDTH = 480
 MAX_SIDE = 8192
 
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame as models take it.
-
-    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1.
-    """
-
-    index: int
-    time_s: float
-    grey: "npt.NDArray[Any]"
-
-    @property
-    def luminance(self) -> "npt.NDArray[np.float32]":
-        """The same as float32 in 0..1, shape (H, W)."""
-        import numpy as np
-
-        if self.grey.dtype != np.uint8:
-            return self.grey
-        return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
-
-
-# Least and greatest value of the options that are numbers, whether the least is excluded, in words.
+_ABOVE_0 = math.ulp(0.0)
+# Least and greatest value of the options that are numbers, in words.
 _RANGES = {
-    "scale": (0.0, 1.0, True, "above 0 and up to 1"),
-    "fps": (0.0, 100_000.0, True, "a frame rate above 0"),
-    "input_fps": (0.0, 100_000.0, True, "a frame rate above 0"),
-    "start": (0.0, 1e9, False, "a time in seconds"),
-    "end": (0.0, 1e9, False, "a time in seconds"),
+    "scale": (_ABOVE_0, 1.0, "above 0 and up to 1"),
+    "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
+    "input_fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
+    "start": (0.0, 1e9, "a time in seconds"),
+    "end": (0.0, 1e9, "a time in seconds"),
 }
-_CHOICES = {"decoder": tuple(DECODERS), "normalise": ("absolute", "sequence")}
+_CHOICES = {"decoder": DECODERS, "normalise": ("absolute", "sequence")}
+# FFmpeg is kept from reading lists of files anyway; this gives a better reason than "damaged".
+_LISTS = (b"#EXTM3U", b"ffconcat")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -85,10 +64,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if match is None:
         raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
     return int(match[1]), int(match[2])
-
-
-def _wrong(name: str, value: object, why: str) -> ParameterError:
-    return ParameterError("", f"--{name.replace('_', '-')} {str(value)[:40]} {why}")
 
 
 @dataclass(frozen=True)
@@ -114,19 +89,13 @@ class InputOptions:
     normalise: str | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.size, str):
-            object.__setattr__(self, "size", parse_size(self.size))
-        for name, (low, high, is_open, allowed) in _RANGES.items():
-            value = getattr(self, name)
-            is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-            if value is not None and not (
-                is_number and (low < value if is_open else low <= value) and value <= high
-            ):
-                raise _wrong(name, value, f"is not {allowed}")
-        for name, choices in _CHOICES.items():
-            value = getattr(self, name)
-            if value is not None and value not in choices:
-                raise _wrong(name, value, f"is not one of {', '.join(choices)}")
+        if not isinstance(self.size, tuple | None):
+            object.__setattr__(self, "size", parse_size(str(self.size)))
+        for name, value in vars(self).items():
+            why = "" if value is None else _why_wrong(name, value)
+            if why:
+                option = f"--{name.replace('_', '-')} {shown(value)}"
+                raise ParameterError("", f"{option} is not {why}")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
@@ -138,7 +107,7 @@ class InputOptions:
         known = {field.name for field in fields(cls)}
         for key in record:
             if key not in known:
-                raise ParameterError(origin, f"unknown option {str(key)[:40]!r} under 'options'")
+                raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
         try:
             return cls(**record)
         except ParameterError as error:
@@ -152,17 +121,10 @@ class InputOptions:
 
     def to_record(self) -> dict[str, Any]:
         """The options that are not left to the default, as a record holds them."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.size is not None:
-            values["size"] = "{}x{}".format(*self.size)
-        return {key: value for key, value in values.items() if value is not None}
+        values = {key: value for key, value in vars(self).items() if value is not None}
+        return values | ({} if self.size is None else {"size": "{}x{}".format(*self.size)})
 
-    @property
-    def by_sequence(self) -> bool:
-        """Whether spikes follow the potential normalised by its own sequence."""
-        return self.normalise == "sequence"
-
-    def open(self, path: str | os.PathLike[str]) -> "Video":
+    def open(self, path: str | os.PathLike[str]) -> Video:
         """Open an input with these options; raises what `open_video` raises."""
         return open_video(
             path,
@@ -176,57 +138,14 @@ class InputOptions:
         )
 
 
-class Video:
-    """Frames of an input, ready for a model; a context manager, made by `open_video`.
-
-    Iterate it for `Frame`\\ s, each in memory of its own; every iteration starts at the beginning.
-
-    Attributes
-    ----------
-    info : VideoInfo
-        Facts about the input.
-    size_wh : (int, int)
-        Width and height of the frames, in px.
-    """
-
-    def __init__(
-        self,
-        reader: "FileReader | ImageReader",
-        size_wh: tuple[int, int],
-        select: Callable[[], Select],
-    ) -> None:
-        from dlgmd_cli.video.luma import to_grey
-
-        self._reader, self._select, self._to_grey = reader, select, to_grey
-        self.info: VideoInfo = reader.info
-        self.size_wh = size_wh
-
-    @property
-    def progress(self) -> Progress:
-        """How many frames were decoded so far, the time of the last one, and warnings."""
-        return self._reader.progress
-
-    def pictures(self) -> Iterator[Picture]:
-        """The chosen pictures as decoded; each is valid until the next one."""
-        return self._reader.pictures(self._select())
-
-    def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
-        """What models take of a picture, at the video's `size_wh` unless another is given."""
-        grey = self._to_grey(picture.image, size_wh or self.size_wh, picture.levels)
-        return Frame(picture.index, picture.time_s, grey)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return map(self.frame, self.pictures())
-
-    def close(self) -> None:
-        """Free the input; may be called twice."""
-        self._reader.close()
-
-    def __enter__(self) -> "Video":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+def _why_wrong(name: str, value: Any) -> str:
+    """What the value of an option should be; empty if it is that."""
+    if name in _RANGES:
+        low, high, words = _RANGES[name]
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        return "" if is_number and low <= value <= high else words
+    choices = _CHOICES.get(name, (value,))
+    return "" if value in choices else f"one of {', '.join(choices)}"
 
 
 def open_video(
@@ -277,39 +196,78 @@ def open_video(
     MissingExtraError
         If the decoder's package is not installed.
     """
-    select = selection(start_s, end_s, max_fps, max_frames)
+    selection = Selection(start_s, end_s, max_fps, max_frames)
     if decoder not in DECODERS:
         raise ParameterError(
             "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
         )
-    reader = _open_reader(os.fspath(path), input_fps, decoder)
-    try:
-        size = processed_size(reader.info.width, reader.info.height, scale=scale, size_wh=size_wh)
-        return Video(reader, size, select)
-    except BaseException:
-        reader.close()
-        raise
-
-
-def _open_reader(path: str, fps: float | None, decoder: str) -> "FileReader | ImageReader":
-    """A reader for a video file, a folder of pictures, or a pattern."""
-    from dlgmd_cli.video.files import FileReader
-    from dlgmd_cli.video.images import ImageReader, in_folder, is_pattern, matching
+    from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
 
     file = Path(path)
     try:
-        exists = file.exists()
+        pictures = pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
-        raise SourceError(path[:80], f"not a usable path ({error})") from None
-    if file.is_dir():
-        absolute = file.resolve()
-        return ImageReader(in_folder(file), absolute, absolute.name or "root", fps)
-    if not exists and is_pattern(path):
-        folder = file.parent.absolute()
-        while is_pattern(folder.name):
-            folder = folder.parent
-        return ImageReader(matching(path), file.absolute(), folder.resolve().name or "root", fps)
-    return FileReader(file, fps, decoder)
+        raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
+    reopen: Callable[[], Decoder]
+    if pictures is None:
+        _check_readable(file)
+        name, reopen = file.stem or file.name, partial(_open_file, file, decoder)
+    else:
+        name, reopen = name_of(file), partial(ImageDecoder, pictures, input_fps or FALLBACK_FPS)
+        decoder = DEFAULT_DECODER
+    opened = reopen()
+    try:
+        width, height, fps, n_frames, _ = opened.facts
+        fps = fps or input_fps or FALLBACK_FPS
+        info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
+        size = processed_size(width, height, scale=scale, size_wh=size_wh)
+    except BaseException:
+        opened.close()
+        raise
+    video = Video(opened, reopen, info, size, selection)
+    if pictures is not None and input_fps is None:
+        line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
+        video.progress.warnings.append(line)
+    return video
+
+
+def _open_file(path: Path, decoder: str) -> "Decoder":
+    """A decoder at the start of a video file; only the one asked for has to be installed."""
+    try:
+        with openable(path.absolute()) as name:
+            if decoder == "pyav":
+                from dlgmd_cli.video.pyav import PyAVDecoder
+
+                return PyAVDecoder(name)
+            from dlgmd_cli.video.opencv import OpenCVDecoder
+
+            return OpenCVDecoder(name)
+    except Unreadable:
+        raise SourceError(
+            str(path),
+            "no frame could be decoded, damaged file or missing codec",
+            "Try re-encoding it with ffmpeg.",
+        ) from None
+
+
+def _check_readable(path: Path) -> None:
+    """Raise SourceError with the reason why a file cannot be opened, which FFmpeg does not give."""
+    name = str(path)
+    if not path.exists():
+        raise SourceError(name, "there is no such file or folder", "Check the path.")
+    if not path.is_file():
+        raise SourceError(name, "it is neither a file nor a folder", "Give a video file.")
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except OSError as error:
+        raise SourceError(name, f"it cannot be read ({error.strerror})") from None
+    if not start:
+        raise SourceError(name, "the file is empty", "Copy or record it again.")
+    if start.startswith(_LISTS):
+        raise SourceError(
+            name, "it is a list of other files, not a video", "Give one of the videos it names."
+        )
 
 
 def processed_size(
@@ -351,55 +309,6 @@ def processed_size(
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def selection(
-    start_s: float = 0.0,
-    end_s: float = math.inf,
-    max_fps: float | None = None,
-    max_frames: int | None = None,
-) -> Callable[[], Select]:
-    """Which frames to take; see `open_video` for the parameters.
-
-    Returns
-    -------
-    callable
-        Each call begins anew, with a function that judges one frame after the other by its time;
-        the times must increase.
-
-    Raises
-    ------
-    ParameterError
-        If the end is not after the start, or the rate is not above 0.
-    """
-    if not end_s > start_s:
-        raise ParameterError("", f"end {end_s:g} s is not after start {start_s:g} s")
-    if max_fps is not None and not (math.isfinite(max_fps) and max_fps > 0.0):
-        raise ParameterError("", f"fps {max_fps:g} is not above 0")
-
-    def begin() -> Select:
-        origin_s, last_slot, n_taken = math.nan, -1, 0
-
-        def select(time_s: float) -> Verdict:
-            nonlocal origin_s, last_slot, n_taken
-            if time_s >= end_s or n_taken == max_frames:
-                return Verdict.STOP
-            # Without a start, frames before zero (edit lists make them) belong to the video too.
-            if start_s > 0.0 and time_s < start_s:
-                return Verdict.SKIP
-            if max_fps is not None:
-                origin_s = time_s if math.isnan(origin_s) else origin_s
-                # Timestamps are rounded, in Matroska to 1 ms: a frame may be that much early.
-                slot = math.floor((time_s - origin_s + 1e-3) * max_fps)
-                if slot <= last_slot:
-                    return Verdict.SKIP
-                last_slot = slot
-            n_taken += 1
-            return Verdict.TAKE
-
-        return select
-
-    return begin
-
-
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """What tells an input from another of the same name, without decoding it.
 
@@ -423,15 +332,11 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     import hashlib
 
-    from dlgmd_cli.video.images import in_folder, is_pattern, matching
+    from dlgmd_cli.video.images import pictures_at
 
-    file = Path(path)
-    if file.is_dir():
-        pictures = in_folder(file)
-    elif not file.exists() and is_pattern(os.fspath(path)):
-        pictures = matching(os.fspath(path))
-    else:
-        facts = file.stat()
+    pictures = pictures_at(Path(path))
+    if pictures is None:
+        facts = Path(path).stat()
         return {"bytes": facts.st_size, "mtime_ns": facts.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:

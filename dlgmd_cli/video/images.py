@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.base import FALLBACK_FPS, Picture, Progress, Select, Verdict, VideoInfo
+from dlgmd_cli.video.base import Facts, Unreadable
 from dlgmd_cli.video.luma import Image
 
 SUFFIXES = (
@@ -19,19 +19,8 @@ SUFFIXES = (
 _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
-class ImageReader:
-    """Pictures from files, in the order given.
-
-    Parameters
-    ----------
-    paths : list of Path
-        At least one file.
-    origin : Path
-        The folder or pattern they were found by.
-    name : str
-        What the results are called.
-    fps : float, optional
-        Frames per second of the sequence; 30 with a warning unless given.
+class ImageDecoder:
+    """Pictures from files, at least one, in the order and at the frames per second given.
 
     Raises
     ------
@@ -39,51 +28,35 @@ class ImageReader:
         If the first picture cannot be read.
     """
 
-    def __init__(self, paths: list[Path], origin: Path, name: str, fps: float | None) -> None:
-        self._paths = paths
-        rate = fps or FALLBACK_FPS
-        first = read_image(paths[0])
+    is_damaged = False
+
+    def __init__(self, paths: list[Path], fps: float) -> None:
+        self._paths, self._path, self._fps = paths, paths[0], fps
+        first = read_image(self._path)
         if first is None:
             raise SourceError(
-                str(paths[0]),
+                str(self._path),
                 "it cannot be read as a picture",
                 "Remove it from the sequence or convert it to PNG.",
             )
-        height, width = first.shape[:2]
-        self.info = VideoInfo(str(origin), name, width, height, rate, len(paths))
-        self.progress = Progress()
-        if fps is None:
-            self.progress.warnings.append(
-                f"pictures have no times; taken as {rate:g} fps (set it with --input-fps)"
-            )
+        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths))
 
-    def pictures(self, select: Select) -> Iterator[Picture]:
-        """Every picture that `select` takes, until one is damaged or of another size."""
-        self.progress.n_decoded = 0
+    def stamps(self) -> Iterator[float]:
+        """The time of every picture in seconds."""
         for index, path in enumerate(self._paths):
-            time_s = index / self.info.fps
-            verdict = select(time_s)
-            if verdict is Verdict.STOP:
-                return
-            image = read_image(path) if verdict is Verdict.TAKE else None
-            if verdict is Verdict.TAKE and (fault := self._fault(image)):
-                self.progress.warnings.append(
-                    f"{path.name} {fault}; "
-                    f"used the {index} of {len(self._paths)} pictures before it"
-                )
-                return
-            self.progress.n_decoded, self.progress.last_time_s = index + 1, time_s
-            if image is not None:
-                yield Picture(index, time_s, image)
+            self._path = path
+            yield index / self._fps
 
-    def _fault(self, image: Image | None) -> str | None:
-        """Why `image` cannot continue the sequence, if it cannot."""
+    def picture(self) -> tuple[Image, None]:
+        """The picture at the last time; raises Unreadable."""
+        image = read_image(self._path)
         if image is None:
-            return "cannot be read as a picture"
+            raise Unreadable(f"{self._path.name} cannot be read as a picture")
         height, width = image.shape[:2]
-        if (width, height) != (self.info.width, self.info.height):
-            return f"is {width}x{height}, not {self.info.width}x{self.info.height}"
-        return None
+        if (width, height) != self.facts[:2]:
+            expected = f"{self.facts.width}x{self.facts.height}"
+            raise Unreadable(f"{self._path.name} is {width}x{height}, not {expected}")
+        return image, None
 
     def close(self) -> None:
         """Do nothing: no file stays open between pictures."""
@@ -100,60 +73,52 @@ def read_image(path: Path) -> Image | None:
     return image if image is not None and image.dtype in (np.uint8, np.uint16) else None
 
 
-def natural_key(path: Path) -> list[tuple[int, int, str]]:
-    """Sorts frame2 before frame10."""
-    parts = re.split(r"(\d+)", str(path))
-    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
-
-
-def in_folder(folder: Path) -> list[Path]:
-    """The pictures in `folder` in natural order, without hidden files.
+def pictures_at(path: Path) -> list[Path] | None:
+    """The pictures in a folder or of a pattern, at least one, in order; None for a file.
 
     Raises
     ------
     SourceError
-        If the folder cannot be read or holds no picture.
+        If there is none, or the folder cannot be read.
     """
-    try:
-        entries = list(folder.iterdir())
-    except OSError as error:
-        raise SourceError(str(folder), f"it cannot be read ({error.strerror})") from None
-    found = [
-        path
-        for path in entries
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
+    if path.is_dir():
+        try:
+            found = list(path.iterdir())
+        except OSError as error:
+            raise SourceError(str(path), f"it cannot be read ({error.strerror})") from None
+        found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
+        why = "there is no picture in this folder"
+        mend = "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG."
+    elif _is_pattern(str(path)) and not path.exists():
+        globbed = glob.iglob(str(path), recursive=True)
+        found = _printf_matches(path) or [Path(name) for name in globbed]
+        why = "no file matches this pattern"
+        mend = "Quote it, and check the path before it."
+    else:
+        return None
+    found = [one for one in found if one.is_file()]
     if not found:
-        raise SourceError(
-            str(folder),
-            "there is no picture in this folder",
-            "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG.",
-        )
-    return sorted(found, key=natural_key)
+        raise SourceError(str(path), why, mend)
+    return sorted(found, key=_natural_key)
 
 
-def is_pattern(text: str) -> bool:
+def name_of(path: Path) -> str:
+    """What the results of a folder or a pattern are called: the folder's name."""
+    folder = path.absolute()
+    while not folder.is_dir() and _is_pattern(folder.name):
+        folder = folder.parent
+    return folder.resolve().name or "root"
+
+
+def _is_pattern(text: str) -> bool:
     """Whether `text` names several files: a glob, or a printf pattern with one %d."""
     return glob.has_magic(text) or _PRINTF.search(Path(text).name) is not None
 
 
-def matching(pattern: str) -> list[Path]:
-    """The files that a pattern names, in natural order.
-
-    Raises
-    ------
-    SourceError
-        If there is none.
-    """
-    found = _printf_matches(Path(pattern))
-    if not found and glob.has_magic(pattern):
-        paths = [Path(match) for match in glob.glob(pattern, recursive=True)]
-        found = sorted((path for path in paths if path.is_file()), key=natural_key)
-    if not found:
-        raise SourceError(
-            pattern, "no file matches this pattern", "Quote it, and check the path before it."
-        )
-    return found
+def _natural_key(path: Path) -> list[tuple[int, int, str]]:
+    """Sorts frame2 before frame10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _printf_matches(pattern: Path) -> list[Path]:
@@ -163,13 +128,6 @@ def _printf_matches(pattern: Path) -> list[Path]:
         return []
     before, after = pattern.name[: match.start()], pattern.name[match.end() :]
     width = int(match[2] or 1) if match[1] else 1
-    number = rf"(\d{{{min(width, 99)},}})"
-    name = re.compile(
-        re.escape(before.replace("%%", "%")) + number + re.escape(after.replace("%%", "%"))
-    )
-    numbered = [
-        (int(found[1]), path)
-        for path in pattern.parent.iterdir()
-        if (found := name.fullmatch(path.name)) and path.is_file()
-    ]
-    return [path for _, path in sorted(numbered)]
+    number = rf"\d{{{min(width, 99)},}}"
+    name = re.escape(before.replace("%%", "%")) + number + re.escape(after.replace("%%", "%"))
+    return [path for path in pattern.parent.iterdir() if re.fullmatch(name, path.name)]

@@ -3,98 +3,64 @@
 import re
 import sys
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import SourceError
-
 Image = npt.NDArray[Any]
+# The levels of black and white; None for the least and the greatest that the type holds.
+Levels = tuple[int, int] | None
 
-_GREY = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
 # Formats whose first plane is the luma, one sample after the other. All others have to be
 # converted: packed, RGB, floating point or of the other byte order.
 _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
-_UNSPECIFIED, _LIMITED = 0, 1
-
-
-class Luma(NamedTuple):
-    """The luma plane of a pixel format: bits of a sample, and how far they are shifted up."""
-
-    n_bits: int
-    shift: int = 0
+_LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
 
 
 @lru_cache(maxsize=64)
-def luma_of(pixel_format: str) -> Luma | None:
-    """The luma plane of a format by FFmpeg's name, such as yuv420p; None if it has none."""
-    planar = _PLANAR.fullmatch(pixel_format)
-    if planar:
-        return Luma(int(planar[1] or 8))
-    semiplanar = _SEMIPLANAR.fullmatch(pixel_format)
-    if semiplanar and semiplanar[1]:
-        return Luma(int(semiplanar[1]), 16 - int(semiplanar[1]))
-    return Luma(8) if semiplanar else None
+def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | None:
+    """The type and the levels of a format's first plane, if that is the luma.
 
-
-@lru_cache(maxsize=64)
-def levels_of(pixel_format: str, luma: Luma, colour_range: int) -> tuple[int, int] | None:
-    """The levels of black and white in a luma plane; None for the least and greatest of its type.
-
-    Parameters
-    ----------
-    pixel_format : str
-        FFmpeg's name for it.
-    luma : Luma
-        As `luma_of` has it.
-    colour_range : int
-        As FFmpeg has it: 0 for unspecified, 1 for limited, 2 for full.
+    Both arguments are as FFmpeg has them: a name such as yuv420p, and 0, 1 or 2.
     """
-    is_full_by_name = pixel_format.startswith(("yuvj", "gray"))
-    is_limited = colour_range == _LIMITED and not pixel_format.startswith("yuvj")
-    if is_limited or (colour_range == _UNSPECIFIED and not is_full_by_name):
-        scale = 1 << (luma.n_bits - 8 + luma.shift)
-        return 16 * scale, 235 * scale
-    if luma.n_bits in (8, 16):
+    planar, semiplanar = _PLANAR.fullmatch(pixel_format), _SEMIPLANAR.fullmatch(pixel_format)
+    found = planar or semiplanar
+    if found is None:
         return None
-    return 0, ((1 << luma.n_bits) - 1) << luma.shift
+    n_bits = int(found[1] or 8)
+    shift = 16 - n_bits if semiplanar and found[1] else 0  # samples fill the upper bits
+    is_full = pixel_format.startswith("yuvj") or colour_range == _FULL
+    if colour_range != _LIMITED and pixel_format.startswith("gray"):
+        is_full = True
+    kind = np.uint8 if n_bits == 8 else np.uint16
+    if not is_full:
+        scale = 1 << (n_bits - 8 + shift)
+        return kind, (16 * scale, 235 * scale)
+    return kind, None if n_bits in (8, 16) else (0, ((1 << n_bits) - 1) << shift)
 
 
-def to_grey(image: Image, size_wh: tuple[int, int], levels: tuple[int, int] | None = None) -> Image:
-    """Grey levels (BT.601) of a picture at the size given.
+def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
+    """Grey levels (BT.601) of a picture, clipped to its levels, at the size given.
 
     Parameters
     ----------
-    image : ndarray, (H, W) or (H, W, 1, 3 or 4), uint8 or uint16
-        Grey, BGR or BGRA.
+    image : ndarray, (H, W) or (H, W, 3), uint8 or uint16
+        Grey or BGR.
     size_wh : (int, int)
         Width and height of the result, in px.
     levels : (int, int), optional
-        The levels of black and white; what lies outside is clipped. By default the least and the
-        greatest that the type holds.
+        The levels of black and white.
 
     Returns
     -------
     ndarray, shape (height, width)
         Newly allocated: uint8 in 0..255 for a picture of 8 bits, else float32 in 0..1.
-
-    Raises
-    ------
-    SourceError
-        If the picture has another depth or number of channels.
     """
-    if image.dtype not in (np.uint8, np.uint16):
-        raise SourceError("picture", f"{image.dtype} pixels are not 8 or 16 bit", "Convert it.")
-    grey = image
-    if image.ndim == 3:
-        channels = image.shape[2]
-        if channels not in (1, *_GREY):
-            raise SourceError("picture", f"{channels} channels are neither grey, BGR nor BGRA")
-        grey = image[:, :, 0] if channels == 1 else cv2.cvtColor(image, _GREY[channels])
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     grey = resized(grey, size_wh)
     if grey.dtype == np.uint16:
         black, white = levels or (0, 65535)
@@ -109,17 +75,8 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: tuple[int, int] | No
 
 
 def resized(image: Image, size_wh: tuple[int, int]) -> Image:
-    """A grey picture at another size: averages of areas if it shrinks, else interpolated.
+    """A grey picture (H, W) at another size: averages of areas if it shrinks, else interpolated.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W), uint8 or uint16
-        The picture; returned as it is if it has that size.
-    size_wh : (int, int)
-        Width and height of the result, in px.
-
-    Notes
-    -----
     OpenCV halves a picture seven times as fast as it divides its sides by 4, so an even whole
     factor begins with a halving. Both steps round to whole levels: the result is within 1 of the
     exact mean, and differs by one level at most from a reduction in a single step.

@@ -12,10 +12,10 @@ import cv2
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     READS_PAST_DAMAGE,
-    Decoded,
-    Grab,
-    VideoFacts,
+    Facts,
+    Unreadable,
     decoder_threads,
+    openable,
     plausible_fps,
 )
 from dlgmd_cli.video.luma import Image
@@ -25,94 +25,96 @@ _lock = threading.Lock()
 
 
 class OpenCVDecoder:
-    """The frames of a file as BGR pictures.
+    """The frames of a file as BGR pictures, from the first to the last, once.
+
+    OpenCV scales every frame to the size of the first one, and does not tell when the size changes.
 
     Parameters
     ----------
     name : str
         The file; valid UTF-8 and no pattern.
 
-    Notes
-    -----
-    OpenCV scales every frame to the size of the first one, and does not tell when the size changes.
+    Raises
+    ------
+    Unreadable
+        If there is no frame.
     """
 
     def __init__(self, name: str) -> None:
         self.is_damaged = False
-        self._name = name
-        self._capture: cv2.VideoCapture | None = None
         self._image: Image | None = None
-
-    def open(self) -> VideoFacts | None:
-        """Open the file and decode its first frame; None if there is none."""
-        self.is_damaged = False
         options = [cv2.CAP_PROP_N_THREADS, decoder_threads()]
         with guarded():
-            capture = cv2.VideoCapture(self._name, cv2.CAP_FFMPEG, options)
-        self._capture = capture
-        if capture.isOpened():
-            for _ in range(READS_PAST_DAMAGE):
-                first = self.picture() if capture.grab() else None
-                if first is not None:
-                    return self._facts(capture, first.image)
-        return None
-
-    def _facts(self, capture: cv2.VideoCapture, first: Image) -> VideoFacts:
-        """What the container states."""
-        height, width = first.shape[:2]
+            self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
+        height, width = self._first().shape[:2]
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        return VideoFacts(
+        self.facts = Facts(
             width,
             height,
             plausible_fps(capture.get(cv2.CAP_PROP_FPS)),
             int(count) if 0 < count < 1e9 else None,
-            self._shown_s(capture.get(cv2.CAP_PROP_BITRATE)),
+            _shown_s(Path(name), capture.get(cv2.CAP_PROP_BITRATE)),
         )
 
-    def _shown_s(self, kbit_per_s: float) -> float:
-        """How much of its frames an MP4 shows, in seconds: its edit list may hide some."""
-        file = Path(self._name)
-        with file.open("rb") as start:
-            is_mp4 = start.read(8)[4:] == b"ftyp"
-        # FFmpeg derives the bit rate of an MP4 from its size and the length that it shows.
-        if not is_mp4 or kbit_per_s <= 0.0:
-            return math.inf
-        return 8e-3 * file.stat().st_size / kbit_per_s
+    def _first(self) -> Image:
+        """The first frame that can be decoded; `stamps` begins with it."""
+        for _ in range(READS_PAST_DAMAGE):
+            if self._capture.grab():
+                try:
+                    return self.picture()[0]
+                except Unreadable:
+                    continue
+        raise Unreadable
 
-    def grabs(self) -> Iterator[Grab]:
-        """Every frame from the first on; once after each `open`."""
+    def stamps(self) -> Iterator[float]:
+        """The timestamp of every frame in seconds, NaN for none."""
         capture = self._capture
-        assert capture is not None
-        is_grabbed = is_first = True  # by opening
+        yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         while True:
-            if not is_grabbed:
+            if not capture.grab():
                 if not any(capture.grab() for _ in range(READS_PAST_DAMAGE)):
                     return
                 self.is_damaged = True
-            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
             # OpenCV says 0 where there is no timestamp.
-            yield Grab(math.nan if stamp_s == 0.0 and not is_first else stamp_s)
-            is_first = False
-            is_grabbed = capture.grab()
+            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0 or math.nan
 
-    def picture(self) -> Decoded | None:
-        """The frame grabbed last, in memory that the next one reuses; None if it is damaged."""
-        assert self._capture is not None
+    def picture(self) -> tuple[Image, None]:
+        """The frame at the last timestamp, in memory that the next one reuses."""
         try:
             is_there, image = self._capture.retrieve(self._image)
         except cv2.error:
-            return None
+            is_there, image = False, None
         if not is_there or image is None or image.size == 0:
-            return None
+            raise Unreadable("the file is damaged")
         # Reused memory is faster: the system need not clear new pages.
         self._image = image
-        return Decoded(image)
+        return image, None
 
     def close(self) -> None:
-        """Free the file, so that it can be opened again; may be called twice."""
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
+        """Free the file; may be called twice."""
+        self._capture.release()
+
+
+def _shown_s(file: Path, kbit_per_s: float) -> float:
+    """How much of its frames an MP4 shows, in seconds: its edit list may hide some."""
+    with file.open("rb") as start:
+        is_mp4 = start.read(8)[4:] == b"ftyp"
+    # FFmpeg derives the bit rate of an MP4 from its size and the length that it shows.
+    if not is_mp4 or kbit_per_s <= 0.0:
+        return math.inf
+    return 8e-3 * file.stat().st_size / kbit_per_s
+
+
+def count_frames(path: Path) -> int:
+    """The number of frames that can be decoded from a video file; 0 if there is none."""
+    try:
+        with openable(path.absolute()) as name:
+            decoder = OpenCVDecoder(name)
+    except Unreadable:
+        return 0
+    n_frames = sum(1 for _ in decoder.stamps())
+    decoder.close()
+    return n_frames
 
 
 @contextmanager

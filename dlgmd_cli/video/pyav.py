@@ -12,13 +12,12 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
-    Decoded,
-    Grab,
-    VideoFacts,
+    Facts,
+    Unreadable,
     decoder_threads,
     plausible_fps,
 )
-from dlgmd_cli.video.luma import Image, levels_of, luma_of
+from dlgmd_cli.video.luma import Image, Levels, luma_plane
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -32,12 +31,19 @@ _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTA
 
 
 class PyAVDecoder:
-    """The frames of a file as luma planes, as BGR pictures where they have none.
+    """The frames of a file as luma planes, as BGR pictures where they have none; once.
 
     Parameters
     ----------
     name : str
         The file; no pattern.
+
+    Raises
+    ------
+    Unreadable
+        If there is no frame.
+    MissingExtraError
+        If PyAV is not installed.
 
     Notes
     -----
@@ -47,53 +53,32 @@ class PyAVDecoder:
     """
 
     def __init__(self, name: str) -> None:
-        self.is_damaged = False
-        self._name = name
-        self._container: InputContainer | None = None
-        self._frames: Generator[VideoFrame, None, None] | None = None
-        self._frame: VideoFrame | None = None
-        self._size: tuple[int, int] | None = None
-        self._start = 0
-
-    def open(self) -> VideoFacts | None:
-        """Open the file and decode its first frame; None if there is none.
-
-        Raises
-        ------
-        MissingExtraError
-            If PyAV is not installed.
-        """
         av = _import_av()
         self.is_damaged = False
         try:
             # With "file:" the name is nothing but a name.
-            self._container = container = av.open(
-                f"file:{self._name}",
-                metadata_errors="replace",
-                container_options=dict(FFMPEG_OPTIONS),
+            self._container: InputContainer = av.open(
+                f"file:{name}", metadata_errors="replace", container_options=dict(FFMPEG_OPTIONS)
             )
         except (av.FFmpegError, ValueError):
-            return None
-        stream = _pictures_of(container)
-        if stream is None:
-            return None
+            raise Unreadable from None
+        stream = self._stream = _pictures_of(self._container)
         # Threads by frames if the codec allows it, else by slices. PyAV's default are slices, which
         # most videos do not have.
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = decoder_threads()
-        self._start = stream.start_time or 0
-        self._frames = self._decoded(av, container, stream)
-        self._frame = next(self._frames, None)
-        if self._frame is None:
-            return None
+        self._frames = self._decoded(av, stream)
+        first = next(self._frames, None)
+        if first is None:
+            self.close()
+            raise Unreadable
         self.is_damaged = False  # a stream may begin with what gives no frame
-        self._size = _shown_size(self._frame)
-        return _facts(container, stream, self._size)
+        self._frame = first
+        self.facts = _facts(self._container, stream, _shown_size(first))
 
-    def _decoded(
-        self, av: Any, container: "InputContainer", stream: "VideoStream"
-    ) -> Generator["VideoFrame", None, None]:
+    def _decoded(self, av: Any, stream: "VideoStream") -> Generator["VideoFrame", None, None]:
         """Every frame that is whole."""
+        container = self._container
         n_bad = 0
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
@@ -119,66 +104,48 @@ class PyAVDecoder:
                     n_bad = 0
                     yield frame
 
-    def grabs(self) -> Iterator[Grab]:
-        """Every frame from the first on; once after each `open`."""
-        assert self._frame is not None and self._frames is not None
+    def stamps(self) -> Iterator[float]:
+        """The timestamp of every frame in seconds from the start of the stream, NaN for none."""
+        start = self._stream.start_time or 0
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
-            size = _shown_size(frame)
-            yield Grab(self._stamp(frame), size if size != self._size else None)
+            if frame.pts is None or frame.time_base is None:
+                yield math.nan
+            else:
+                yield float((frame.pts - start) * frame.time_base)
 
-    def _stamp(self, frame: "VideoFrame") -> float:
-        """The frame's timestamp in seconds from the start of the stream, NaN for none."""
-        if frame.pts is None or frame.time_base is None:
-            return math.nan
-        return float((frame.pts - self._start) * frame.time_base)
-
-    def picture(self) -> Decoded | None:
-        """The frame grabbed last, valid for as long as it is held; None if it is damaged."""
-        assert self._frame is not None
+    def picture(self) -> tuple[Image, Levels]:
+        """The frame at the last timestamp; its memory lasts for as long as it is held."""
+        size = _shown_size(self._frame)
+        if size != self.facts[:2]:
+            raise Unreadable(f"the picture size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame)
 
     def close(self) -> None:
-        """Free the file, so that it can be opened again; may be called twice."""
+        """Free the file; may be called twice."""
         # What still reads from the container has to end first, or it would crash.
-        if self._frames is not None:
-            self._frames.close()
-        self._frames = self._frame = None
-        if self._container is not None:
-            self._container.close()
-            self._container = None
+        self._frames.close()
+        self._container.close()
 
 
-def picture_of(frame: "VideoFrame") -> Decoded | None:
-    """What a decoded frame shows.
-
-    Parameters
-    ----------
-    frame : av.VideoFrame
-        Its memory is used as it is where it has a luma plane.
-
-    Returns
-    -------
-    Decoded or None
-        Its luma plane, or BGR if it has none; None where it cannot be converted.
-    """
-    pixel_format, plane = frame.format.name, frame.planes[0]
-    luma = luma_of(pixel_format)
+def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
+    """The luma plane of a frame, a view of its memory, or BGR if it has none; and its levels."""
+    plane = frame.planes[0]
+    luma = luma_plane(frame.format.name, int(frame.color_range))
     if luma is None or plane.line_size <= 0:
         try:
-            return Decoded(_turned(frame, frame.to_ndarray(format="bgr24")))
+            return _turned(frame, frame.to_ndarray(format="bgr24")), None
         except (ValueError, OSError):  # no conversion from this format
-            return None
-    n_bytes = 1 if luma.n_bits == 8 else 2
+            raise Unreadable("the file is damaged") from None
+    kind, levels = luma
     # A view: it keeps the frame alive, and the frame its memory.
     image: Image = np.ndarray(
         (frame.height, frame.width),
-        np.uint8 if n_bytes == 1 else np.uint16,
+        kind,
         buffer=memoryview(plane),
-        strides=(plane.line_size, n_bytes),
+        strides=(plane.line_size, np.dtype(kind).itemsize),
     )
-    levels = levels_of(pixel_format, luma, int(frame.color_range))
-    return Decoded(_turned(frame, image), levels)
+    return _turned(frame, image), levels
 
 
 def _import_av() -> Any:
@@ -196,22 +163,23 @@ def _import_av() -> Any:
     ) from None
 
 
-def _pictures_of(container: "InputContainer") -> "VideoStream | None":
+def _pictures_of(container: "InputContainer") -> "VideoStream":
     """The first stream of moving pictures that can be decoded."""
     for stream in container.streams.video:
         if not stream.disposition.value & _COVER and stream.codec_context is not None:
             return stream
-    return None
+    container.close()
+    raise Unreadable
 
 
-def _facts(container: "InputContainer", stream: "VideoStream", size: tuple[int, int]) -> VideoFacts:
+def _facts(container: "InputContainer", stream: "VideoStream", size: tuple[int, int]) -> Facts:
     """What the container states."""
     rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
     fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
     length_s = _length_s(container, stream)
     n_frames = stream.frames or round(length_s * (fps or 0.0))
     has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
-    return VideoFacts(*size, fps, n_frames or None, length_s if has_edits else math.inf)
+    return Facts(*size, fps, n_frames or None, length_s if has_edits else math.inf)
 
 
 def _length_s(container: "InputContainer", stream: "VideoStream") -> float:

@@ -1,64 +1,40 @@
 """Timestamps of frames: repaired so that they increase, and searched for missing frames."""
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 # Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
 MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
 
 
-class HoleWatch:
-    """Finds frames that are missing in a stream of constant rate: a demuxer skipped them.
+def missing_frames(times: Sequence[float], fps: float) -> str | None:
+    """One line on frames that a demuxer skipped in a stream of constant rate, or None.
 
     Streams of variable rate have odd intervals everywhere; nothing is reported for them.
-
-    Parameters
-    ----------
-    fps : float
-        Nominal rate.
     """
-
-    def __init__(self, fps: float) -> None:
-        self._fps = fps
-        self._last_s = math.nan
-        self._n_frames = 0
-        self._n_steady = self._n_odd = self._n_holes = self._n_missing = self._n_long = 0
-        self._first: tuple[int, float] | None = None
-        self._hole_ends = -HOLE_EDGE_FRAMES
-
-    def add(self, index: int, time_s: float) -> None:
-        """Take the next frame's time."""
-        intervals = (time_s - self._last_s) * self._fps  # NaN at the first frame
-        if abs(intervals - 1.0) < 0.25 + 2e-3 * self._fps:
-            self._n_steady += 1
-        elif intervals > 1.0:
-            # The edges of a hole are ragged: several long intervals close together.
-            if index - self._hole_ends > HOLE_EDGE_FRAMES:
-                self._n_holes += 1
-                self._n_long = 0
-            self._n_long += 1
-            self._n_odd += self._n_long > HOLE_EDGE_FRAMES  # too long for an edge
-            if self._first is None:
-                self._first = (index - 1, self._last_s)
-            self._n_missing += round(intervals) - 1
-            self._hole_ends = index
-        elif index > 0:
-            self._n_odd += 1
-        self._last_s, self._n_frames = time_s, index + 1
-
-    def report(self) -> str | None:
-        """One line on the holes, or None."""
-        is_steady = self._n_odd == 0 and self._n_steady >= 20 * self._n_holes
-        # A video that was cut can have a ragged end.
-        is_end = self._n_holes == 1 and self._n_frames - self._hole_ends <= HOLE_EDGE_FRAMES
-        if self._first is None or is_end or not is_steady or self._n_missing < 2 * self._n_holes:
-            return None
-        index, time_s = self._first
-        more = f" and in {self._n_holes - 1} more places" if self._n_holes > 1 else ""
-        return (
-            f"about {self._n_missing} frames are missing after frame {index} ({time_s:.3f} s)"
-            f"{more}, damaged file or dropped frames; do not trust the response there"
-        )
+    intervals = np.diff(times) * fps
+    is_steady = np.abs(intervals - 1.0) < 0.25 + 2e-3 * fps
+    longs = np.flatnonzero(~is_steady & (intervals > 1.0))
+    if longs.size == 0:
+        return None
+    # The edges of a hole are ragged: several long intervals close together, but not too many.
+    starts = np.flatnonzero(np.diff(longs, prepend=-2 * HOLE_EDGE_FRAMES) > HOLE_EDGE_FRAMES)
+    n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
+    n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
+    n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
+    # A video that was cut can have a ragged end.
+    is_end = n_holes == 1 and len(intervals) - longs[-1] <= HOLE_EDGE_FRAMES
+    is_variable = n_odd > 0 or np.sum(is_steady) < 20 * n_holes
+    if is_end or is_variable or n_missing < 2 * n_holes:
+        return None
+    more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
+    return (
+        f"about {n_missing} frames are missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
+        f"{more}, damaged file or dropped frames; do not trust the response there"
+    )
 
 
 class FrameClock:

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.video.files import count_frames, openable
+from dlgmd_cli.video.base import openable
+from dlgmd_cli.video.opencv import count_frames
 
 Image = npt.NDArray[np.uint8]
 Write = Callable[[Image], Any]

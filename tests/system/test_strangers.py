@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.errors import SourceError, printable
 from dlgmd_cli.parameters import MAX_CONFIG_BYTES
-from dlgmd_cli.results.csv import cell, text_cell, write_comparison
+from dlgmd_cli.results.csv import cell, text_cell
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.result import read_comparison
 from dlgmd_cli.results.store import fitting
@@ -113,14 +113,6 @@ def test_numbers_stay_plain():
     ]
 
 
-def test_the_writer_of_comparisons_guards_labels(tmp_path):
-    import numpy as np
-
-    result = result_of_level(np.zeros(2), time_s=np.arange(2.0))
-    write_comparison(tmp_path / "compare.csv", {"=cmd": result, "set9": result})
-    assert list(read_comparison(tmp_path / "compare.csv")) == ["./=cmd", "set9"]
-
-
 @POSIX
 def test_a_label_is_the_same_everywhere(dlgmd, tmp_path, clips):
     for number, stem in enumerate(("=cmd|' C'!A0", "a;=b,c$", f"-{HOSTILE}")):
@@ -131,7 +123,7 @@ def test_a_label_is_the_same_everywhere(dlgmd, tmp_path, clips):
     folder = tmp_path / "dlgmd-out/loom"
     result = dlgmd("compare", clips / "loom.avi", *files, *options, "--json")
     assert result.exit_code == 0 and list(json.loads(result.stdout)["models"]) == labels
-    assert list(read_comparison(folder / "compare.csv")) == labels
+    assert list(read_comparison(folder)) == labels
     record = yaml.safe_load((folder / "compare.yaml").read_text(encoding="utf-8"))
     assert [one["label"] for one in record["models"]] == labels
     drawing = (folder / "compare-mp.svg").read_text(encoding="utf-8")
@@ -192,8 +184,8 @@ def test_json_keeps_a_name_and_holds_no_control(dlgmd, tmp_path, clips):
 
 
 def test_a_record_stays_readable_where_nothing_is_hostile():
-    assert yaml_text({"path": "Überflug.mp4"}) == "path: Überflug.mp4\n"
-    assert yaml_text({"path": "\u202eÜ"}) == 'path: "\\u202E\\xDC"\n'
+    assert yaml_text({"path": "Überflug.mp4"}, "") == "path: Überflug.mp4\n"
+    assert yaml_text({"path": "\u202eÜ"}, "") == 'path: "\\u202E\\xDC"\n'
 
 
 @pytest.mark.parametrize(
@@ -257,9 +249,7 @@ def test_nul_is_wrong_usage(dlgmd, arguments):
 
 def test_a_name_that_looks_like_an_option(dlgmd, tmp_path, clips):
     shutil.copy(clips / "loom.avi", tmp_path / "-rf.avi")
-    hint = "A file's name that begins like this needs ./ in front."
-    assert hint in dlgmd("run", "-rf.avi").stderr
-    assert hint not in dlgmd("run", "-zf.avi").stderr
+    assert "No such option" in dlgmd("run", "-rf.avi").stderr
     for arguments in (["./-rf.avi", "--out", "1"], ["--out", "2", "--", "-rf.avi"]):
         assert dlgmd("run", "--no-plots", *arguments).exit_code == 0
 
@@ -303,11 +293,11 @@ def test_names_too_long_for_a_prefix_are_cut(dlgmd, tmp_path, clips, command):
     assert os.path.exists(result.stdout.splitlines()[-1])
 
 
-@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=300), st.integers(0, 255))
-def test_a_fitting_name_is_a_beginning_and_short(name, n_bytes):
-    short = fitting(name, n_bytes)
-    assert name.startswith(short) and len(os.fsencode(short)) <= n_bytes
-    assert short == name or len(os.fsencode(name[: len(short) + 1])) > n_bytes
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=300))
+def test_a_fitting_name_is_a_beginning_and_short(name):
+    short = fitting(name)
+    assert name.startswith(short) and len(os.fsencode(short)) <= 200
+    assert short == name or len(os.fsencode(name[: len(short) + 1])) > 200
 
 
 @pytest.mark.parametrize(
@@ -398,7 +388,7 @@ def test_a_list_is_called_one(dlgmd, tmp_path):
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
-    monkeypatch.setattr("dlgmd_cli.video.files._LISTS", ())
+    monkeypatch.setattr("dlgmd_cli.video.frames._LISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
     unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)
@@ -446,11 +436,11 @@ def test_the_environment_is_as_it_was(monkeypatch, before):
         ('"\\e]0;x\\a\\u202e": 1', r"unknown parameter '\x1b]0;x\x07\u202e'."),
         ('engine: "\\e[2J\\x9b\\0"', r"there is no engine '\x1b[2J\x9b\x00'."),
         ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
-        ("options: {fps: 0x" + "f" * 5000 + "}", "fps = a huge number under 'options' is not"),
-        ("options: {? 0x" + "f" * 5000 + " : 1}", "unknown option 'a huge number' under"),
-        ("options: {scale: true}", "scale = True under 'options' is not valid."),
-        ("options: {start: '" + "9" * 400 + "'}", "start = '9999"),
-        ("options: {fps: 1, fps: 2}", "key 'fps' stands twice in line 1."),
+        ("options: {fps: 0x" + "f" * 5000 + "}", "options: --fps a huge number is not"),
+        ("options: {? 0x" + "f" * 5000 + " : 1}", "unknown option a huge number under"),
+        ("options: {scale: true}", "options: --scale True is not above 0 and up to 1."),
+        ("options: {start: '" + "9" * 400 + "'}", "options: --start '9999"),
+        ("options: {fps: 1, fps: 2}", "key 'fps' appears twice in line 1."),
         ("options: {out: /tmp/x}", "unknown option 'out' under 'options'."),
         ('options: {"\\e[2J": 1}', r"unknown option '\x1b[2J' under 'options'."),
         ("out: /tmp/x", "unknown parameter 'out'."),

@@ -135,15 +135,6 @@ def test_a_process_that_is_killed_loses_no_point_that_was_done(dlgmd, undisturbe
     check_continues(dlgmd, undisturbed, 2)
 
 
-def test_two_sweeps_into_one_folder(dlgmd, undisturbed):
-    running = process(*LONG, "--jobs", 1)
-    until(lambda: n_lines() > 2, running)
-    result = dlgmd(*LONG, "--overwrite")
-    assert result.exit_code == 2 and "another dlgmd command is writing here" in result.stderr
-    running.communicate(timeout=120)
-    assert Path(CUBES, "sweep.csv").read_bytes() == undisturbed
-
-
 @pytest.mark.parametrize("engine", ["opencv", "numba"])
 def test_a_video_by_two_processes(dlgmd, tmp_path, engine):
     if engine == "numba":

@@ -170,7 +170,7 @@ def test_a_damaged_flight_is_none(synth, fault):
     [
         (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "it lists other videos, such as other.mp4"),
         ("", "it holds no labels"),
-        (HEADER + "quick-0001.mp4,soon\n", "line 2 is no label"),
+        (HEADER + "quick-0001.mp4,soon\n", "line 2 is not a label"),
     ],
 )
 def test_labels_of_others_are_refused(synth, text, why):
@@ -274,13 +274,13 @@ def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"\xff\xfe", "it cannot be read (it is no CSV in UTF-8)"),
+        (b"\xff\xfe", "it cannot be read (not a CSV file)"),
         (b"video\na.mp4\n", "it holds no labels"),
-        (b"video,collision_frame\na.mp4\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is no label"),
-        (b"video,collision_frame\na.mp4,-1\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is no label"),
+        (b"video,collision_frame\na.mp4\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is not a label"),
+        (b"video,collision_frame\na.mp4,-1\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is not a label"),
     ],
 )
 def test_what_holds_no_labels(tmp_path, data, why):

@@ -11,9 +11,9 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
-from dlgmd_cli.plots.annotations import Timeline
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files, save_figure
+from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
 
 WIDTHS_IN = {"one": 3.5, "two": 7.16}

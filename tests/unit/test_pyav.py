@@ -11,7 +11,7 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.video.frames import Frame, open_video
-from dlgmd_cli.video.luma import Luma, levels_of, luma_of, to_grey
+from dlgmd_cli.video.luma import luma_plane, to_grey
 from dlgmd_cli.video.pyav import picture_of
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -127,10 +127,8 @@ def through(pixel_format, ramp):
         frame = av.VideoFrame.from_ndarray(ramp, "gray").reformat(format=pixel_format)
     except (ValueError, OSError):
         return None
-    decoded = picture_of(frame)
-    if decoded is None:
-        return None
-    grey = to_grey(decoded.image, ramp.shape[::-1], decoded.levels)
+    image, levels = picture_of(frame)
+    grey = to_grey(image, ramp.shape[::-1], levels)
     return Frame(0, 0.0, grey).luminance
 
 
@@ -150,17 +148,19 @@ def test_every_pixel_format():
 
 
 def test_which_formats_have_a_luma_plane():
-    assert luma_of("yuv420p") == luma_of("nv12") == luma_of("gray") == Luma(8, 0)
-    assert luma_of("yuv422p10le") == Luma(10, 0) and luma_of("p010le") == Luma(10, 6)
-    assert levels_of("p010le", Luma(10, 6), LIMITED) == (64 << 6, 940 << 6)
-    assert levels_of("yuvj420p", Luma(8, 0), LIMITED) is None  # its name says full
+    for name in ("yuv420p", "nv12"):
+        assert luma_plane(name, UNSPECIFIED) == luma_plane(name, LIMITED) == (np.uint8, (16, 235))
+    assert luma_plane("gray", UNSPECIFIED) == luma_plane("yuv420p", FULL) == (np.uint8, None)
+    assert luma_plane("yuv422p10le", FULL) == (np.uint16, (0, 1023))
+    assert luma_plane("p010le", LIMITED) == (np.uint16, (64 << 6, 940 << 6))
+    assert luma_plane("yuvj420p", LIMITED) == (np.uint8, None)  # its name says full
     for name in ("rgb24", "pal8", "yuyv422", "yuv420p10be", "grayf32le", "ya8", "bayer_rggb8"):
-        assert luma_of(name) is None
+        assert luma_plane(name, LIMITED) is None
 
 
 def test_the_plane_is_no_copy():
     frame = filled("yuv420p", RAMP)
-    image = picture_of(frame).image
+    image, _ = picture_of(frame)
     assert np.shares_memory(image, np.frombuffer(frame.planes[0], np.uint8))
 
 

@@ -309,7 +309,7 @@ USAGE = [
     (["--scale", "nan"], "--scale"),
     (["--size", "0x5"], "size 0x5"),
     (["--size", "wide"], "'wide' is not WIDTHxHEIGHT"),
-    (["--set", "1", "--param", "lam=0.7"], "makes the latency longer than 64 frames"),
+    (["--set", "1", "--param", "lam=0.7"], "make the latency longer than 64 frames"),
     (["--scale", 0.5, "--size", "4x4"], "--scale and --size exclude each other"),
     (["--fps", -1], "--fps"),
     (["--fps", "nan"], "--fps"),
@@ -343,10 +343,10 @@ def test_usage_names_the_command(dlgmd, clips):
         ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
         ({"pace": 1}, "unknown option 'pace' under 'options'"),
         ({"size": "big"}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
-        ({"scale": [1]}, "my.yaml: options: --scale [1] is not above 0 and up to 1"),
+        ({"scale": [1]}, "my.yaml: options: --scale a list or mapping is not above 0 and up to 1"),
         ({"scale": True}, "my.yaml: options: --scale True is not above 0"),
         ({"fps": float("nan")}, "my.yaml: options: --fps nan is not a frame rate above 0"),
-        ({"decoder": "vlc"}, "my.yaml: options: --decoder vlc is not one of opencv, pyav"),
+        ({"decoder": "vlc"}, "options: --decoder 'vlc' is not one of opencv, pyav"),
     ],
 )
 def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):

@@ -17,7 +17,7 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs import sweep as sweeps
-from dlgmd_cli.runs.sweep import RESPONSE_COLUMNS, Subject, Sweep, engine_for
+from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
 
 
@@ -165,14 +165,6 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
     assert again.done == {0}
 
 
-def test_what_is_not_a_table_holds_no_point(tmp_path):
-    result = table()
-    result.read(tmp_path / "missing.csv")
-    (tmp_path / "t.csv").write_text("r,ffi_gd,attenuation_db\n2,true,1\n")
-    result.read(tmp_path / "t.csv")
-    assert not result.done
-
-
 def subject(clips, speeds=(), identity=None, **settings):
     """Frames in memory, as a subject."""
     height, width = clips[0][0].shape
@@ -231,33 +223,6 @@ def test_values_are_those_of_the_model(tmp_path, params, x, dtype):
     assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
 
 
-def test_measures_of_a_response(tmp_path):
-    frames = looming_frames(30, 96, 72)
-    what = subject([frames[:1] * 12 + frames], false_positive_frame=4)
-    one = done(tmp_path / "s", what, x="a=0,1.5,100", y="r=6")
-    assert tuple(one.result.columns) == RESPONSE_COLUMNS
-    weak, normal, strong = (
-        {name: values.flat[point] for name, values in one.result.columns.items()}
-        for point in range(3)
-    )
-    assert normal["mp_max_frame"] == 41 and normal["mp_max"] > 0.0
-    assert normal["distinguishability"] == math.inf
-    assert 0.0 < normal["sharpness"] < weak["sharpness"] < 1.0
-    assert strong["mp_max"] == 0.0
-    assert all(math.isnan(strong[c]) for c in ("sharpness", "first_alarm_frame"))
-    assert strong["mean_attenuation_db"] < -60.0 < normal["mean_attenuation_db"]
-
-
-def test_points_that_are_not_possible_are_left_out(tmp_path):
-    what = subject([looming_frames(9)], (1.0,))
-    one = sweep(tmp_path / "s", what, "alpha=-1:0:0.25", "sigma_e=-1,2")
-    assert list(one.points) == [7, 8, 9]
-    assert one.points[8] == DlgmdParameters(alpha=-0.25, sigma_e=2.0)
-    assert one.fault.why == "sigma_e = -1.0 is not above 0"
-    with pytest.raises(ParameterError, match=r"--x and --y: sigma_e = 0\.0 is not above 0"):
-        sweep(tmp_path / "s", what, "r=2,4", "sigma_e=0")
-
-
 def test_an_interrupted_sweep_keeps_its_points_and_goes_on(tmp_path, stop, monkeypatch):
     what, whole = subject([looming_frames(9)], (1.0,)), tmp_path / "whole"
     done(whole, what)
@@ -292,15 +257,6 @@ def record(folder):
     return (folder / "sweep.yaml").read_bytes()
 
 
-def test_a_finished_sweep_is_not_computed_again(tmp_path, monkeypatch):
-    what = subject([looming_frames(9)])
-    done(tmp_path / "s", what)
-    before = (tmp_path / "s" / "sweep.csv").read_bytes(), record(tmp_path / "s")
-    monkeypatch.setattr(sweeps, "create_model", None)
-    done(tmp_path / "s", what)
-    assert ((tmp_path / "s" / "sweep.csv").read_bytes(), record(tmp_path / "s")) == before
-
-
 @pytest.mark.parametrize(
     ("options", "differing"),
     [
@@ -323,32 +279,6 @@ def test_another_sweep_is_refused(tmp_path, options, differing):
     assert not other.result.done
     assert (tmp_path / "s" / "sweep.csv").read_bytes() == before
     assert (tmp_path / "s" / "notes.txt").read_text() == "mine"
-
-
-def test_another_input_or_frame_is_refused(tmp_path):
-    frames = looming_frames(9)
-    done(tmp_path / "s", subject([frames], identity={}, false_positive_frame=4))
-    for identity, frame, why in (({"bytes": 1}, 4, "input"), ({}, 5, "false_positive_frame")):
-        what = subject([frames], identity=identity, false_positive_frame=frame)
-        with pytest.raises(OutputExistsError, match=rf"\({why}\)"):
-            sweep(tmp_path / "s", what).resume()
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_files_of_others_are_never_touched(tmp_path, overwrite):
-    (tmp_path / "sweep.csv").write_text("mine\n")
-    with pytest.raises(OutputExistsError, match=r"it holds other files, such as sweep\.csv"):
-        sweep(tmp_path, subject([looming_frames(9)])).resume(overwrite=overwrite)
-    assert os.listdir(tmp_path) == ["sweep.csv"]
-
-
-def test_too_few_frames_for_every_point(tmp_path):
-    one = sweep(tmp_path / "s", subject([looming_frames(3)]))
-    with pytest.raises(SourceError, match="3 of 4 for set9"):
-        one.compute()
-    assert os.listdir(tmp_path / "s") == []
-    # Without a latency, three are enough.
-    done(tmp_path / "s", subject([looming_frames(3)]), x="lam=0,0.7", y="alpha=0,1")
 
 
 def test_a_full_disk_is_one_line(tmp_path, monkeypatch):

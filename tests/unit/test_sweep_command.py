@@ -104,16 +104,6 @@ def test_a_video_is_what_run_says(dlgmd, clips, options):
     assert row["distinguishability"] == ""
 
 
-@pytest.mark.parametrize(("model", "x"), [("lgmd", "w_i=0.3"), ("emd-lgmd", "tau_low=2")])
-def test_other_models(dlgmd, clips, model, x):
-    options = ["--model", model, "--no-plots", "--jobs", 1]
-    succeed(dlgmd, "sweep", clips / "loom.avi", "--x", x, "--y", "t_mp=0.3,0.6", *options)
-    row = rows("dlgmd-out/sweep-loom/sweep.csv")[0]
-    summary = summary_of_run(dlgmd, clips / "loom.avi", "--model", model, "--param", "t_mp=0.3")
-    assert row["mp_max"] == f"{summary['mp_max']:.9g}"
-    assert row["mean_attenuation_db"] == f"{summary['mean_attenuation_db']:.9g}"
-
-
 def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
     frames = looming_frames(24, 96, 72)
     write_video(tmp_path / "late.avi", frames[:1] * 14 + frames, fourcc="FFV1")
@@ -190,19 +180,6 @@ def test_a_finished_sweep_is_only_drawn_again(dlgmd, monkeypatch):
     assert result.stderr == "6 of 6 points are already done.\n"
     assert set(os.listdir(CUBES)) == FILES | {"sweep.svg"}
     assert Path(CUBES, "sweep.csv").read_bytes() == before
-
-
-def test_other_settings_are_refused(dlgmd):
-    succeed(dlgmd, "sweep", *TINY, "--no-plots")
-    for options, differing in ((["--speed", 1], "cubes"), (["--param", "k=2"], "k")):
-        result = dlgmd("sweep", *TINY, "--no-plots", *options)
-        assert result.exit_code == 2
-        assert result.stderr == (
-            f"Error: {CUBES}: a sweep with other settings already exists here ({differing}). "
-            "Add --overwrite to replace it, or choose another --out.\n"
-        )
-    succeed(dlgmd, "sweep", *TINY, "--no-plots", "--param", "k=2", "--overwrite")
-    assert record(CUBES)["k"] == 2
 
 
 def test_inputs_are_told_apart_by_their_files(dlgmd, pictures, tmp_path):

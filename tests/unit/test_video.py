@@ -16,16 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.video.base import Verdict
-from dlgmd_cli.video.frames import (
-    Frame,
-    open_video,
-    processed_size,
-    selection,
-)
+from dlgmd_cli.video.frames import Frame, open_video, processed_size
 from dlgmd_cli.video.luma import resized, to_grey
-from dlgmd_cli.video.prefetch import ReadAhead, opencv_threads
-from dlgmd_cli.video.timestamps import FrameClock, HoleWatch
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.reading import Selection
+from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan
 
@@ -121,16 +116,16 @@ def test_contract_rate(any_input, decoder):
 
 
 def test_a_rate_that_does_not_divide():
-    select = selection(max_fps=10.0)()
-    taken = [i for i in range(30) if select(i / 25.0) is Verdict.TAKE]
+    selection = Selection(max_fps=10.0)
+    taken = [i for i in range(30) if selection.takes(i / 25.0)]
     assert taken == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23, 25, 28]
 
 
 @given(st.lists(st.floats(0.001, 5), min_size=1, max_size=60), st.floats(0.1, 200))
 def test_no_more_frames_than_asked_for(intervals, rate):
     times = np.cumsum(intervals)
-    select = selection(max_fps=rate)()
-    taken = [t for t in times if select(t) is Verdict.TAKE]
+    selection = Selection(max_fps=rate)
+    taken = [t for t in times if selection.takes(t)]
     assert len(taken) <= math.floor((times[-1] - times[0] + 1e-3) * rate) + 1
     assert taken[0] == times[0]
 
@@ -140,7 +135,7 @@ def test_no_more_frames_than_asked_for(intervals, rate):
 )
 def test_bad_selection(options):
     with pytest.raises(ParameterError):
-        selection(**options)
+        Selection(**options)
 
 
 def test_default_size_is_at_most_480_wide():
@@ -158,16 +153,13 @@ def test_default_size_is_at_most_480_wide():
 
 
 @pytest.mark.parametrize("depth", [np.uint8, np.uint16])
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_luminance_of_every_kind_of_picture(depth, channels):
+def test_luminance_of_grey_and_colour(depth):
     top = np.iinfo(depth).max
-    colour = np.array([0.2, 0.5, 0.9, 0.1])[:channels] * top
-    image = np.broadcast_to(colour.astype(depth), (6, 8, channels)).copy()
-    expected = 0.2 if channels == 1 else 0.114 * 0.2 + 0.587 * 0.5 + 0.299 * 0.9
-    for picture in (image, image[:, :, 0]) if channels == 1 else (image,):
-        luminance = to_luminance(picture, (8, 6))
-        assert luminance.dtype == np.float32
-        assert luminance == pytest.approx(expected, abs=1.5 / top)
+    image = np.full((6, 8, 3), np.array([0.2, 0.5, 0.9]) * top).astype(depth)
+    expected = 0.114 * 0.2 + 0.587 * 0.5 + 0.299 * 0.9
+    assert to_luminance(image, (8, 6)) == pytest.approx(expected, abs=1.5 / top)
+    luminance = to_luminance(image[:, :, 0], (8, 6))
+    assert luminance.dtype == np.float32 and luminance == pytest.approx(0.2, abs=1.5 / top)
 
 
 @pytest.mark.parametrize(
@@ -212,15 +204,9 @@ def test_other_sizes_are_resized_as_by_opencv():
 
 @pytest.mark.parametrize(("depth", "kind"), [(np.uint8, np.uint8), (np.uint16, np.float32)])
 def test_grey_is_new_memory_of_the_kind_that_models_take(depth, kind):
-    for picture in (np.ones((4, 6), depth), np.ones((4, 6, 1), depth), np.ones((4, 6, 3), depth)):
+    for picture in (np.ones((4, 6), depth), np.ones((4, 6, 3), depth)):
         grey = to_grey(picture, (6, 4))
         assert grey.dtype == kind and not np.may_share_memory(grey, picture)
-
-
-def test_odd_pictures_are_refused():
-    for image in (np.zeros((4, 4), np.float32), np.zeros((4, 4, 2), np.uint8)):
-        with pytest.raises(SourceError):
-            to_luminance(image, (4, 4))
 
 
 # Times
@@ -253,10 +239,7 @@ def test_clock_always_increases(stamps):
 
 def holes(intervals, fps=30.0):
     """What is said of frames at these intervals, in frames."""
-    watch = HoleWatch(fps)
-    for index, time_s in enumerate(np.cumsum([0.0, *intervals]) / fps):
-        watch.add(index, time_s)
-    return watch.report()
+    return missing_frames(np.cumsum([0.0, *intervals]) / fps, fps)
 
 
 def test_a_hole_in_a_steady_stream_is_told():
@@ -483,7 +466,9 @@ def test_a_bad_picture_ends_the_sequence(tmp_path, size, warning):
     (tmp_path / "4.png").write_bytes(content)
     with open_video(tmp_path, input_fps=8.0) as source:
         assert [f.time_s for f in source] == [0.0, 0.125, 0.25, 0.375]
-        assert source.progress.warnings == [f"{warning}; used the 4 of 6 pictures before it"]
+        assert source.progress.warnings == [
+            f"{warning}; decoded and used 4 of about 6 frames, up to 0.375 s"
+        ]
 
 
 def test_pictures_without_a_rate_or_a_first_one(tmp_path, pictures):
@@ -501,7 +486,7 @@ def test_pictures_without_a_rate_or_a_first_one(tmp_path, pictures):
 @pytest.fixture
 def no_thread_is_left():
     yield
-    assert [t for t in threading.enumerate() if t.name == "dlgmd-decode"] == []
+    assert [t for t in threading.enumerate() if "dlgmd-decode" in t.name] == []
 
 
 @pytest.mark.usefixtures("no_thread_is_left")
@@ -509,7 +494,7 @@ def no_thread_is_left():
 def test_reading_ahead_gives_the_same_frames(clips, scale, decoder):
     with open_video(clips / "loom.avi", scale=scale, decoder=decoder) as source:
         plain = [frame.grey for frame in source]
-        with ReadAhead(source) as frames:
+        with read_ahead(source) as frames:
             ahead = [frame.grey for frame in frames]
     assert len(plain) == N_FRAMES and np.array_equal(plain, ahead)
 
@@ -523,7 +508,7 @@ def test_never_further_ahead_than_asked():
             taken.append(number)
             yield number
 
-    with ReadAhead(source(), depth=3) as items:
+    with read_ahead(source(), depth=3) as items:
         for number in items:
             time.sleep(0.002)
             # Three wait in the queue, and one more in the hand of the thread.
@@ -537,7 +522,7 @@ def test_an_error_comes_after_what_was_before_it():
         raise OSError("damaged")
 
     seen = []
-    with pytest.raises(OSError, match="damaged"), ReadAhead(source()) as items:
+    with pytest.raises(OSError, match="damaged"), read_ahead(source()) as items:
         for item in items:
             seen.append(item)
     assert seen == list(range(5))
@@ -552,7 +537,7 @@ def test_an_error_of_the_consumer_stops_the_thread(error):
             yield number
             number += 1
 
-    with pytest.raises(error), ReadAhead(endless()) as items:
+    with pytest.raises(error), read_ahead(endless()) as items:
         for number in items:
             if number == 20:
                 raise error

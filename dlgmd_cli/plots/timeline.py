@@ -1,0 +1,162 @@
+"""Which frame is when: the two time axes of a figure, and what is marked at frames."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain, shortened
+from dlgmd_cli.results.result import Result, Series
+
+ROW_IN = 0.135
+_SIZE_PT = 7
+# Of the width of a figure, about the axes' share.
+_AXES_SHARE = 0.8
+# Of the time shown, left free on either side, so that nothing at the ends is cut off.
+_MARGIN = 0.015
+# Times come from CSVs with nine digits.
+_ROUNDING = 1e-8
+
+# A thick line and a dotted one, so that they differ in grey too.
+_LINES: dict[str, dict[str, Any]] = {
+    "mark": {"color": GREY, "linewidth": 0.6},
+    "collision": {"color": BLACK, "linewidth": 1.4},
+    "false positive": {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (1, 1))},
+}
+_BAND: dict[str, Any] = {"color": BLACK, "alpha": 0.07, "linewidth": 0, "zorder": 0}
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The time that results share.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+        First and last time of any result, in seconds.
+    frame, time_s : array, shape (n,)
+        Frames, increasing, and their times, in one of the results.
+    is_shared : bool
+        Whether all results agree on which frame is when.
+    """
+
+    start_s: float
+    end_s: float
+    frame: npt.NDArray[np.int64]
+    time_s: Series
+    is_shared: bool
+
+    @classmethod
+    def of(cls, results: Iterable[Result]) -> "Timeline":
+        """The timeline of at least one result, each with at least one frame.
+
+        Where they disagree, a frame is when the first of them says.
+        """
+        results = list(results)
+        longest = max(results, key=len)
+        is_shared = all(_agree(longest, other) for other in results)
+        said_by = longest if is_shared else results[0]
+        start_s = min(float(result.time_s[0]) for result in results)
+        end_s = max(float(result.time_s[-1]) for result in results)
+        return cls(start_s, end_s, said_by.frame, said_by.time_s, is_shared)
+
+    @property
+    def view(self) -> tuple[float, float]:
+        """What the time axis shows, in seconds."""
+        margin = _MARGIN * (self.end_s - self.start_s) or 0.5
+        return self.start_s - margin, self.end_s + margin
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """First and last frame."""
+        first, last = self.frame_of(np.array([self.start_s, self.end_s])).round().astype(int)
+        return int(first), int(last)
+
+    def time_of(self, frame: npt.ArrayLike) -> Series:
+        """Times of frames; as from frame to frame at the ends, beyond them."""
+        return _interpolated(frame, self.frame.astype(np.float64), self.time_s)
+
+    def frame_of(self, time_s: npt.ArrayLike) -> Series:
+        """Frames at given times, with fractions; the inverse of `time_of`."""
+        return _interpolated(time_s, self.time_s, self.frame.astype(np.float64))
+
+    def label(self, lowest: Axes, highest: Axes) -> None:
+        """Seconds below the panels and, if all results agree on them, frame numbers above."""
+        lowest.set_xlim(self.view)
+        lowest.set_xlabel("Time (s)")
+        if self.is_shared:
+            top = highest.secondary_xaxis("top", functions=(self.frame_of, self.time_of))
+            top.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
+            top.set_xlabel("Frame")
+
+
+def draw_annotations(
+    annotations: Annotations, timeline: Timeline, strip: Axes, panels: Iterable[Axes]
+) -> int:
+    """Lines and bands across the panels, and their texts on `strip`, the axes above them.
+
+    Each text begins at its line, in a row above all texts that would be in its way, or that have
+    their lines there. Returns the number of rows.
+    """
+    (first, last), (left, right) = timeline.frames, timeline.view
+    strip.set_yticks([])
+    strip.spines[["left", "bottom"]].set_visible(False)
+    room = strip.figure.bbox.width * _AXES_SHARE / (right - left)
+    items: list[tuple[float, float, tuple[float, float], dict[str, Any] | None, Any]] = []
+    for frame, text, kind in annotations.points():
+        look = _LINES[kind]
+        if first <= frame <= last:
+            time_s = float(timeline.time_of(frame))
+            drawn = _text(strip, text, look["color"])
+            width = drawn.get_window_extent().width / room
+            start = time_s if time_s + width <= right else max(left, time_s - width)
+            items.append((start, start + width, (time_s, time_s), look, drawn))
+    for start_frame, end_frame, text in annotations.spans:
+        if end_frame >= first and start_frame <= last:
+            ends = timeline.time_of(np.clip([start_frame, end_frame], first, last))
+            drawn = _text(strip, text, BLACK)
+            width = drawn.get_window_extent().width / room
+            start = max(left, min(float(ends.mean()) - width / 2, right - width))
+            items.append((start, start + width, (float(ends[0]), float(ends[1])), None, drawn))
+    placed: list[tuple[float, int]] = []
+    for start, end, (from_s, to_s), line, drawn in sorted(items, key=lambda item: -item[0]):
+        row = max((other for begin, other in placed if begin < end), default=-1) + 1
+        placed.append((start, row))
+        drawn.set_position((start, row + 0.5))
+        for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
+            up = axes.transData if axes is strip else axes.get_xaxis_transform()
+            if line is None:
+                axes.fill_between([from_s, to_s], 0.0, top, transform=up, **_BAND)
+            else:
+                axes.plot([from_s, from_s], [0.0, top], transform=up, zorder=0.9, **line)
+    n_rows = max((row + 1 for _, row in placed), default=0)
+    strip.set_ylim(0.0, max(n_rows, 1))
+    return n_rows
+
+
+def _text(strip: Axes, text: str, color: str) -> Any:
+    """A text on a white ground, so that lines pass behind it."""
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    look: Any = {"color": color, "fontsize": _SIZE_PT, "va": "center", "bbox": ground, "zorder": 3}
+    return strip.text(0.0, 0.0, f" {plain(shortened(text))} ", in_layout=False, **look)
+
+
+def _agree(one: Result, other: Result) -> bool:
+    """Whether both have frames in common, at the same times."""
+    _, here, there = np.intersect1d(one.frame, other.frame, return_indices=True)
+    tolerance = _ROUNDING * max(1.0, abs(float(other.time_s[-1])))
+    return bool(here.size and np.abs(one.time_s[here] - other.time_s[there]).max() <= tolerance)
+
+
+def _interpolated(x: npt.ArrayLike, known: Series, values: Series) -> Series:
+    """Between known points, and on in a straight line beyond them."""
+    n_points = len(known)
+    slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if n_points > 1 else 1.0
+    x = np.asarray(x, dtype=np.float64)
+    beyond = x - np.clip(x, known[0], known[-1])
+    return np.asarray(np.interp(x, known, values) + slope * beyond)
