@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.names import told_apart
 from dlgmd_cli.results.store import failure_text, is_url, place
 from dlgmd_cli.video.frames import fingerprint
 
@@ -83,7 +84,9 @@ def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out)
-    for prefix, root in zip(_told_apart(roots) if len(roots) > 1 else [""], roots, strict=True):
+    for prefix, root in zip(
+        told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""], roots, strict=True
+    ):
         base = place(root)
         if isinstance(base, Path):
             search.add(prefix, str(base))
@@ -219,21 +222,6 @@ def _key_of(folder: str | Path) -> tuple[int, int]:
     """What a folder has in common with every link to it; raises OSError."""
     facts = Path(folder).stat()
     return facts.st_dev, facts.st_ino
-
-
-def _told_apart(roots: Sequence[str]) -> list[str]:
-    """The last part of every root's path; of several that end alike, as many as differ."""
-    every = [
-        root.split("/") if is_url(root) else Path(os.path.abspath(root)).parts for root in roots
-    ]
-    names = []
-    for parts in every:
-        others = [other for other in every if other != parts]
-        n = 1
-        while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
-            n += 1
-        names.append("/".join(part for part in parts[-n:] if part.strip("/")))
-    return names
 
 
 @contextmanager
