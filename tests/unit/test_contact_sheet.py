@@ -213,18 +213,6 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     assert 13 in [row.frame for row in sheet.rows] and record["collision_frame"] == 13
 
 
-def test_a_short_flat_clip_whatever_its_frames_are_kept_in(dlgmd):
-    sheets = set()
-    for form in ([], ["--png"]):
-        folder = Path("out", *form)
-        arguments = ["looming-cube", "--sheet", *SMALL, "--noise", 0.1, "--frames", 2, *form]
-        result = dlgmd("--quiet", "synth", *arguments, "--out", folder)
-        assert result.exit_code == 0 and result.stderr == ""
-        assert result.stdout.split()[-1] == str(folder / "looming-cube-sheet.png")
-        sheets.add((folder / "looming-cube-sheet.png").read_bytes())
-    assert len(sheets) == 1
-
-
 def test_a_sheet_is_replaced_only_when_told(synth):
     Path("quick-sheet.png").write_bytes(b"mine")
     result = synth()
