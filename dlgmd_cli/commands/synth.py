@@ -172,7 +172,7 @@ def synth(
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
-    form = Form.choose(lossless=lossless, png=png, playable=scene.is_playable)
+    form = Form.choose(lossless=lossless, png=png, playable=scene.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # Matplotlib is loaded only where one is asked for
         from dlgmd_cli.plots.contact_sheet import save_contact_sheet
@@ -181,11 +181,10 @@ def synth(
     if count is None:
         _render_one(scene, options, form, out, overwrite, draw)
         return
-    from dlgmd_cli.flights.dataset import Fleet
-    from dlgmd_cli.flights.scene import FlightScene
-
-    if not isinstance(scene, FlightScene):
+    if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
+    from dlgmd_cli.flights.dataset import Fleet
+
     _render_fleet(Fleet(scene, options, count, out, form, draw), jobs, overwrite)
 
 
@@ -199,12 +198,11 @@ def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
 
 def _list() -> None:
     """The scenes by kind, on stdout."""
-    from dlgmd_cli.flights.scene import FlightScene
     from dlgmd_cli.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
     for kind, is_flight in (("flight", True), ("flat scene", False)):
-        scenes = [s for s in SCENES.values() if isinstance(s, FlightScene) == is_flight]
+        scenes = [s for s in SCENES.values() if s.is_flight == is_flight]
         print_table((kind, "shows"), [(s.name.ljust(width), s.description) for s in scenes])
 
 
@@ -220,7 +218,7 @@ def _render_one(
     from dlgmd_cli.stimuli.clip import write_clip
 
     # A flight has noise unless told otherwise, and what its video keeps of it is a camera's share.
-    is_smoothed = form.codec == "mpeg4" and not scene.is_playable and options.noise > 0.0
+    is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
     with progress(scene.name, scene.n_frames(options)) as on_frame:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.flights.scene import FlightOptions
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import appearing, refuse_existing
+from dlgmd_cli.stimuli.base import Scene
 from dlgmd_cli.stimuli.clip import (
     DrawSheet,
     Form,
@@ -28,7 +29,7 @@ from dlgmd_cli.stimuli.clip import (
 class Fleet:
     """Flights of one scene in one folder; number i has the seed of `options`, and i more."""
 
-    scene: FlightScene
+    scene: Scene[Any]
     options: FlightOptions
     count: int
     folder: Path

@@ -65,8 +65,7 @@ class FlightScene(Scene[FlightOptions]):
     """
 
     truth_type = FlightTruth
-    is_playable = True
-    has_record = True
+    is_flight = True
 
     def __init__(
         self,

@@ -116,18 +116,16 @@ class Scene(ABC, Generic[OptionsT]):
         Its options, with their defaults.
     truth_type : type
         The dataclass of the ground truth of a frame; its fields are the columns of the CSV.
-    is_playable : bool
-        Whether its video is to be one that most players show, rather than the same everywhere.
-    has_record : bool
-        Whether it has more to say of a clip than a row a frame: `record`.
+    is_flight : bool
+        Flights have a `record`, and a video that most players show; the video of others is the
+        same everywhere.
     """
 
     name: str
     description: str
     defaults: OptionsT
     truth_type: type
-    is_playable = False
-    has_record = False
+    is_flight = False
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
         """The defaults with some options replaced, by flag, such as ``--speed``.

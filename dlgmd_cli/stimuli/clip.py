@@ -106,7 +106,7 @@ def clip_paths(
 ) -> tuple[Path, ...]:
     """The files of a clip: frames, truth, the record if the scene has one, the sheet if asked."""
     paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
-    if scene.has_record:
+    if scene.is_flight:
         paths.append(folder / f"{name}.yaml")
     return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
 
@@ -151,7 +151,7 @@ def write_clip(
         The scene or a video cannot be had so; a file may not be replaced, or cannot be written; the
         user asks to stop. Nothing half made is left.
     """
-    form = form or Form.choose(playable=scene.is_playable)
+    form = form or Form.choose(playable=scene.is_flight)
     n_frames = scene.n_frames(options)
     form.check(options)
     name = name or scene.name
@@ -170,7 +170,7 @@ def write_clip(
             _write_pictures(temporary[0], images, n_digits(n_frames))
         rows = list(scene.truth(options))
         write_truth(temporary[1], scene.truth_type, rows)
-        if scene.has_record:
+        if scene.is_flight:
             sheet = {} if draw_sheet is None else {"sheet": paths[-1].name}
             first = {"scene": scene.name, "seed": options.seed}
             document = {**first, **facts, **sheet, **identity(scene, options, form)}
