@@ -8,7 +8,7 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.errors import OutputExistsError, ParameterError, SourceError, WorkerError
 from dlgmd_cli.models.base import Grey, create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.parameters import DlgmdParameters, Parameters
@@ -28,7 +28,8 @@ from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.sweep import Grid, Series, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Tell, input_identity, input_record, too_short
+from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, too_short
+from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
@@ -39,173 +40,187 @@ RESPONSE_COLUMNS = (
     *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
     *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
 )
+MAX_CUBE_FRAMES = 75
 # Cells that a task of a process steps through, some tenth of a second: shorter ones cost more.
 _CELLS_PER_TASK = 20_000_000
+# What is in a record that does not tell one sweep from another.
+_OUTCOME = ("input", "processed", "warnings", "complete", "summary")
 
-# Of each clip, the numbers of the columns that a sweep has.
-Values = tuple[tuple[float, ...], ...]
+# Number and parameters of a point; of each clip, the numbers of the columns that a sweep has.
 Point = tuple[int, Parameters]
+Values = list[tuple[float, ...]]
 # Name, total (None if it is not known) and unit -> what is called with the number that is done.
 Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What the models of a sweep look at.
-
-    Attributes
-    ----------
-    name : str
-        What results are called.
-    size_wh : (int, int)
-        Width and height of the frames, in px.
-    clips : callable
-        The frames of each clip. Rows farther than so many px from any change may be left out;
-        None asks for all.
-    speeds_px : tuple of float
-        Of each clip, the speed of its cube in px/frame; empty for a video, of which the response
-        is measured instead of attenuation alone.
-    settings : dict
-        What it adds to the record's `sweep`.
-    too_short : callable
-        From the number of frames, the model's label and the number that it needs to the error.
-    options : dict
-        What is read of a video, as the record has it.
-    identity : dict
-        What tells a video from others.
-    facts : callable
-        What the record says of a video of so many frames, once they are read.
-    """
-
-    name: str
-    size_wh: tuple[int, int]
-    clips: Callable[[int | None], Iterable[Iterable[Frame]]]
-    speeds_px: tuple[float, ...]
-    settings: dict[str, Any]
-    too_short: Callable[[int, str, int], DlgmdError]
-    n_expected: int | None = None
-    options: dict[str, Any] = field(default_factory=dict)
-    identity: dict[str, Any] = field(default_factory=dict)
-    facts: Callable[[int], dict[str, Any]] = lambda n_frames: {"warnings": []}
-
-
-def video_subject(
-    path: str, video: Video, options: InputOptions, false_positive_frame: int | None = None
-) -> Subject:
-    """A video, or pictures, that `path` led to.
-
-    Parameters
-    ----------
-    path : str
-        As the user gave it.
-    video : Video
-        Open; it may be closed when the sweep is done.
-    options : InputOptions
-        How it was opened.
-    false_positive_frame : int, optional
-        Where a response is a mistake, for distinguishability.
-    """
-    identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
-
-    def frames() -> Iterator[Frame]:
-        with opencv_threads(1), read_ahead(video) as ahead:
-            yield from ahead
-
-    def facts(n_frames: int) -> dict[str, Any]:
-        known = input_record(video, video.size_wh, n_frames, identity)
-        return {**known, "warnings": list(video.progress.warnings)}
-
-    return Subject(
-        name=video.info.name,
-        size_wh=video.size_wh,
-        clips=lambda reach_px: [frames()],
-        speeds_px=(),
-        settings={"false_positive_frame": false_positive_frame},
-        too_short=lambda n_frames, label, n: too_short(path, video, label, n, options),
-        n_expected=options.n_expected(video.info),
-        options=options.to_record(),
-        identity=identity,
-        facts=facts,
-    )
+def _nothing(*_: Any) -> None:
+    """For who does not want to be told."""
 
 
 @dataclass(frozen=True)
-class _Clip:
-    """Decoded frames, `shape` (n, H, W), in a temporary file that any process can map."""
+class Clip:
+    """Frames, `shape` (n, H, W), in a temporary file that any process can map."""
 
     path: Path
     dtype: str
     shape: tuple[int, int, int]
     frame: npt.NDArray[np.int64]
     time_s: Series
-    is_still: bool
 
     @classmethod
-    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame) -> "_Clip":
+    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> "Clip":
         """Write frames of one size and type, at least one, into a file."""
-        numbers: list[tuple[int, float]] = []
-        first: Grey = np.empty((0, 0))
-        is_still = True
+        numbers = []
         with path.open("wb") as file:
             for one in frames:
                 cancel.check()
-                first = one.grey if not numbers else first
-                is_still = is_still and np.array_equal(one.grey, first)
                 file.write(np.ascontiguousarray(one.grey).data)
                 numbers.append((one.index, one.time_s))
                 on_frame(one.index + 1)
         frame, time_s = np.array(numbers, dtype=np.float64).T.copy()
-        height, width = first.shape
-        shape = (len(numbers), height, width)
-        return cls(path, first.dtype.name, shape, frame.astype(np.int64), time_s, is_still)
+        shape = (len(numbers), *one.grey.shape)
+        return cls(path, one.grey.dtype.name, shape, frame.astype(np.int64), time_s)
 
     def open(self) -> Grey:
         """The frames, read from the file as they are needed."""
         return np.asarray(np.memmap(self.path, self.dtype, mode="r", shape=self.shape))
 
 
+class OneVideo:
+    """A video, or pictures, as what a sweep is about: the response to it is measured.
+
+    `video` is open, as `options` say; distinguishability needs the frame of a false positive.
+    """
+
+    columns = RESPONSE_COLUMNS
+    speeds_px: tuple[float, ...] = ()
+
+    def __init__(
+        self, path: str, video: Video, asked: InputOptions, false_positive_frame: int | None = None
+    ) -> None:
+        self.path, self.video, self.asked = path, video, asked
+        self.name, self.size_wh = video.info.name, video.size_wh
+        self.options = asked.to_record()
+        self.settings = {"false_positive_frame": false_positive_frame}
+        self.identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
+
+    def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
+        """Decode all of it into a file."""
+        total = self.asked.n_expected(self.video.info)
+        with (
+            progress(self.name, total, "frame") as on_frame,
+            opencv_threads(1),
+            read_ahead(self.video) as ahead,
+        ):
+            return [Clip.keep(folder / f"{store.PREFIX}frames", ahead, on_frame)]
+
+    def facts(self, n_frames: int) -> dict[str, Any]:
+        """What the record says of it when it was decoded."""
+        known = input_record(self.video, self.size_wh, n_frames, self.identity)
+        return {**known, "warnings": list(self.video.progress.warnings)}
+
+    def too_short(self, n_frames: int, label: str, n_needed: int) -> SourceError:
+        """The error for fewer frames than the model needs."""
+        return too_short(self.path, self.video, label, n_needed, self.asked)
+
+
+class Cubes:
+    """Black cubes that cross a white picture, one clip a speed: attenuation is measured.
+
+    Without `n_frames`, all are in sight for as long as the fastest, 75 frames at most.
+    """
+
+    columns = ATTENUATION_COLUMNS
+    name = "translating-cubes"
+    options: Mapping[str, Any] = {}
+    identity: Mapping[str, Any] = {}
+
+    def __init__(
+        self,
+        speeds_px: Sequence[float],
+        side_px: float,
+        n_frames: int | None,
+        size_wh: tuple[int, int],
+    ) -> None:
+        self.size_wh, self.speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
+        self.scene = Translation(self.name, "", TranslationOptions())
+        width, height = size_wh
+        flags = {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
+        flags |= {"--size": (height, width), "--frames": n_frames}
+        each = [self.scene.configure({**flags, "--speed": (speed,)}) for speed in self.speeds_px]
+        if n_frames is None:
+            n_frames = min(MAX_CUBE_FRAMES, *map(self.scene.n_frames, each))
+            # With an odd number, cubes at whole px/frame are at whole pixels.
+            n_frames -= 1 - n_frames % 2
+        self.each = [replace(options, n_frames=n_frames) for options in each]
+        size = {"frames": n_frames, "width": width, "height": height}
+        self.settings = {
+            "cubes": {"speeds_px": list(self.speeds_px), "side_px": side_px, **size},
+        }
+
+    def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
+        """Render them, without rows that are farther from the cube than the kernels reach."""
+        return [
+            Clip.keep(folder / f"{store.PREFIX}frames-{number}", self._frames(options, reach_px))
+            for number, options in enumerate(self.each)
+        ]
+
+    def _frames(self, options: TranslationOptions, reach_px: int | None) -> Iterator[Frame]:
+        """The frames of one clip; all rows if `reach_px` is None."""
+        height = options.shape[0]
+        above = 0 if reach_px is None else int((height - options.side_px) / 2) - reach_px - 1
+        rows = slice(max(0, above), height - max(0, above))
+        for index, picture in enumerate(self.scene.frames(options)):
+            yield Frame(index, index / options.fps, picture[rows])
+
+    def facts(self, n_frames: int) -> dict[str, Any]:
+        """What the record says beside the settings."""
+        return {"warnings": []}
+
+    def too_short(self, n_frames: int, label: str, n_needed: int) -> ParameterError:
+        """The error for fewer frames than the model needs."""
+        frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
+        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
+        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
+
+
 @dataclass(frozen=True)
 class _Probe:
     """Computes points of a sweep, in any process."""
 
-    clips: tuple[_Clip, ...]
+    clips: list[Clip]
     engine: str
     columns: tuple[str, ...]
-    by_sequence: bool
+    options: Mapping[str, Any]
     false_positive_frame: int | None
 
-    def __call__(
-        self, batch: Sequence[Point], tell: Tell = lambda message: None
-    ) -> list[tuple[int, Values]]:
+    def __call__(self, batch: Sequence[Point], tell: Tell = _nothing) -> list[tuple[int, Values]]:
         """The numbers of some points, and for each clip the values of the columns."""
-        found = []
         with opencv_threads(1):
-            pictures = [clip.open() for clip in self.clips]
-            for point, params in batch:
-                model = create_model(params, engine=self.engine, tell=tell)
-                values = []
-                for clip, frames in zip(self.clips, pictures, strict=True):
-                    model.reset()
-                    rows = np.empty((4, len(frames)))
-                    for i, (grey, time_s) in enumerate(zip(frames, clip.time_s, strict=True)):
-                        cancel.check()
-                        one = model.step(grey, time_s)
-                        rows[:, i] = one.mp, one.p_sum, one.s_sum, one.attenuation_db
-                    values.append(self._measured(clip, params, rows))
-                found.append((point, tuple(values)))
-        return found
+            return [(point, self._values(params, tell)) for point, params in batch]
 
-    def _measured(self, clip: _Clip, params: Parameters, rows: Series) -> tuple[float, ...]:
+    def _values(self, params: Parameters, tell: Tell) -> Values:
+        """For each clip, the values of the columns."""
+        model = create_model(params, engine=self.engine, tell=tell)
+        values = []
+        for clip in self.clips:
+            model.reset()
+            rows = []
+            for grey, time_s in zip(clip.open(), clip.time_s, strict=True):
+                cancel.check()
+                one = model.step(grey, time_s)
+                rows.append((one.mp, one.p_sum, one.s_sum, one.attenuation_db))
+            values.append(self._measured(clip, params, *np.array(rows).T))
+        return values
+
+    def _measured(self, clip: Clip, params: Parameters, *series: Series) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
-        mp, p_sum, s_sum, attenuation_db = rows
-        attenuation = _mean_attenuation(attenuation_db)
+        attenuation = _mean_attenuation(series[-1])
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
         _, height, width = clip.shape
-        options = {"normalise": "sequence"} if self.by_sequence else {}
-        record = {"processed": {"width": width, "height": height}, "options": options}
-        sums = (p_sum, s_sum, attenuation_db)
-        result = Result(clip.frame, clip.time_s, mp, *sums, params, record)
+        record = {"processed": {"width": width, "height": height}, "options": self.options}
+        result = Result(clip.frame, clip.time_s, *series, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
@@ -243,21 +258,6 @@ def _computed(
         yield from outcome.result()
 
 
-def _possible(grid: Grid, base: Parameters) -> tuple[dict[int, Parameters], ParameterError | None]:
-    """The parameters at every point where they are valid; why the first of the others is not."""
-    found: dict[int, Parameters] = {}
-    first_fault = None
-    same = base.to_dict()
-    for point in range(len(grid)):
-        try:
-            found[point] = type(base).from_mapping({**same, **grid.overrides(point)})
-        except ParameterError as error:
-            first_fault = first_fault or error
-    if not found and first_fault is not None:
-        raise ParameterError("--x and --y", first_fault.why, first_fault.mend)
-    return found, first_fault
-
-
 def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
     """The engine that `run` would use on frames of that size; raises what `create_model` does."""
     model = create_model(params, engine=asked)
@@ -267,22 +267,20 @@ def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: T
 
 
 class Sweep:
-    """A sweep and the folder that it is kept in.
+    """A sweep and the folder that it is kept in; ParameterError if no point is possible.
 
     Parameters
     ----------
     folder : Path
         Where its files are.
-    subject : Subject
+    subject : OneVideo or Cubes
         What the models look at.
     grid : Grid
         Parameters that differ.
-    params : Parameters
-        The others.
-    label : str
-        What errors call the model.
-    engine : str
-        What computes it, not `auto`.
+    setup : Setup
+        The model, with the other parameters.
+    tell : callable
+        Called with a message before something that takes long.
 
     Attributes
     ----------
@@ -292,36 +290,39 @@ class Sweep:
         Why the first of the other points is not.
     result : SweepResult
         What is done so far.
-
-    Raises
-    ------
-    ParameterError
-        If no point is possible.
     """
 
     def __init__(
         self,
         folder: Path,
-        subject: Subject,
+        subject: OneVideo | Cubes,
         grid: Grid,
-        params: Parameters,
-        label: str,
-        engine: str,
+        setup: Setup,
+        tell: Tell = _nothing,
     ) -> None:
-        self.folder, self.subject, self.grid = folder, subject, grid
-        self.params, self.label, self.engine = params, label, engine
-        self.points, self.fault = _possible(grid, params)
-        columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
-        self._facts: dict[str, Any] = {}
+        self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
+        self.tell, self.engine = tell, engine_for(setup.params, setup.engine, subject.size_wh, tell)
+        self.points: dict[int, Parameters] = {}
+        self.fault: ParameterError | None = None
+        for point in range(len(grid)):
+            try:
+                self.points[point] = replace(setup.params, **grid.overrides(point))  # type: ignore[type-var]
+            except ParameterError as error:
+                self.fault = self.fault or error
+        if self.fault and not self.points:
+            raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
+        self.result = SweepResult.empty(grid, subject.speeds_px, subject.columns, self.points)
+        self._facts: dict[str, Any] = {"warnings": []}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is doubtful about the input, a line each."""
+        return list(self._facts.get("warnings", []))
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Take in the points that the folder, which must be there, has of the same sweep.
 
-        Raises
-        ------
-        OutputExistsError
-            If it has other files, or another sweep that may not be replaced.
+        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
         """
         names = {path.name for path in self.folder.iterdir()}
         strays = sorted(name for name in names if not name.startswith(store.PREFIX))
@@ -330,8 +331,13 @@ class Sweep:
             raise OutputExistsError(str(self.folder), why, "Choose another --out.")
         if overwrite or RECORD not in names:
             return
-        before = read_record(self.folder / RECORD)
-        differing = _differing(before, yaml.safe_load(self._text(self._settings())))
+        before, now = read_record(self.folder / RECORD), yaml.safe_load(self._text(complete=True))
+        swept = before.get("sweep")
+        known = {**before, **(swept if isinstance(swept, dict) else {})}
+        asked = {**now, **now.pop("sweep")}
+        differing = [
+            key for key in asked if key not in (*_OUTCOME, "sweep") and known.get(key) != asked[key]
+        ]
         if self.subject.identity and not store.is_same_input(before, self.subject.identity):
             differing.append("input")
         if differing:
@@ -342,11 +348,7 @@ class Sweep:
         self.result.read(self.folder / TABLE)
 
     def compute(
-        self,
-        jobs: int = 1,
-        *,
-        tell: Tell = lambda message: None,
-        progress: Progress = lambda *_: nullcontext(lambda n_done: None),
+        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(_nothing)
     ) -> None:
         """Compute what is not there yet, and append it to the table.
 
@@ -361,33 +363,29 @@ class Sweep:
         Interrupted
             If the user asks to stop. Points that are done are kept.
         """
-        done = self.result.done
+        done, subject = self.result.done, self.subject
         missing = [one for one in self.points.items() if one[0] not in done]
         if not missing:
             return
         try:
-            clips = self._keep_frames(progress)
-            self._require_an_answer(clips)
-            self._begin()
-            probe = _Probe(
-                clips,
-                self.engine,
-                tuple(self.result.columns),
-                by_sequence=self.subject.options.get("normalise") == "sequence",
-                false_positive_frame=self.subject.settings.get("false_positive_frame"),
-            )
-            with (
-                progress(f"sweep {self.subject.name}", len(self.points), "point") as on_point,
-                (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
-            ):
-                table = csv.writer(file, lineterminator="\n")
-                for point, values in _computed(missing, probe, jobs, tell):
-                    self.result.put(point, values)
-                    table.writerows(self.result.rows([point]))
-                    file.flush()
-                    on_point(len(done))
-        except OSError as error:
-            raise store.unwritable(self.folder, error) from None
+            with store.writing(self.folder):
+                clips = self._keep_frames(progress)
+                for name in () if done else PRODUCTS:
+                    (self.folder / name).unlink(missing_ok=True)
+                self._write_record(complete=False)
+                self._write_table(sorted(done))
+                false_positive = subject.settings.get("false_positive_frame")
+                probe = _Probe(clips, self.engine, subject.columns, subject.options, false_positive)
+                with (
+                    progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
+                    (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
+                ):
+                    table = csv.writer(file, lineterminator="\n")
+                    for point, values in _computed(missing, probe, jobs, self.tell):
+                        self.result.put(point, values)
+                        table.writerows(self.result.rows([point]))
+                        file.flush()
+                        on_point(len(done))
         finally:
             with suppress(OSError):
                 store.remove(self.folder, ())
@@ -395,95 +393,65 @@ class Sweep:
     def finish(self, figures: Mapping[str, store.Write]) -> None:
         """Write the table in order, `figures` by the names of their files, and the record.
 
-        Raises
-        ------
-        OutputError
-            If something cannot be written.
+        Raises OutputError if something cannot be written.
         """
-        rows = self.result.rows(range(len(self.grid)))
-        text = self._text(self._record(complete=True))
-        files: dict[str, store.Write] = {
-            TABLE: partial(write_rows, header=self.result.header, rows=rows),
-            **figures,
-            RECORD: lambda path: path.write_text(text, encoding="utf-8"),
-        }
-        try:
-            for name, write in files.items():
+        with store.writing(self.folder):
+            self._write_table(range(len(self.grid)))
+            for name, write in figures.items():
                 store.write_file(self.folder / name, write)
-        except OSError as error:
-            raise store.unwritable(self.folder, error) from None
+            self._write_record(complete=True)
 
-    @property
-    def warnings(self) -> list[str]:
-        """What is doubtful about the input, a line each."""
-        return list(self._facts.get("warnings", []))
-
-    def _keep_frames(self, progress: Progress) -> tuple[_Clip, ...]:
-        """Write the frames of all clips into files, and note what the record says of them."""
-        subject, clips = self.subject, []
+    def _keep_frames(self, progress: Progress) -> list[Clip]:
+        """The frames of all clips in files; raises if they are too few for the model everywhere."""
         radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
-        with progress(subject.name, subject.n_expected, "frame") as on_frame:
-            for number, frames in enumerate(subject.clips(max(radii, default=None))):
-                path = self.folder / f"{store.PREFIX}frames-{number}"
-                clips.append(_Clip.keep(path, frames, on_frame))
-        self._facts = subject.facts(len(clips[0].frame))
-        if clips[0].is_still and len(clips[0].frame) > 1:
-            self._facts["warnings"].append("no frame differs from the one before it")
-        return tuple(clips)
-
-    def _require_an_answer(self, clips: Sequence[_Clip]) -> None:
-        """Raise if the shortest clip ends before the model can answer, at every point."""
+        clips = self.subject.keep(self.folder, max(radii, default=None), progress)
         n_frames = min(len(clip.frame) for clip in clips)
         least = math.inf
         for params in self.points.values():
             least = min(least, create_model(params).first_valid_frame + 1)
             if least <= n_frames:
-                return
-        raise self.subject.too_short(n_frames, self.label, int(least))
+                break
+        else:
+            raise self.subject.too_short(n_frames, self.setup.label, int(least))
+        self._facts = self.subject.facts(n_frames)
+        frames = clips[0].open()
+        if all(np.array_equal(one, frames[0]) for one in frames):
+            self._facts["warnings"].append("no frame differs from the one before it")
+        return clips
 
-    def _begin(self) -> None:
-        """Make the folder that of this sweep, with the points that were taken in."""
-        done = self.result.done
-        for name in () if done else PRODUCTS:
-            (self.folder / name).unlink(missing_ok=True)
-        store.write_text(self.folder / RECORD, self._text(self._record(complete=False)))
-        rows = self.result.rows(sorted(done))
+    def _write_table(self, points: Iterable[int]) -> None:
+        """Write the rows of some points in place of the table."""
+        rows = self.result.rows(points)
         write = partial(write_rows, header=self.result.header, rows=rows)
         store.write_file(self.folder / TABLE, write)
 
-    def _settings(self) -> dict[str, Any]:
-        """The part of the record that says what is swept."""
-        axes = {self.grid.x.key, self.grid.y.key}
-        params = self.params.to_dict()
-        swept = {"x": self.grid.x.to_record(), "y": self.grid.y.to_record()}
-        return {
-            "model": self.params.model,
-            "engine": self.engine,
-            **{key: value for key, value in params.items() if key not in axes},
-            "options": self.subject.options,
-            "sweep": {**swept, **self.subject.settings},
-        }
+    def _write_record(self, *, complete: bool) -> None:
+        """Write what is swept, and how far."""
+        store.write_text(self.folder / RECORD, self._text(complete=complete))
 
-    def _record(self, *, complete: bool) -> dict[str, Any]:
+    def _text(self, *, complete: bool) -> str:
         """What `sweep.yaml` says."""
-        summary = {
-            "points": len(self.grid),
-            "computed": len(self.result.done),
-            "impossible": len(self.grid) - len(self.points),
+        axes = {"x": self.grid.x, "y": self.grid.y}
+        swept = [axis.key for axis in axes.values()]
+        params = self.setup.params.to_dict().items()
+        record = {
+            "schema": SCHEMA,
+            **{key: value for key, value in self._facts.items() if key != "warnings"},
+            "model": self.setup.params.model,
+            "engine": self.engine,
+            **{key: value for key, value in params if key not in swept},
+            "options": dict(self.subject.options),
+            "sweep": {
+                **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
+                **self.subject.settings,
+            },
+            "warnings": self.warnings,
+            "complete": complete,
+            "summary": {
+                "points": len(self.grid),
+                "computed": len(self.result.done),
+                "impossible": len(self.grid) - len(self.points),
+            },
+            "versions": versions(str(self.subject.identity.get("decoder")), self.engine),
         }
-        facts = {key: value for key, value in self._facts.items() if key != "warnings"}
-        outcome = {"warnings": self.warnings, "complete": complete, "summary": summary}
-        return {**facts, **self._settings(), **outcome}
-
-    def _text(self, record: dict[str, Any]) -> str:
-        """A record with the versions, as YAML."""
-        used = versions(str(self.subject.identity.get("decoder")), self.engine)
-        return yaml_text({"schema": SCHEMA, **record, "versions": used}, default_flow_style=None)
-
-
-def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """The keys by which the settings `now` differ from those on record."""
-    swept = before.get("sweep")
-    known = {**before, **(swept if isinstance(swept, dict) else {})}
-    asked = {**now, **now["sweep"]}
-    return [key for key in asked if key != "sweep" and known.get(key) != asked[key]]
+        return yaml_text(record, default_flow_style=None)

@@ -4,6 +4,7 @@ import math
 import os
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.cancel import Interrupted
-from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
+from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs import sweep as sweeps
-from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
+from dlgmd_cli.runs.run import Setup
+from dlgmd_cli.runs.sweep import Clip, Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
 
 
@@ -165,22 +167,28 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
     assert again.done == {0}
 
 
-def subject(clips, speeds=(), identity=None, **settings):
+def subject(clips, speeds=()):
     """Frames in memory, as a subject."""
-    height, width = clips[0][0].shape
 
-    def frames(reach_px):
-        for clip in clips:
-            yield (Frame(i, i / 25, picture) for i, picture in enumerate(clip))
+    def keep(folder, reach_px, progress):
+        return [
+            Clip.keep(
+                folder / f".dlgmd-frames-{n}",
+                (Frame(i, i / 25, picture) for i, picture in enumerate(clip)),
+            )
+            for n, clip in enumerate(clips)
+        ]
 
-    return Subject(
+    return SimpleNamespace(
         name="test",
-        size_wh=(width, height),
-        clips=frames,
+        size_wh=clips[0][0].shape[::-1],
+        keep=keep,
+        columns=sweeps.ATTENUATION_COLUMNS if speeds else sweeps.RESPONSE_COLUMNS,
         speeds_px=speeds,
-        settings=settings,
-        too_short=lambda n, label, needed: SourceError("test", f"{n} of {needed} for {label}"),
-        identity=identity or {},
+        settings={},
+        options={},
+        identity={},
+        facts=lambda n_frames: {"warnings": []},
     )
 
 
@@ -188,7 +196,7 @@ def sweep(folder, what, x="sigma_e=1,2", y="a=0.5,1", params=None, engine="openc
     params = params or DlgmdParameters()
     grid = Grid(axis(x, type(params)), axis(y, type(params)))
     folder.mkdir(exist_ok=True)
-    return Sweep(folder, what, grid, params, "set9", engine)
+    return Sweep(folder, what, grid, Setup(params, "set9", engine))
 
 
 def done(folder, *arguments, jobs=1, **options):
