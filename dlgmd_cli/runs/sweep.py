@@ -19,7 +19,7 @@ import yaml
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import OutputExistsError, ParameterError, SourceError, WorkerError
-from dlgmd_cli.models.base import Grey, create_model
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.parameters import DlgmdParameters, Parameters
 from dlgmd_cli.pool import run_tasks
@@ -49,6 +49,8 @@ _OUTCOME = ("input", "processed", "warnings", "complete", "summary")
 # Number and parameters of a point; of each clip, the numbers of the columns that a sweep has.
 Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
+# A temporary file of frames, and what one of them is made of.
+Clip = tuple[Path, np.dtype[np.void]]
 # Name, total (None if it is not known) and unit -> what is called with the number that is done.
 Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
@@ -57,33 +59,21 @@ def _nothing(*_: Any) -> None:
     """For who does not want to be told."""
 
 
-@dataclass(frozen=True)
-class Clip:
-    """Frames, `shape` (n, H, W), in a temporary file that any process can map."""
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> Clip:
+    """Write frames of one size and type, at least one, into a file that any process can map."""
+    with path.open("wb") as file:
+        for one in frames:
+            cancel.check()
+            picture = ("grey", one.grey.dtype, one.grey.shape)
+            kind = np.dtype([("frame", np.int64), ("time_s", np.float64), picture], align=True)
+            file.write(np.array((one.index, one.time_s, one.grey), kind).tobytes())
+            on_frame(one.index + 1)
+    return path, kind
 
-    path: Path
-    dtype: str
-    shape: tuple[int, int, int]
-    frame: npt.NDArray[np.int64]
-    time_s: Series
 
-    @classmethod
-    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> "Clip":
-        """Write frames of one size and type, at least one, into a file."""
-        numbers = []
-        with path.open("wb") as file:
-            for one in frames:
-                cancel.check()
-                file.write(np.ascontiguousarray(one.grey).data)
-                numbers.append((one.index, one.time_s))
-                on_frame(one.index + 1)
-        frame, time_s = np.array(numbers, dtype=np.float64).T.copy()
-        shape = (len(numbers), *one.grey.shape)
-        return cls(path, one.grey.dtype.name, shape, frame.astype(np.int64), time_s)
-
-    def open(self) -> Grey:
-        """The frames, read from the file as they are needed."""
-        return np.asarray(np.memmap(self.path, self.dtype, mode="r", shape=self.shape))
+def _mapped(clip: Clip) -> npt.NDArray[np.void]:
+    """Number, time and picture of every frame, read from the file as they are needed."""
+    return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
 
 
 class OneVideo:
@@ -101,7 +91,7 @@ class OneVideo:
         self.path, self.video, self.asked = path, video, asked
         self.name, self.size_wh = video.info.name, video.size_wh
         self.options = asked.to_record()
-        self.settings = {"false_positive_frame": false_positive_frame}
+        self.settings: dict[str, Any] = {"false_positive_frame": false_positive_frame}
         self.identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
 
     def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
@@ -112,12 +102,12 @@ class OneVideo:
             opencv_threads(1),
             read_ahead(self.video) as ahead,
         ):
-            return [Clip.keep(folder / f"{store.PREFIX}frames", ahead, on_frame)]
+            return [keep_frames(folder / f"{store.PREFIX}frames", ahead, on_frame)]
 
-    def facts(self, n_frames: int) -> dict[str, Any]:
-        """What the record says of it when it was decoded."""
+    def facts(self, n_frames: int) -> tuple[dict[str, Any], list[str]]:
+        """What the record says of it when it was decoded, and what is doubtful about it."""
         known = input_record(self.video, self.size_wh, n_frames, self.identity)
-        return {**known, "warnings": list(self.video.progress.warnings)}
+        return known, list(self.video.progress.warnings)
 
     def too_short(self, n_frames: int, label: str, n_needed: int) -> SourceError:
         """The error for fewer frames than the model needs."""
@@ -145,8 +135,8 @@ class Cubes:
         self.size_wh, self.speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
         self.scene = Translation(self.name, "", TranslationOptions())
         width, height = size_wh
-        flags = {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
-        flags |= {"--size": (height, width), "--frames": n_frames}
+        flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
+        flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
         each = [self.scene.configure({**flags, "--speed": (speed,)}) for speed in self.speeds_px]
         if n_frames is None:
             n_frames = min(MAX_CUBE_FRAMES, *map(self.scene.n_frames, each))
@@ -154,14 +144,13 @@ class Cubes:
             n_frames -= 1 - n_frames % 2
         self.each = [replace(options, n_frames=n_frames) for options in each]
         size = {"frames": n_frames, "width": width, "height": height}
-        self.settings = {
-            "cubes": {"speeds_px": list(self.speeds_px), "side_px": side_px, **size},
-        }
+        cubes = {"speeds_px": list(self.speeds_px), "side_px": side_px, **size}
+        self.settings: dict[str, Any] = {"cubes": cubes}
 
     def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
         """Render them, without rows that are farther from the cube than the kernels reach."""
         return [
-            Clip.keep(folder / f"{store.PREFIX}frames-{number}", self._frames(options, reach_px))
+            keep_frames(folder / f"{store.PREFIX}frames-{number}", self._frames(options, reach_px))
             for number, options in enumerate(self.each)
         ]
 
@@ -173,9 +162,9 @@ class Cubes:
         for index, picture in enumerate(self.scene.frames(options)):
             yield Frame(index, index / options.fps, picture[rows])
 
-    def facts(self, n_frames: int) -> dict[str, Any]:
-        """What the record says beside the settings."""
-        return {"warnings": []}
+    def facts(self, n_frames: int) -> tuple[dict[str, Any], list[str]]:
+        """What the record says beside the settings, and what is doubtful: nothing."""
+        return {}, []
 
     def too_short(self, n_frames: int, label: str, n_needed: int) -> ParameterError:
         """The error for fewer frames than the model needs."""
@@ -205,22 +194,26 @@ class _Probe:
         values = []
         for clip in self.clips:
             model.reset()
-            rows = []
-            for grey, time_s in zip(clip.open(), clip.time_s, strict=True):
+            frames, rows = _mapped(clip), []
+            for grey, time_s in zip(frames["grey"], frames["time_s"], strict=True):
                 cancel.check()
                 one = model.step(grey, time_s)
                 rows.append((one.mp, one.p_sum, one.s_sum, one.attenuation_db))
-            values.append(self._measured(clip, params, *np.array(rows).T))
+            values.append(self._measured(frames, params, np.array(rows).T))
         return values
 
-    def _measured(self, clip: Clip, params: Parameters, *series: Series) -> tuple[float, ...]:
+    def _measured(
+        self, frames: npt.NDArray[np.void], params: Parameters, rows: Series
+    ) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
-        attenuation = _mean_attenuation(series[-1])
+        mp, p_sum, s_sum, attenuation_db = rows
+        attenuation = _mean_attenuation(attenuation_db)
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
-        _, height, width = clip.shape
+        height, width = frames["grey"].shape[1:]
         record = {"processed": {"width": width, "height": height}, "options": self.options}
-        result = Result(clip.frame, clip.time_s, *series, params, record)
+        clock, sums = (frames["frame"], frames["time_s"]), (p_sum, s_sum, attenuation_db)
+        result = Result(*clock, mp, *sums, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
@@ -245,7 +238,7 @@ def _computed(
         # Compiled in this process first: the others find the code on disk.
         yield from probe(waiting[:1], tell)
         waiting = waiting[1:]
-    n_cells = sum(math.prod(clip.shape) for clip in probe.clips)
+    n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
     if jobs == 1 or len(batches) == 1:
@@ -267,29 +260,11 @@ def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: T
 
 
 class Sweep:
-    """A sweep and the folder that it is kept in; ParameterError if no point is possible.
+    """A sweep of a model, `setup`, over a grid, and the folder that it is kept in.
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    subject : OneVideo or Cubes
-        What the models look at.
-    grid : Grid
-        Parameters that differ.
-    setup : Setup
-        The model, with the other parameters.
-    tell : callable
-        Called with a message before something that takes long.
-
-    Attributes
-    ----------
-    points : dict of int to Parameters
-        The parameters at all points that are possible.
-    fault : ParameterError or None
-        Why the first of the other points is not.
-    result : SweepResult
-        What is done so far.
+    `points` holds the parameters at all points that are possible, `fault` why the first of the
+    others is not, `result` what is done so far, and `warnings` what is doubtful about the input.
+    Raises ParameterError if no point is possible. `tell` is called before what takes long.
     """
 
     def __init__(
@@ -312,12 +287,8 @@ class Sweep:
         if self.fault and not self.points:
             raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
         self.result = SweepResult.empty(grid, subject.speeds_px, subject.columns, self.points)
-        self._facts: dict[str, Any] = {"warnings": []}
-
-    @property
-    def warnings(self) -> list[str]:
-        """What is doubtful about the input, a line each."""
-        return list(self._facts.get("warnings", []))
+        self.facts: dict[str, Any] = {}
+        self.warnings: list[str] = []
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Take in the points that the folder, which must be there, has of the same sweep.
@@ -344,7 +315,8 @@ class Sweep:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             mend = "Add --overwrite to replace it, or choose another --out."
             raise OutputExistsError(str(self.folder), why, mend)
-        self._facts = {k: before[k] for k in ("input", "processed", "warnings") if k in before}
+        self.facts = {key: before[key] for key in ("input", "processed") if key in before}
+        self.warnings = list(before.get("warnings", []))
         self.result.read(self.folder / TABLE)
 
     def compute(
@@ -352,16 +324,8 @@ class Sweep:
     ) -> None:
         """Compute what is not there yet, and append it to the table.
 
-        Raises
-        ------
-        SourceError, ParameterError
-            If there are too few frames for every point.
-        OutputError
-            If something cannot be written.
-        WorkerError
-            If one of several processes dies.
-        Interrupted
-            If the user asks to stop. Points that are done are kept.
+        Points that are done are kept, whatever is raised: SourceError or ParameterError if there
+        are too few frames, OutputError, WorkerError if a process dies, or Interrupted.
         """
         done, subject = self.result.done, self.subject
         missing = [one for one in self.points.items() if one[0] not in done]
@@ -391,10 +355,7 @@ class Sweep:
                 store.remove(self.folder, ())
 
     def finish(self, figures: Mapping[str, store.Write]) -> None:
-        """Write the table in order, `figures` by the names of their files, and the record.
-
-        Raises OutputError if something cannot be written.
-        """
+        """Write the table in order, `figures` by their files' names, and the record."""
         with store.writing(self.folder):
             self._write_table(range(len(self.grid)))
             for name, write in figures.items():
@@ -405,7 +366,7 @@ class Sweep:
         """The frames of all clips in files; raises if they are too few for the model everywhere."""
         radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
         clips = self.subject.keep(self.folder, max(radii, default=None), progress)
-        n_frames = min(len(clip.frame) for clip in clips)
+        n_frames = min(len(_mapped(clip)) for clip in clips)
         least = math.inf
         for params in self.points.values():
             least = min(least, create_model(params).first_valid_frame + 1)
@@ -413,10 +374,10 @@ class Sweep:
                 break
         else:
             raise self.subject.too_short(n_frames, self.setup.label, int(least))
-        self._facts = self.subject.facts(n_frames)
-        frames = clips[0].open()
+        self.facts, self.warnings = self.subject.facts(n_frames)
+        frames = _mapped(clips[0])["grey"]
         if all(np.array_equal(one, frames[0]) for one in frames):
-            self._facts["warnings"].append("no frame differs from the one before it")
+            self.warnings.append("no frame differs from the one before it")
         return clips
 
     def _write_table(self, points: Iterable[int]) -> None:
@@ -434,9 +395,9 @@ class Sweep:
         axes = {"x": self.grid.x, "y": self.grid.y}
         swept = [axis.key for axis in axes.values()]
         params = self.setup.params.to_dict().items()
-        record = {
+        record: dict[str, Any] = {
             "schema": SCHEMA,
-            **{key: value for key, value in self._facts.items() if key != "warnings"},
+            **self.facts,
             "model": self.setup.params.model,
             "engine": self.engine,
             **{key: value for key, value in params if key not in swept},

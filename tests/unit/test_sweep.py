@@ -19,7 +19,7 @@ from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParamet
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs import sweep as sweeps
 from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.runs.sweep import Clip, Sweep, engine_for
+from dlgmd_cli.runs.sweep import Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
 
 
@@ -172,7 +172,7 @@ def subject(clips, speeds=()):
 
     def keep(folder, reach_px, progress):
         return [
-            Clip.keep(
+            sweeps.keep_frames(
                 folder / f".dlgmd-frames-{n}",
                 (Frame(i, i / 25, picture) for i, picture in enumerate(clip)),
             )
@@ -188,7 +188,7 @@ def subject(clips, speeds=()):
         settings={},
         options={},
         identity={},
-        facts=lambda n_frames: {"warnings": []},
+        facts=lambda n_frames: ({}, []),
     )
 
 
