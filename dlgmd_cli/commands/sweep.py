@@ -39,7 +39,7 @@ _AXIS_HELP = "A parameter and its values: KEY=FROM:TO:STEP, or KEY=VALUE,VALUE."
 _INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
 
 cube_options = option_group(
-    "cubes",
+    "shape",
     dict,
     click.option(
         "--speed",
@@ -94,7 +94,7 @@ def sweep(
     input_path: str | None,
     x: str,
     y: str,
-    cubes: dict[str, Any],
+    shape: dict[str, Any],
     false_positive_frame: int | None,
     asked: dict[str, Any],
     given: dict[str, Any],
@@ -119,22 +119,32 @@ def sweep(
 
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as options_of
-    from dlgmd_cli.runs.sweep import FIGURE, Cubes, OneVideo, Sweep
+    from dlgmd_cli.runs.sweep import FIGURE, Subject, Sweep, cubes
     from dlgmd_cli.threads import n_processors
 
-    _refuse_others(input_path, cubes, {**given, "false_positive_frame": false_positive_frame})
+    _refuse_others(input_path, shape, {**given, "false_positive_frame": false_positive_frame})
     setup = _setup(asked, of_cubes=input_path is None)
     grid = _grid(x, y, type(setup.params), asked)
     with ExitStack() as opened:
-        subject: Cubes | OneVideo
         if input_path is None:
-            speeds_px = cubes["speed"] or DEFAULT_SPEEDS_PX
-            side_px = DEFAULT_SIDE_PX if cubes["cube_size"] is None else cubes["cube_size"]
-            subject = Cubes(speeds_px, side_px, cubes["frames"], given["size"] or DEFAULT_SIZE)
+            speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
+            side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
+            size_wh = given["size"] or DEFAULT_SIZE
+            radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
+            reach_px = max([*radii, getattr(setup.params, "r", size_wh[1])])
+            subject = cubes(speeds_px, side_px, shape["frames"], size_wh, reach_px)
         else:
             options = options_of(setup, given)
             video = opened.enter_context(options.open(input_path))
-            subject = OneVideo(input_path, video, options, false_positive_frame)
+            subject = Subject(
+                video.info.name,
+                video.size_wh,
+                [video],
+                {"false_positive_frame": false_positive_frame},
+                video=video,
+                path=input_path,
+                asked=options,
+            )
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
         swept = Sweep(folder, subject, grid, setup, say)
         result, n_points = swept.result, len(swept.points)

@@ -6,9 +6,10 @@ appended as points are done. Both are written anew at the end, the record last.
 
 import csv
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,10 @@ import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import OutputExistsError, ParameterError, SourceError, WorkerError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
-from dlgmd_cli.parameters import DlgmdParameters, Parameters
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
@@ -76,101 +77,54 @@ def _mapped(clip: Clip) -> npt.NDArray[np.void]:
     return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
 
 
-class OneVideo:
-    """A video, or pictures, as what a sweep is about: the response to it is measured.
+@dataclass(frozen=True)
+class Subject:
+    """What the models of a sweep look at: a video, or cubes, one clip a speed.
 
-    `video` is open, as `options` say; distinguishability needs the frame of a false positive.
+    `settings` is what it adds to the record. Of a video, which was opened as `asked`, the response
+    is measured; of cubes, only attenuation.
     """
 
-    columns = RESPONSE_COLUMNS
+    name: str
+    size_wh: tuple[int, int]
+    clips: Sequence[Iterable[Frame]]
+    settings: dict[str, Any]
     speeds_px: tuple[float, ...] = ()
-
-    def __init__(
-        self, path: str, video: Video, asked: InputOptions, false_positive_frame: int | None = None
-    ) -> None:
-        self.path, self.video, self.asked = path, video, asked
-        self.name, self.size_wh = video.info.name, video.size_wh
-        self.options = asked.to_record()
-        self.settings: dict[str, Any] = {"false_positive_frame": false_positive_frame}
-        self.identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
-
-    def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
-        """Decode all of it into a file."""
-        total = self.asked.n_expected(self.video.info)
-        with (
-            progress(self.name, total, "frame") as on_frame,
-            opencv_threads(1),
-            read_ahead(self.video) as ahead,
-        ):
-            return [keep_frames(folder / f"{store.PREFIX}frames", ahead, on_frame)]
-
-    def facts(self, n_frames: int) -> tuple[dict[str, Any], list[str]]:
-        """What the record says of it when it was decoded, and what is doubtful about it."""
-        known = input_record(self.video, self.size_wh, n_frames, self.identity)
-        return known, list(self.video.progress.warnings)
-
-    def too_short(self, n_frames: int, label: str, n_needed: int) -> SourceError:
-        """The error for fewer frames than the model needs."""
-        return too_short(self.path, self.video, label, n_needed, self.asked)
+    video: Video | None = None
+    path: str = ""
+    asked: InputOptions = field(default_factory=InputOptions)
 
 
-class Cubes:
-    """Black cubes that cross a white picture, one clip a speed: attenuation is measured.
+def cubes(
+    speeds_px: Sequence[float],
+    side_px: float,
+    n_frames: int | None,
+    size_wh: tuple[int, int],
+    reach_px: int,
+) -> Subject:
+    """Black cubes that cross a white picture, without rows farther than `reach_px` from them.
 
     Without `n_frames`, all are in sight for as long as the fastest, 75 frames at most.
     """
+    scene = Translation("translating-cubes", "", TranslationOptions())
+    (width, height), speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
+    flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
+    flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
+    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
+    if n_frames is None:
+        n_frames = min(MAX_CUBE_FRAMES, *map(scene.n_frames, each))
+        # With an odd number, cubes at whole px/frame are at whole pixels.
+        n_frames -= 1 - n_frames % 2
+    above = max(0, int((height - side_px) / 2) - reach_px - 1)
 
-    columns = ATTENUATION_COLUMNS
-    name = "translating-cubes"
-    options: Mapping[str, Any] = {}
-    identity: Mapping[str, Any] = {}
+    def frames(options: TranslationOptions) -> Iterator[Frame]:
+        for index, picture in enumerate(scene.frames(options)):
+            yield Frame(index, index / options.fps, picture[above : height - above])
 
-    def __init__(
-        self,
-        speeds_px: Sequence[float],
-        side_px: float,
-        n_frames: int | None,
-        size_wh: tuple[int, int],
-    ) -> None:
-        self.size_wh, self.speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
-        self.scene = Translation(self.name, "", TranslationOptions())
-        width, height = size_wh
-        flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
-        flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
-        each = [self.scene.configure({**flags, "--speed": (speed,)}) for speed in self.speeds_px]
-        if n_frames is None:
-            n_frames = min(MAX_CUBE_FRAMES, *map(self.scene.n_frames, each))
-            # With an odd number, cubes at whole px/frame are at whole pixels.
-            n_frames -= 1 - n_frames % 2
-        self.each = [replace(options, n_frames=n_frames) for options in each]
-        size = {"frames": n_frames, "width": width, "height": height}
-        cubes = {"speeds_px": list(self.speeds_px), "side_px": side_px, **size}
-        self.settings: dict[str, Any] = {"cubes": cubes}
-
-    def keep(self, folder: Path, reach_px: int | None, progress: Progress) -> list[Clip]:
-        """Render them, without rows that are farther from the cube than the kernels reach."""
-        return [
-            keep_frames(folder / f"{store.PREFIX}frames-{number}", self._frames(options, reach_px))
-            for number, options in enumerate(self.each)
-        ]
-
-    def _frames(self, options: TranslationOptions, reach_px: int | None) -> Iterator[Frame]:
-        """The frames of one clip; all rows if `reach_px` is None."""
-        height = options.shape[0]
-        above = 0 if reach_px is None else int((height - options.side_px) / 2) - reach_px - 1
-        rows = slice(max(0, above), height - max(0, above))
-        for index, picture in enumerate(self.scene.frames(options)):
-            yield Frame(index, index / options.fps, picture[rows])
-
-    def facts(self, n_frames: int) -> tuple[dict[str, Any], list[str]]:
-        """What the record says beside the settings, and what is doubtful: nothing."""
-        return {}, []
-
-    def too_short(self, n_frames: int, label: str, n_needed: int) -> ParameterError:
-        """The error for fewer frames than the model needs."""
-        frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
-        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
-        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
+    clips = [frames(replace(options, n_frames=n_frames)) for options in each]
+    record = {"frames": n_frames, "width": width, "height": height}
+    settings = {"cubes": {"speeds_px": list(speeds_px), "side_px": side_px, **record}}
+    return Subject(scene.name, size_wh, clips, settings, speeds_px)
 
 
 @dataclass(frozen=True)
@@ -270,7 +224,7 @@ class Sweep:
     def __init__(
         self,
         folder: Path,
-        subject: OneVideo | Cubes,
+        subject: Subject,
         grid: Grid,
         setup: Setup,
         tell: Tell = _nothing,
@@ -286,7 +240,12 @@ class Sweep:
                 self.fault = self.fault or error
         if self.fault and not self.points:
             raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
-        self.result = SweepResult.empty(grid, subject.speeds_px, subject.columns, self.points)
+        columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
+        self._identity: dict[str, Any] = {}
+        if subject.video is not None:
+            info = subject.video.info
+            self._identity = {**input_identity(info, subject.path), "decoder": info.decoder}
         self.facts: dict[str, Any] = {}
         self.warnings: list[str] = []
 
@@ -309,7 +268,7 @@ class Sweep:
         differing = [
             key for key in asked if key not in (*_OUTCOME, "sweep") and known.get(key) != asked[key]
         ]
-        if self.subject.identity and not store.is_same_input(before, self.subject.identity):
+        if self._identity and not store.is_same_input(before, self._identity):
             differing.append("input")
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
@@ -338,8 +297,13 @@ class Sweep:
                     (self.folder / name).unlink(missing_ok=True)
                 self._write_record(complete=False)
                 self._write_table(sorted(done))
-                false_positive = subject.settings.get("false_positive_frame")
-                probe = _Probe(clips, self.engine, subject.columns, subject.options, false_positive)
+                probe = _Probe(
+                    clips,
+                    self.engine,
+                    tuple(self.result.columns),
+                    subject.asked.to_record(),
+                    subject.settings.get("false_positive_frame"),
+                )
                 with (
                     progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
                     (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
@@ -364,21 +328,37 @@ class Sweep:
 
     def _keep_frames(self, progress: Progress) -> list[Clip]:
         """The frames of all clips in files; raises if they are too few for the model everywhere."""
-        radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
-        clips = self.subject.keep(self.folder, max(radii, default=None), progress)
+        subject, video, clips = self.subject, self.subject.video, []
+        total = subject.asked.n_expected(video.info) if video else None
+        with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
+            for number, frames in enumerate(subject.clips):
+                with read_ahead(frames) as ahead:
+                    path = self.folder / f"{store.PREFIX}frames-{number}"
+                    clips.append(keep_frames(path, ahead, on_frame))
         n_frames = min(len(_mapped(clip)) for clip in clips)
-        least = math.inf
+        n_needed = sys.maxsize
         for params in self.points.values():
-            least = min(least, create_model(params).first_valid_frame + 1)
-            if least <= n_frames:
+            n_needed = min(n_needed, create_model(params).first_valid_frame + 1)
+            if n_needed <= n_frames:
                 break
         else:
-            raise self.subject.too_short(n_frames, self.setup.label, int(least))
-        self.facts, self.warnings = self.subject.facts(n_frames)
-        frames = _mapped(clips[0])["grey"]
-        if all(np.array_equal(one, frames[0]) for one in frames):
+            raise self._too_short(n_frames, n_needed)
+        if video is not None:
+            self.facts = input_record(video, video.size_wh, n_frames, self._identity)
+            self.warnings = list(video.progress.warnings)
+        pictures = _mapped(clips[0])["grey"]
+        if all(np.array_equal(one, pictures[0]) for one in pictures):
             self.warnings.append("no frame differs from the one before it")
         return clips
+
+    def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
+        """The error for fewer frames than the model needs."""
+        subject, label = self.subject, self.setup.label
+        if subject.video is not None:
+            return too_short(subject.path, subject.video, label, n_needed, subject.asked)
+        frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
+        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
+        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 
     def _write_table(self, points: Iterable[int]) -> None:
         """Write the rows of some points in place of the table."""
@@ -401,7 +381,7 @@ class Sweep:
             "model": self.setup.params.model,
             "engine": self.engine,
             **{key: value for key, value in params if key not in swept},
-            "options": dict(self.subject.options),
+            "options": self.subject.asked.to_record(),
             "sweep": {
                 **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
                 **self.subject.settings,
@@ -413,6 +393,6 @@ class Sweep:
                 "computed": len(self.result.done),
                 "impossible": len(self.grid) - len(self.points),
             },
-            "versions": versions(str(self.subject.identity.get("decoder")), self.engine),
+            "versions": versions(str(self._identity.get("decoder")), self.engine),
         }
         return yaml_text(record, default_flow_style=None)

@@ -4,7 +4,6 @@ import math
 import os
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParamet
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs import sweep as sweeps
 from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.runs.sweep import Sweep, engine_for
+from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
 
 
@@ -169,27 +168,8 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
 
 def subject(clips, speeds=()):
     """Frames in memory, as a subject."""
-
-    def keep(folder, reach_px, progress):
-        return [
-            sweeps.keep_frames(
-                folder / f".dlgmd-frames-{n}",
-                (Frame(i, i / 25, picture) for i, picture in enumerate(clip)),
-            )
-            for n, clip in enumerate(clips)
-        ]
-
-    return SimpleNamespace(
-        name="test",
-        size_wh=clips[0][0].shape[::-1],
-        keep=keep,
-        columns=sweeps.ATTENUATION_COLUMNS if speeds else sweeps.RESPONSE_COLUMNS,
-        speeds_px=speeds,
-        settings={},
-        options={},
-        identity={},
-        facts=lambda n_frames: ({}, []),
-    )
+    frames = [[Frame(i, i / 25, picture) for i, picture in enumerate(clip)] for clip in clips]
+    return Subject("test", clips[0][0].shape[::-1], frames, {}, speeds)
 
 
 def sweep(folder, what, x="sigma_e=1,2", y="a=0.5,1", params=None, engine="opencv"):
