@@ -20,13 +20,8 @@ def test_every_combination_is_measured(dlgmd, clips):
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["frames"] == N_FRAMES and found["decoding_alone_ms"] > 0.0
-    assert [(row["radius"], row["scale"]) for row in found["rows"]] == [
-        (3, 1.0),
-        (3, 0.5),
-        (2, 1.0),
-        (2, 0.5),
-    ]
-    assert [(row["width"], row["height"]) for row in found["rows"][:2]] == [(32, 24), (16, 12)]
+    keys = [(row["radius"], row["scale"], row["width"], row["height"]) for row in found["rows"]]
+    assert keys == [(3, 1.0, 32, 24), (3, 0.5, 16, 12), (2, 1.0, 32, 24), (2, 0.5, 16, 12)]
     for row in found["rows"]:
         assert row["engine"] == "opencv"
         assert row["paper_s"] is None and row["ratio"] is None  # not the paper's frames
@@ -35,7 +30,6 @@ def test_every_combination_is_measured(dlgmd, clips):
         assert row["whole_s"] == pytest.approx(0.120 * row["whole_ms"])
     with open("b.csv", newline="", encoding="ascii") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 4
     for row, other in zip(rows, found["rows"], strict=True):
         assert row["engine"] == other["engine"] and row["paper_s"] == row["ratio"] == ""
         assert float(row["whole_ms"]) == pytest.approx(other["whole_ms"], rel=1e-8)
@@ -119,10 +113,6 @@ def test_an_earlier_csv_is_kept(dlgmd, clips, tmp_path):
     assert (tmp_path / "b.csv").read_text() == "mine"
     assert dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv", "--overwrite").stdout
     assert (tmp_path / "b.csv").read_text().startswith("radius,scale,")
-
-
-def test_known_times_of_the_paper_are_in_the_table():
-    assert set(benchmark.PAPER_S) <= {(r, s) for r in benchmark.RADII for s in benchmark.SCALES}
 
 
 def test_pan_moves_and_repeats():
