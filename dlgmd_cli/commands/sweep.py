@@ -31,6 +31,7 @@ from dlgmd_cli.parameters import Parameters, parse_overrides
 if TYPE_CHECKING:
     from dlgmd_cli.results.sweep import Grid
     from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.sweep import Subject
 
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 # The parameters of the paper's Fig. 11, without those that it varies.
@@ -119,7 +120,7 @@ def sweep(
 
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as options_of
-    from dlgmd_cli.runs.sweep import FIGURE, Subject, Sweep, cubes
+    from dlgmd_cli.runs.sweep import FIGURE, Sweep, film
     from dlgmd_cli.threads import n_processors
 
     _refuse_others(input_path, shape, {**given, "false_positive_frame": false_positive_frame})
@@ -127,24 +128,11 @@ def sweep(
     grid = _grid(x, y, type(setup.params), asked)
     with ExitStack() as opened:
         if input_path is None:
-            speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
-            side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
-            size_wh = given["size"] or DEFAULT_SIZE
-            radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
-            reach_px = max([*radii, getattr(setup.params, "r", size_wh[1])])
-            subject = cubes(speeds_px, side_px, shape["frames"], size_wh, reach_px)
+            subject = _cubes(shape, given["size"] or DEFAULT_SIZE, grid, setup.params)
         else:
             options = options_of(setup, given)
             video = opened.enter_context(options.open(input_path))
-            subject = Subject(
-                video.info.name,
-                video.size_wh,
-                [video],
-                {"false_positive_frame": false_positive_frame},
-                video=video,
-                path=input_path,
-                asked=options,
-            )
+            subject = film(input_path, video, options, false_positive_frame)
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
         swept = Sweep(folder, subject, grid, setup, say)
         result, n_points = swept.result, len(swept.points)
@@ -160,8 +148,8 @@ def sweep(
                 say(f"{held}; the same command continues from there.")
             raise
         if swept.fault is not None:
-            n_left_out = f"{len(grid) - n_points} of {len(grid)}"
-            warn(f"{n_left_out} points cannot be computed: {swept.fault.why}")
+            left_out = f"{len(grid) - n_points} of {len(grid)} points"
+            warn(f"{left_out} cannot be computed: {swept.fault.why}")
         for warning in swept.warnings:
             warn(f"{input_path or subject.name}: {warning}")
         figures = {}
@@ -216,3 +204,16 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
         if key == "formulation" and asked["formulation"] is not None:
             raise click.UsageError("--formulation sets what is an axis. Leave it out.")
     return Grid(*axes)
+
+
+def _cubes(
+    shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
+) -> "Subject":
+    """The cubes that the options ask for, with as many rows as any kernel of the grid reaches."""
+    from dlgmd_cli.runs.sweep import cubes
+
+    speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
+    side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
+    radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
+    reach_px = max([*radii, getattr(params, "r", size_wh[1])])
+    return cubes(speeds_px, side_px, shape["frames"], size_wh, reach_px)

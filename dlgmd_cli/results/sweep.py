@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import Parameters, Spec
 from dlgmd_cli.results.csv import cell
-
-Series = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from dlgmd_cli.results.result import Flags, Series
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # A range ends at TO if a whole number of steps leads there but for this share of one.

@@ -27,8 +27,8 @@ from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
-from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.sweep import Grid, Series, SweepResult
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.sweep import Grid, SweepResult
 from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, too_short
 from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
@@ -93,6 +93,13 @@ class Subject:
     video: Video | None = None
     path: str = ""
     asked: InputOptions = field(default_factory=InputOptions)
+
+
+def film(path: str, video: Video, asked: InputOptions, false_positive_frame: int | None) -> Subject:
+    """A video, or pictures; distinguishability needs a frame where a response is a mistake."""
+    settings = {"false_positive_frame": false_positive_frame}
+    name, size_wh = video.info.name, video.size_wh
+    return Subject(name, size_wh, [video], settings, video=video, path=path, asked=asked)
 
 
 def cubes(
@@ -329,7 +336,7 @@ class Sweep:
     def _keep_frames(self, progress: Progress) -> list[Clip]:
         """The frames of all clips in files; raises if they are too few for the model everywhere."""
         subject, video, clips = self.subject, self.subject.video, []
-        total = subject.asked.n_expected(video.info) if video else None
+        total = None if video is None else subject.asked.n_expected(video.info)
         with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
             for number, frames in enumerate(subject.clips):
                 with read_ahead(frames) as ahead:
