@@ -41,7 +41,6 @@ RESPONSE_COLUMNS = (
     *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
     *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
 )
-MAX_CUBE_FRAMES = 75
 # Cells that a task of a process steps through, some tenth of a second: shorter ones cost more.
 _CELLS_PER_TASK = 20_000_000
 # What is in a record that does not tell one sweep from another.
@@ -119,7 +118,7 @@ def cubes(
     flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
     each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
     if n_frames is None:
-        n_frames = min(MAX_CUBE_FRAMES, *map(scene.n_frames, each))
+        n_frames = min(map(scene.n_frames, each))
         # With an odd number, cubes at whole px/frame are at whole pixels.
         n_frames -= 1 - n_frames % 2
     above = max(0, int((height - side_px) / 2) - reach_px - 1)

@@ -3,7 +3,6 @@
 import math
 import os
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,11 @@ from conftest import looming_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.cancel import Interrupted
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
-from dlgmd_cli.runs import sweep as sweeps
 from dlgmd_cli.runs.run import Setup
 from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
@@ -193,32 +190,6 @@ def test_values_are_those_of_the_model(tmp_path, params, x, dtype):
             model = create_model(at, engine="opencv")
             db = np.array([model.step(frame).attenuation_db for frame in clip])
             assert values.flat[point] == pytest.approx(db[np.isfinite(db)].mean(), rel=1e-12)
-    assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
-
-
-def test_an_interrupted_sweep_keeps_its_points_and_goes_on(tmp_path, stop, monkeypatch):
-    what, whole = subject([looming_frames(9)], (1.0,)), tmp_path / "whole"
-    done(whole, what)
-    computed = sweeps._computed
-    with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "_computed", lambda *a: islice(computed(*a), 2))
-        sweep(tmp_path / "s", what).compute()
-    half = (tmp_path / "s" / "sweep.csv").read_bytes()
-    assert half.count(b"\n") == 3
-    assert b"complete: false" in (tmp_path / "s" / "sweep.yaml").read_bytes()
-    (tmp_path / "s" / "sweep.csv").write_bytes(half + b"1,1,1,-3.1")
-    (tmp_path / "s" / ".dlgmd-frames-0").write_bytes(b"of a process that was killed")
-    again = sweep(tmp_path / "s", what)
-    again.resume()
-    assert again.result.done == {0, 1}
-    stop()
-    with pytest.raises(Interrupted):
-        again.compute()
-    monkeypatch.undo()
-    again.compute()
-    again.finish({})
-    for name in ("sweep.csv", "sweep.yaml"):
-        assert (tmp_path / "s" / name).read_bytes() == (whole / name).read_bytes()
     assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
 
 

@@ -131,8 +131,8 @@ def test_points_that_are_not_possible_are_cells_without_a_value(dlgmd):
 def test_nothing_passes_is_minus_infinity(dlgmd):
     grid = ["--x", "sigma_e=0.2,1.4", "--y", "sigma_i=5", "--speed", 1, "--set", 9]
     succeed(dlgmd, "sweep", *grid, "--no-plots", "--jobs", 1)
-    found = [row["attenuation_db"] for row in rows(f"{CUBES}/sweep.csv")]
-    assert math.isfinite(float(found[0])) and found[1] == "-inf"
+    first, second = (row["attenuation_db"] for row in rows(f"{CUBES}/sweep.csv"))
+    assert math.isfinite(float(first)) and second == "-inf"
 
 
 def test_base_parameters(dlgmd, tmp_path):
@@ -186,20 +186,32 @@ def test_inputs_are_told_apart_by_their_files(dlgmd, pictures, tmp_path):
     assert "other settings already exists here (input)" in result.stderr
 
 
-def test_an_interrupted_sweep_says_what_it_holds(dlgmd, stop, monkeypatch):
+def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, stop, monkeypatch):
     measured = sweeps._Probe._measured
 
     def stopping(*arguments):
         stop()
         return measured(*arguments)
 
-    monkeypatch.setattr(sweeps._Probe, "_measured", stopping)
-    result = dlgmd("sweep", *TINY, "--speed", 1)
+    command = ["sweep", *TINY, "--speed", 1, "--no-plots"]
+    with monkeypatch.context() as patch:
+        patch.setattr(sweeps._Probe, "_measured", stopping)
+        result = dlgmd(*command)
     assert result.exit_code == 130
     assert result.stderr == (
         f"{CUBES} holds 1 of 6 points; the same command continues from there.\nInterrupted.\n"
     )
     assert set(os.listdir(CUBES)) == FILES and record(CUBES)["complete"] is False
+    monkeypatch.setattr("dlgmd_cli.cancel._requested", False)
+    with Path(CUBES, "sweep.csv").open("a") as file:
+        file.write("1,1.5,1,-3.1")
+    Path(CUBES, ".dlgmd-frames-0").write_bytes(b"of a process that was killed")
+    assert succeed(dlgmd, *command).stderr == "1 of 6 points are already done.\n"
+    succeed(dlgmd, *command, "--out", "whole")
+    assert set(os.listdir(CUBES)) == FILES
+    for name in FILES:
+        whole = Path("whole/sweep-translating-cubes", name)
+        assert Path(CUBES, name).read_bytes() == whole.read_bytes()
 
 
 def test_interrupted_before_the_first_point(dlgmd, stop):
