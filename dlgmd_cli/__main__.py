@@ -16,6 +16,7 @@ def main() -> None:
     try:
         run()
     except SystemExit as ending:
+        cancel.ignore()
         if threading.active_count() > 1:  # a decoder that hangs would keep Python from ending
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError, AttributeError):  # closed, or nobody reads it

@@ -3,6 +3,7 @@
 import os
 import signal
 from types import FrameType
+from typing import Any
 
 EXIT_INTERRUPTED = 130
 
@@ -18,11 +19,21 @@ def listen() -> None:
 
     SIGTERM and SIGHUP stay ignored where they are, so that `nohup` works.
     """
+    _answer(_request)
+
+
+def ignore() -> None:
+    """Let signals do nothing from now on: all is done, and Python's own end must not be cut off."""
+    _answer(signal.SIG_IGN)
+
+
+def _answer(handler: Any) -> None:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        if number is None or (name != "SIGINT" and signal.getsignal(number) is signal.SIG_IGN):
-            continue
-        signal.signal(number, _request)
+        if number is not None and (
+            name == "SIGINT" or signal.getsignal(number) is not signal.SIG_IGN
+        ):
+            signal.signal(number, handler)
 
 
 def requested() -> bool:

@@ -64,19 +64,8 @@ def usage_errors_escaped() -> Iterator[None]:
     try:
         yield
     except click.ClickException as error:
-        message = printable(error.message)
-        if isinstance(error, click.NoSuchOption) and _starts_a_name(error.option_name):
-            message += " A file's name that begins like this needs ./ in front."
-        error.message = message  # type: ignore[misc]
+        error.message = printable(error.message)  # type: ignore[misc]
         raise
-
-
-def _starts_a_name(option: str) -> bool:
-    """Whether something here is called so that it was taken for that option."""
-    try:
-        return any(path.name.startswith(option) for path in Path().iterdir())
-    except OSError:
-        return False
 
 
 @contextmanager

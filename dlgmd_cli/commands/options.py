@@ -1,9 +1,8 @@
 """The options that several commands share, in groups, and the kinds of value that they take."""
 
 import math
-import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
@@ -12,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.names import numbered as numbered
+from dlgmd_cli.names import told_apart as told_apart
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
-from dlgmd_cli.video.frames import parse_size
+from dlgmd_cli.video.base import DECODERS, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
 
-ENGINES, DECODERS = ("opencv", "numba"), ("opencv", "pyav")
+ENGINES = ("opencv", "numba")
 
 
 class Size(click.ParamType):
@@ -201,31 +202,6 @@ def labelled(setups: "list[Setup]") -> "list[Setup]":
     """The setups under labels that differ."""
     labels = numbered([one.label for one in setups])
     return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
-
-
-def numbered(names: Sequence[str]) -> list[str]:
-    """The names, with (2), (3) … after those that stood before."""
-    found: list[str] = []
-    for name in names:
-        candidate, number = name, 1
-        while candidate in found:
-            number += 1
-            candidate = f"{name} ({number})"
-        found.append(candidate)
-    return found
-
-
-def told_apart(paths: Sequence[Path]) -> list[str]:
-    """The last part of every path; where several end alike, as many as tell them apart."""
-    every = [Path(os.path.abspath(path)).parts for path in paths]
-    names = []
-    for parts in every:
-        others = [other for other in every if other != parts]
-        n = 1
-        while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
-            n += 1
-        names.append("/".join(parts[-n:]))
-    return numbered(names)
 
 
 # What is read of an input.

@@ -39,7 +39,7 @@ class _Remark(click.ParamType):
         self.name, self._pattern, self._example = name, pattern, example
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """What stands before the colon as numbers, then the text."""
+        """The numbers before the colon, then the text."""
         if isinstance(value, tuple):
             return value
         given = printable(str(value))

@@ -35,7 +35,7 @@ class Annotations:
         return points + [(frame, name, name) for name, frame in named.items() if frame is not None]
 
     def outside(self, first_frame: int, last_frame: int) -> list[str]:
-        """What a figure of frames `first_frame` to `last_frame` cannot show, a line each."""
+        """What a figure of frames `first_frame` to `last_frame` cannot show, one line for each."""
         frames = f"frames {first_frame} to {last_frame}"
         lines = [
             f"{text!r} at frame {frame} is outside {frames} and is left out"

@@ -122,7 +122,7 @@ class Film:
         return self._canvas
 
     def _fill(self, box: Box, image: BgrImage | None) -> None:
-        """Put `image` into a panel at its size, or what stands there by itself."""
+        """Put `image` into a panel at its size, or the empty panel if there is none."""
         if image is None:
             self._canvas[box] = self._ground[box]
             return
@@ -131,7 +131,7 @@ class Film:
         self._canvas[box] = cv2.resize(image, (width, height), interpolation=way)
 
     def _show_present(self, row: int) -> None:
-        """The trace as far as the present, which a line and a dot mark."""
+        """Draw the trace up to the present, with a line and a dot at its end."""
         rows, columns = self._trace
         x, y = (int(place) for place in self._places[row])
         canvas, now = self._canvas, max(x + 1, columns.start)

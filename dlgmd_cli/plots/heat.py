@@ -18,7 +18,7 @@ _SIGNED = "RdBu_r"
 
 @dataclass(frozen=True)
 class Scale:
-    """The values that the two ends of a colour map stand for.
+    """The values at the two ends of a colour map.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ INPUT_SCALE = Scale(0.0, 1.0, "gray")
 
 
 def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:
-    """`layer` at no more than `height` x `width`, every value the strongest of those it stands for.
+    """`layer` at no more than `height` x `width`, each value the strongest of those it replaces.
 
     A single active cell among silent ones thus stays visible in a picture with fewer pixels than
     the layer has cells. Averaging would fade it, taking every n-th cell would lose it.

@@ -31,7 +31,7 @@ _GAP = 0.06
 
 
 def plot_layers(sheet: LayerSheet, width: Width = "two") -> Figure:
-    """Input, P, S and G, a row each, with a column a frame and a colour bar a row.
+    """Input, P, S and G: one row each with its colour bar, one column per frame.
 
     All tiles of a row share one scale, from 0 to the greatest value in the row; where values have
     signs, it is symmetric about 0. Where a layer has more cells than its tile has pixels, a pixel

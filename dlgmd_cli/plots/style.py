@@ -176,6 +176,10 @@ def _write(figure: Figure, path: Path) -> None:
     # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
     drawn = BytesIO()
     with house_style():
+        layout = figure.get_layout_engine()
+        if layout is not None:  # once, or savefig would draw the figure twice
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
     path.write_bytes(drawn.getvalue())
 

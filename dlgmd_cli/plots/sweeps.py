@@ -84,11 +84,11 @@ class _Panel(NamedTuple):
 
 
 def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
-    """Heat maps over both parameters, one a speed or one a measure, each with its own colours.
+    """Heat maps over both parameters, one per speed or per measure, each with its own colours.
 
     Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does, and
-    below -60 dB nothing passes. What is no finite number, or cannot be computed, has no colour but
-    grey or a pattern, which the legend explains.
+    below -60 dB nothing passes. Cells that are not finite, or cannot be computed, are grey or
+    have a pattern, which the legend explains.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _add_bar(figure: Figure, axes: Axes, picture: QuadMesh, unit: str, *, is_cut
 
 
 def places(axis: Axis) -> Series:
-    """Where values stand on an axis: at themselves, or at 0, 1, … if they are names."""
+    """Positions on an axis: the values themselves, or 0, 1, … if they are names."""
     return np.array(axis.values if axis.is_numeric else range(len(axis)), dtype=np.float64)
 
 

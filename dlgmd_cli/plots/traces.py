@@ -233,7 +233,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
 
 
 def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """Attenuation in dB; marks below, a row a result, where nothing passes."""
+    """Attenuation in dB; marks below, one row per result, where nothing passes."""
     entries: Entries = []
     silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
     shown = [
@@ -273,7 +273,7 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
 
 
 def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """A row of spikes and one of alarms; of several results a row each with both."""
+    """One row of spikes and one of alarms; with several results, one row per result with both."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         result = traces[0].result

@@ -2,11 +2,11 @@
 
 import csv
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.csv import text_cell
+from dlgmd_cli.results.csv import text_cell, write_rows
 
 LABELS = "labels.csv"
 
@@ -27,17 +27,16 @@ class Label:
     collision_frame: int | None = None
 
 
-COLUMNS = tuple(field.name for field in fields(Label))
+COLUMNS = ("video", "collision_frame")
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV; OSError passes through."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for label in labels:
-            video, frame = astuple(label)
-            writer.writerow([text_cell(video), "" if frame is None else frame])
+    rows = (
+        [text_cell(one.video), "" if one.collision_frame is None else str(one.collision_frame)]
+        for one in labels
+    )
+    write_rows(path, COLUMNS, rows)
 
 
 def read_labels(path: Path) -> list[Label]:
@@ -52,7 +51,7 @@ def read_labels(path: Path) -> list[Label]:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))
     except (OSError, ValueError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "it is no CSV in UTF-8"
+        reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"it cannot be read ({reason})") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         raise ResultError(
@@ -71,6 +70,6 @@ def _label(path: Path, number: int, row: list[str]) -> Label:
             return Label(video, int(frame))
     raise ResultError(
         str(path),
-        f"line {number} is no label",
-        "It should be a video and the number of a frame, or nothing after the comma.",
+        f"line {number} is not a label",
+        "Write a video and the number of a frame, or nothing after the comma.",
     )

@@ -5,14 +5,15 @@ import posixpath
 import stat
 import tempfile
 import unicodedata
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.names import told_apart
 from dlgmd_cli.results.store import failure_text, is_url, place
 from dlgmd_cli.video.frames import fingerprint
 
@@ -83,7 +84,9 @@ def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out)
-    for prefix, root in zip(_told_apart(roots) if len(roots) > 1 else [""], roots, strict=True):
+    for prefix, root in zip(
+        told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""], roots, strict=True
+    ):
         base = place(root)
         if isinstance(base, Path):
             search.add(prefix, str(base))
@@ -221,21 +224,6 @@ def _key_of(folder: str | Path) -> tuple[int, int]:
     return facts.st_dev, facts.st_ino
 
 
-def _told_apart(roots: Sequence[str]) -> list[str]:
-    """The last part of every root's path; of several that end alike, as many as differ."""
-    every = [
-        root.split("/") if is_url(root) else Path(os.path.abspath(root)).parts for root in roots
-    ]
-    names = []
-    for parts in every:
-        others = [other for other in every if other != parts]
-        n = 1
-        while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
-            n += 1
-        names.append("/".join(part for part in parts[-n:] if part.strip("/")))
-    return names
-
-
 @contextmanager
 def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
     """A path on this machine: `path` itself, or of a copy in `scratch` of what a URL leads to.
@@ -260,63 +248,39 @@ def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
 
 
 def result_folders(videos: Iterable[str]) -> dict[str, str]:
-    """The folder of each video's result, mirroring the tree.
+    """The folder of each video's result by the video's path, mirroring the tree.
 
     It is called after the file without its extension; with it where another video, or a folder with
-    videos, has the same name in the same folder, whether in capitals or not, and however
-    its accents are written.
-
-    Parameters
-    ----------
-    videos : iterable of str
-        Paths with slashes, each once.
-
-    Returns
-    -------
-    dict of str to str
-        For every path that of its result, with slashes; none is within another, or leads out of
-        the tree.
+    videos, has the same name there, whether in capitals or not. None is within another.
     """
-    above = {video: tuple(_safe(part) for part in video.split("/")[:-1]) for video in videos}
-    by_folder: dict[tuple[str, ...], list[str]] = defaultdict(list)
-    folders: dict[tuple[str, ...], set[str]] = defaultdict(set)
-    for video, parts in above.items():
-        # Folders whose names differ in capitals only may be one where the results go.
-        keys = tuple(map(_folded, parts))
-        by_folder[keys].append(video)
-        for depth, below in enumerate(keys):
-            folders[keys[:depth]].add(below)
-    results = {}
-    for keys, kin in by_folder.items():
-        taken = folders[keys] | (frozenset() if keys else {SUMMARY})
-        for video, called in _called(sorted(kin), taken).items():
-            results[video] = "/".join([*above[video], called])
-    return results
-
-
-def _called(videos: Sequence[str], taken: Iterable[str]) -> Mapping[str, str]:
-    """What the results of the videos of one folder are called, apart from what is taken."""
-    names = {video: video.rpartition("/")[2] for video in videos}
-    stems: dict[str, list[str]] = defaultdict(list)
-    for video, name in names.items():
-        stems[_folded(_safe(posixpath.splitext(name)[0]))].append(video)
-    used, called = set(taken), {}
-    alone = {kin[0] for stem, kin in stems.items() if len(kin) == 1 and stem not in used}
-    for video in sorted(videos, key=lambda video: video not in alone):
-        name = names[video]
-        wanted = base = _safe(posixpath.splitext(name)[0] if video in alone else name)
+    parts = {video: [_safe(part) for part in video.split("/")] for video in sorted(videos)}
+    stems = {
+        video: "/".join([*above, _safe(posixpath.splitext(video.rpartition("/")[2])[0])])
+        for video, (*above, _) in parts.items()
+    }
+    n_alike = Counter(map(_folded, stems.values()))
+    used = {_folded("/".join(p[:depth])) for p in parts.values() for depth in range(1, len(p))}
+    used.add(SUMMARY)
+    alone = {
+        video
+        for video, stem in stems.items()
+        if n_alike[_folded(stem)] == 1 and _folded(stem) not in used
+    }
+    folders = {}
+    for video in sorted(parts, key=lambda video: video not in alone):
+        wanted = base = stems[video] if video in alone else "/".join(parts[video])
         number = 1
         while _folded(wanted) in used:
             number += 1
             wanted = f"{base} ({number})"
         used.add(_folded(wanted))
-        called[video] = wanted
-    return called
+        folders[video] = wanted
+    return folders
 
 
 def _folded(part: str) -> str:
     """What names have in common that are one name on some file system."""
-    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", part).casefold())
+    return unicodedata.normalize("NFC", part).casefold()
 
 
 def _safe(part: str) -> str:

@@ -165,29 +165,12 @@ def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
 
 
 @overload
-def run(
-    video: str | os.PathLike[str],
-    models: None = None,
-    *,
-    set: str | int | None = None,
-    config: str | os.PathLike[str] | None = None,
-    model: str | None = None,
-    formulation: str | None = None,
-    param: Mapping[str, Any] | None = None,
-    engine: str | None = None,
-    on_frame: OnFrame = _nothing,
-    **options: Any,
-) -> Result: ...
+def run(video: str | os.PathLike[str], models: None = None, **options: Any) -> Result: ...
 
 
 @overload
 def run(
-    video: str | os.PathLike[str],
-    models: Sequence[Parameters | str | int],
-    *,
-    engine: str | None = None,
-    on_frame: OnFrame = _nothing,
-    **options: Any,
+    video: str | os.PathLike[str], models: Sequence[Parameters | str | int], **options: Any
 ) -> list[Result]: ...
 
 

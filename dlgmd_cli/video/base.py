@@ -1,25 +1,20 @@
-"""What all decoders share: pictures and facts, limits, and what FFmpeg may open."""
+"""What all decoders share: limits, facts, names of files, and what FFmpeg may open."""
 
 import math
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.threads import n_processors, thread_limit
-
-if TYPE_CHECKING:  # loading NumPy takes time, and --help does not need it
-    import numpy.typing as npt
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
 FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
-# A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
-# from before the damage may still be inside the decoder's threads.
-READS_PAST_DAMAGE = 32
 _MAX_DECODER_THREADS = 16
 
 # What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
@@ -33,58 +28,6 @@ _FORMATS = (
     *("gif", "apng", "jpegxl_anim", "png_pipe", "jpeg_pipe", "bmp_pipe", "tiff_pipe", "webp_pipe"),
 )
 FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FORMATS)}
-
-
-@dataclass(frozen=True)
-class VideoInfo:
-    """Facts about an input.
-
-    Attributes
-    ----------
-    path : str
-        Where it is, absolute.
-    name : str
-        What its results are called: the stem of a file, the name of a folder.
-    width, height : int
-        Size of its pictures as they are shown, in px.
-    fps : float
-        Nominal frames per second.
-    n_frames : int or None
-        How many frames it claims to have: a hint for a progress bar, often wrong.
-    decoder : str
-        What decodes it: opencv or pyav.
-    """
-
-    path: str
-    name: str
-    width: int
-    height: int
-    fps: float
-    n_frames: int | None
-    decoder: str = DEFAULT_DECODER
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A decoded picture: uint8 or uint16, (H, W) or (H, W, channels) in BGR order.
-
-    `levels` are the levels of black and white, if they are not the least and the greatest that
-    the data type holds.
-    """
-
-    index: int
-    time_s: float
-    image: "npt.NDArray[Any]"
-    levels: tuple[int, int] | None = None
-
-
-@dataclass
-class Progress:
-    """How far the reading has come, and what went wrong."""
-
-    n_decoded: int = 0
-    last_time_s: float = math.nan
-    warnings: list[str] = field(default_factory=list)
 
 
 class Facts(NamedTuple):
@@ -111,6 +54,14 @@ def decoder_threads() -> int:
     They keep the processors busy while the last frame is converted. A limit of threads holds.
     """
     return thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """`480x270` -> (480, 270); raises ParameterError."""
+    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})", text.strip(), re.ASCII)
+    if match is None:
+        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
+    return int(match[1]), int(match[2])
 
 
 def plausible_fps(fps: float) -> float | None:

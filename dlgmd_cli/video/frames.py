@@ -1,14 +1,14 @@
 """From what a user typed to an open video: options, processed size, decoder, fingerprint."""
 
+import hashlib
 import math
 import numbers
 import os
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.parameters import shown
@@ -16,23 +16,18 @@ from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
     FALLBACK_FPS,
-    Picture,
     Unreadable,
-    VideoInfo,
     openable,
+    parse_size,
 )
-from dlgmd_cli.video.reading import Frame, Selection, Video
+from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
+from dlgmd_cli.video.opencv import OpenCVDecoder
+from dlgmd_cli.video.pyav import PyAVDecoder
+from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo
 
-if TYPE_CHECKING:
-    from dlgmd_cli.video.reading import Decoder
-
-# What decodes pictures is imported inside functions: --help loads this module.
 __all__ = [
-    "DECODERS",
-    "DEFAULT_DECODER",
     "Frame",
     "InputOptions",
-    "Picture",
     "Video",
     "VideoInfo",
     "fingerprint",
@@ -56,14 +51,6 @@ _RANGES = {
 _CHOICES = {"decoder": DECODERS, "normalise": ("absolute", "sequence")}
 # FFmpeg is kept from reading lists of files anyway; this gives a better reason than "damaged".
 _LISTS = (b"#EXTM3U", b"ffconcat")
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """`480x270` -> (480, 270); raises ParameterError."""
-    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})", text.strip(), re.ASCII)
-    if match is None:
-        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
-    return int(match[1]), int(match[2])
 
 
 @dataclass(frozen=True)
@@ -90,7 +77,8 @@ class InputOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
-            object.__setattr__(self, "size", parse_size(str(self.size)))
+            text = self.size if isinstance(self.size, str) else shown(self.size)
+            object.__setattr__(self, "size", parse_size(text))
         for name, value in vars(self).items():
             why = "" if value is None else _why_wrong(name, value)
             if why:
@@ -201,8 +189,6 @@ def open_video(
         raise ParameterError(
             "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
         )
-    from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
-
     file = Path(path)
     try:
         pictures = pictures_at(file)
@@ -231,17 +217,11 @@ def open_video(
     return video
 
 
-def _open_file(path: Path, decoder: str) -> "Decoder":
-    """A decoder at the start of a video file; only the one asked for has to be installed."""
+def _open_file(path: Path, decoder: str) -> Decoder:
+    """A decoder at the start of a video file."""
     try:
         with openable(path.absolute()) as name:
-            if decoder == "pyav":
-                from dlgmd_cli.video.pyav import PyAVDecoder
-
-                return PyAVDecoder(name)
-            from dlgmd_cli.video.opencv import OpenCVDecoder
-
-            return OpenCVDecoder(name)
+            return PyAVDecoder(name) if decoder == "pyav" else OpenCVDecoder(name)
     except Unreadable:
         raise SourceError(
             str(path),
@@ -277,22 +257,10 @@ def processed_size(
     scale: float | None = None,
     size_wh: tuple[int, int] | None = None,
 ) -> tuple[int, int]:
-    """Width and height in px at which an input is processed.
+    """Width and height in px at which an input is processed; raises ParameterError.
 
-    Parameters
-    ----------
-    width, height : int
-        Size of the input, in px.
-    scale : float, optional
-        Linear scale, 0 < scale <= 1. Without it (and without `size_wh`) the width is reduced to
-        480 px, the paper's best size, and never enlarged.
-    size_wh : (int, int), optional
-        An exact size instead, in px.
-
-    Raises
-    ------
-    ParameterError
-        If scale or size are out of range, or both are given.
+    Without `scale`, 0 < scale <= 1, and an exact `size_wh` in px the width is reduced to 480 px,
+    the paper's best size, and never enlarged.
     """
     if size_wh is not None:
         if scale is not None:
@@ -312,28 +280,9 @@ def processed_size(
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """What tells an input from another of the same name, without decoding it.
 
-    Parameters
-    ----------
-    path : str or path
-        What `open_video` takes.
-
-    Returns
-    -------
-    dict
-        Of a file ``bytes`` and ``mtime_ns``; of pictures their number and a digest of the names,
-        sizes and times of change of all.
-
-    Raises
-    ------
-    SourceError
-        If there are no pictures.
-    OSError
-        If the files cannot be looked at.
+    Of a file ``bytes`` and ``mtime_ns``; of pictures their number and a digest of the names, sizes
+    and times of change of all. Raises SourceError if there are no pictures, and OSError.
     """
-    import hashlib
-
-    from dlgmd_cli.video.images import pictures_at
-
     pictures = pictures_at(Path(path))
     if pictures is None:
         facts = Path(path).stat()

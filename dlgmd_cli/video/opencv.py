@@ -11,7 +11,6 @@ import cv2
 
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
-    READS_PAST_DAMAGE,
     Facts,
     Unreadable,
     decoder_threads,
@@ -20,6 +19,9 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.luma import Image
 
+# A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
+# from before the damage may still be inside the decoder's threads.
+_READS_PAST_DAMAGE = 32
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _lock = threading.Lock()
 
@@ -58,7 +60,7 @@ class OpenCVDecoder:
 
     def _first(self) -> Image:
         """The first frame that can be decoded; `stamps` begins with it."""
-        for _ in range(READS_PAST_DAMAGE):
+        for _ in range(_READS_PAST_DAMAGE):
             if self._capture.grab():
                 try:
                     return self.picture()[0]
@@ -72,7 +74,7 @@ class OpenCVDecoder:
         yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         while True:
             if not capture.grab():
-                if not any(capture.grab() for _ in range(READS_PAST_DAMAGE)):
+                if not any(capture.grab() for _ in range(_READS_PAST_DAMAGE)):
                     return
                 self.is_damaged = True
             # OpenCV says 0 where there is no timestamp.

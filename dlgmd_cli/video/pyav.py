@@ -152,15 +152,16 @@ def _import_av() -> Any:
     """PyAV, or an error that says how to install it."""
     try:
         import av
-    except ModuleNotFoundError:
-        why = "the package 'av' is not installed"
     except Exception as error:  # whatever a broken installation raises
-        why = f"the package 'av' cannot be loaded ({str(error) or type(error).__name__})"
-    else:
-        return av
-    raise MissingExtraError(
-        "--decoder pyav", why, "Install it with: pip install 'dlgmd[fast]'"
-    ) from None
+        why = f"cannot be loaded ({str(error) or type(error).__name__})"
+        if isinstance(error, ModuleNotFoundError):
+            why = "is not installed"
+        raise MissingExtraError(
+            "--decoder pyav",
+            f"the package 'av' {why}",
+            "Install it with: pip install 'dlgmd[fast]'",
+        ) from None
+    return av
 
 
 def _pictures_of(container: "InputContainer") -> "VideoStream":

@@ -4,25 +4,76 @@ import copy
 import math
 from array import array
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.video.base import Picture, Progress, Unreadable, VideoInfo
+from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.images import ImageDecoder
+from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.opencv import OpenCVDecoder
+from dlgmd_cli.video.pyav import PyAVDecoder
+from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
-# NumPy and OpenCV are imported inside the functions that need them: --help loads this module.
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
+# What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and gives
+# its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
+# were frames that cannot be decoded.
+Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
 
-    from dlgmd_cli.video.images import ImageDecoder
-    from dlgmd_cli.video.opencv import OpenCVDecoder
-    from dlgmd_cli.video.pyav import PyAVDecoder
 
-    # What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and
-    # gives its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether
-    # there were frames that cannot be decoded.
-    Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
+@dataclass(frozen=True)
+class VideoInfo:
+    """Facts about an input.
+
+    Attributes
+    ----------
+    path : str
+        Where it is, absolute.
+    name : str
+        What its results are called: the stem of a file, the name of a folder.
+    width, height : int
+        Size of its pictures as they are shown, in px.
+    fps : float
+        Nominal frames per second.
+    n_frames : int or None
+        How many frames it claims to have: a hint for a progress bar, often wrong.
+    decoder : str
+        What decodes it: opencv or pyav.
+    """
+
+    path: str
+    name: str
+    width: int
+    height: int
+    fps: float
+    n_frames: int | None
+    decoder: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A decoded picture: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
+
+    `levels` are the levels of black and white, if they are not the least and the greatest that
+    the data type holds.
+    """
+
+    index: int
+    time_s: float
+    image: npt.NDArray[Any]
+    levels: tuple[int, int] | None = None
+
+
+@dataclass
+class Progress:
+    """How far the reading has come, and what went wrong."""
+
+    n_decoded: int = 0
+    last_time_s: float = math.nan
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -34,13 +85,11 @@ class Frame:
 
     index: int
     time_s: float
-    grey: "npt.NDArray[Any]"
+    grey: npt.NDArray[Any]
 
     @property
-    def luminance(self) -> "npt.NDArray[np.float32]":
+    def luminance(self) -> npt.NDArray[np.float32]:
         """The same as float32 in 0..1, shape (H, W)."""
-        import numpy as np
-
         if self.grey.dtype != np.uint8:
             return self.grey
         return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
@@ -102,8 +151,8 @@ class Video:
 
     def __init__(
         self,
-        decoder: "Decoder",
-        reopen: "Callable[[], Decoder]",
+        decoder: Decoder,
+        reopen: Callable[[], Decoder],
         info: VideoInfo,
         size_wh: tuple[int, int],
         selection: Selection,
@@ -119,8 +168,6 @@ class Video:
         Reading ends with a warning if damage leaves a gap, or if PyAV finds that the picture size
         changes (OpenCV scales such pictures to the first one's size and does not say so).
         """
-        from dlgmd_cli.video.timestamps import FrameClock, missing_frames
-
         if self._is_read:
             self._decoder.close()
             self._decoder = self._reopen()
@@ -172,8 +219,6 @@ class Video:
 
     def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
         """What models take of a picture, at the video's `size_wh` unless another is given."""
-        from dlgmd_cli.video.luma import to_grey
-
         grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
         return Frame(picture.index, picture.time_s, grey)
 

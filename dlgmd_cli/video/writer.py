@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,14 +70,9 @@ def video_writer(
     path : Path
         The video; its suffix names the container, which for `h264` must be .mp4.
     shape : (int, int)
-        H and W, both even.
-    fps : float
-        Frames per second.
+        H and W, both even; frames are (H, W) uint8 grey, or (H, W, 3) BGR if `is_colour`.
     codec : {"mpeg4", "ffv1", "h264"}
-        FFV1 is lossless; H.264 needs PyAV.
-    is_colour : bool
-        Whether frames are (H, W, 3) BGR, else (H, W) grey; both uint8. In H.264 the same grey
-        frames always give the same file.
+        FFV1 is lossless; H.264 needs PyAV, and the same grey frames always give the same file.
     target, option : Path, str, optional
         The file that an error names, `path` unless given, and the option to change.
 
@@ -85,13 +81,13 @@ def video_writer(
     OutputError
         If the file cannot be written, or if the disk is full.
     """
-    by, how = (_by_pyav, "") if codec == "h264" else (_by_opencv, _FOURCC[codec])
+    start = _by_pyav if codec == "h264" else partial(_by_opencv, _FOURCC[codec])
     n_frames = 0
     try:
         with tempfile.TemporaryDirectory(prefix=".dlgmd-", dir=path.parent) as folder:
             file = Path(folder).absolute() / f"video{path.suffix}"
             file.touch()  # if this fails, the error gives the reason; OpenCV would not
-            with openable(file) as name, by(name, shape, fps, how, is_colour) as encode:
+            with openable(file) as name, start(name, shape, fps, is_colour) as encode:
 
                 def write(image: Image) -> None:
                     nonlocal n_frames
@@ -133,7 +129,7 @@ def write_video(
 
 @contextmanager
 def _by_opencv(
-    name: str, shape: tuple[int, int], fps: float, fourcc: str, is_colour: bool
+    fourcc: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
 ) -> Iterator[Write]:
     """OpenCV's encoder."""
     # Grey frames go in as they are (the last argument): FFV1 is lossless only so.
@@ -149,9 +145,7 @@ def _by_opencv(
 
 
 @contextmanager
-def _by_pyav(
-    name: str, shape: tuple[int, int], fps: float, _: str, is_colour: bool
-) -> Iterator[Write]:
+def _by_pyav(name: str, shape: tuple[int, int], fps: float, is_colour: bool) -> Iterator[Write]:
     """H.264 with the colours of HD video, and the index in front, so that browsers can stream."""
     import av
     from av.video.reformatter import ColorRange, Colorspace

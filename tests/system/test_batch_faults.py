@@ -93,7 +93,11 @@ class Bench:
         before = {path: path.stat().st_mtime_ns for path in self.out.rglob(store.RUN)}
         assert self.run().exit_code == 0
         assert self.judge() == dict.fromkeys(self.names, "done")
-        assert files_of(self.out) == self.truth and hidden_in(self.out) == []
+        # One that was killed between its last file and its end leaves its lock, which is open.
+        for lock in hidden_in(self.out):
+            assert lock.name == f"{store.PREFIX}lock" and (lock.parent / store.RUN).exists()
+            lock.unlink()
+        assert files_of(self.out) == self.truth
         assert all(path.stat().st_mtime_ns == written for path, written in before.items())
         self.clear()
 
@@ -158,7 +162,9 @@ def test_a_signal_at_any_moment(long, name):
             if process.poll() is None:
                 (os.killpg if "all" in name else os.kill)(process.pid, number)
             _, said = process.communicate(timeout=PATIENCE_S)
-            assert process.returncode in (0, -9 if name == "SIGKILL" else 130)
+            assert process.returncode in (0, 130, -number)
+            if process.returncode == -number != -signal.SIGKILL:  # while Python itself ends
+                assert long.judge() == dict.fromkeys(long.names, "done")
             assert "Traceback" not in said and "Error" not in said
             wait_until(lambda process=process: not session_of(process.pid))
         long.judge()
@@ -189,7 +195,7 @@ def workers_of(pid):
 
 def test_a_worker_killed_costs_one_video(long):
     moments, n_lost = random.Random(23), 0
-    for _ in range(2 * N_SIGNALS):
+    for _ in range(N_SIGNALS):
         with started(*long.command(), cwd=long.folder) as process:
             wait_until(lambda: any(long.out.rglob(store.RUN)))
             time.sleep(moments.uniform(0.0, 0.1))

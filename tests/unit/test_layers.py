@@ -10,7 +10,7 @@ import dlgmd_cli
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors", "cancel", "threads"},
+    {"errors", "cancel", "names", "threads"},
     {"parameters", "pool"},
     {"models", "video"},
     {"results"},

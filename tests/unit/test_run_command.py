@@ -343,6 +343,7 @@ def test_usage_names_the_command(dlgmd, clips):
         ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
         ({"pace": 1}, "unknown option 'pace' under 'options'"),
         ({"size": "big"}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
+        ({"size": [480, 270]}, "is not WIDTHxHEIGHT. Write 480x270."),
         ({"scale": [1]}, "my.yaml: options: --scale a list or mapping is not above 0 and up to 1"),
         ({"scale": True}, "my.yaml: options: --scale True is not above 0"),
         ({"fps": float("nan")}, "my.yaml: options: --fps nan is not a frame rate above 0"),
