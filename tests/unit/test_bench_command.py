@@ -92,10 +92,17 @@ def test_an_interruption_ends_it(dlgmd, clips, stop):
 
 
 def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, clips, tmp_path):
-    (tmp_path / "file").write_text("")
-    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "file/b.csv")
+    file = tmp_path / "b.csv"
+    file.write_text("mine")
+    command = ["bench", clips / "loom.avi", *ONE_CELL, "--csv"]
+    result = dlgmd(*command, "b.csv/b.csv")
     assert result.exit_code == 1 and result.stdout == ""
     assert "it cannot be written" in result.stderr and "Choose another --csv" in result.stderr
+    result = dlgmd(*command, "b.csv")
+    assert result.exit_code == 2 and "b.csv: it already exists" in result.stderr
+    assert file.read_text() == "mine"
+    assert dlgmd(*command, "b.csv", "--overwrite").exit_code == 0
+    assert file.read_text().startswith("radius,scale,")
 
 
 def test_warnings_about_the_input(dlgmd, clips, tmp_path):
@@ -104,15 +111,6 @@ def test_warnings_about_the_input(dlgmd, clips, tmp_path):
     result = dlgmd("bench", "cut.avi", *ONE_CELL)
     assert result.exit_code == 0
     assert result.stderr.count("Warning: cut.avi: ") == 1 and "of about 20 frames" in result.stderr
-
-
-def test_an_earlier_csv_is_kept(dlgmd, clips, tmp_path):
-    (tmp_path / "b.csv").write_text("mine")
-    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv")
-    assert result.exit_code == 2 and "b.csv: it already exists" in result.stderr
-    assert (tmp_path / "b.csv").read_text() == "mine"
-    assert dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv", "--overwrite").stdout
-    assert (tmp_path / "b.csv").read_text().startswith("radius,scale,")
 
 
 def test_pan_moves_and_repeats():

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -172,16 +173,13 @@ def test_the_record_is_a_config(dlgmd, clips):
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
-def test_inputs_are_told_apart_by_their_files(dlgmd, pictures, tmp_path):
-    copy = tmp_path / "shots"
-    copy.mkdir()
-    for path in pictures.iterdir():
-        (copy / path.name).write_bytes(path.read_bytes())
-    options = ["--input-fps", 30, "--x", "r=2,3", "--y", "a=1", "--no-plots", "--jobs", 1]
-    succeed(dlgmd, "sweep", "shots", *options)
-    assert dlgmd("sweep", "shots", *options).stderr == "2 of 2 points are already done.\n"
-    os.utime(copy / "3.png", ns=(1, 1))
-    result = dlgmd("sweep", "shots", *options)
+def test_inputs_are_told_apart_by_their_files(dlgmd, clips):
+    shutil.copy(clips / "loom.avi", "my.avi")
+    command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--no-plots", "--jobs", 1]
+    succeed(dlgmd, *command)
+    assert dlgmd(*command).stderr == "2 of 2 points are already done.\n"
+    os.utime("my.avi", ns=(1, 1))
+    result = dlgmd(*command)
     assert result.exit_code == 2
     assert "other settings already exists here (input)" in result.stderr
 
