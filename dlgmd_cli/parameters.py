@@ -10,7 +10,7 @@ import numbers
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from difflib import SequenceMatcher, get_close_matches
+from difflib import SequenceMatcher
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
@@ -55,19 +55,19 @@ class Spec:
         return f"{self.low:g} to {self.high:g}"
 
 
-def _key(default: Any, symbol: str, unit: str, meaning: str, **limits: Any) -> Any:
+def _key(default: Any, *spec: Any, **choices: Any) -> Any:
     """A field of `Parameters`: its default and its `Spec`."""
-    return field(default=default, metadata={"spec": Spec(symbol, unit, meaning, **limits)})
+    return field(default=default, metadata={"spec": Spec(*spec, **choices)})
 
 
 def _t_mp(default: float) -> Any:
     """The threshold that every model has."""
-    return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", low=0, high=1)
+    return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
 
 
 def _n_sp() -> Any:
     """The count that every model has."""
-    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", low=1, high=1000)
+    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
 class Parameters:
@@ -174,12 +174,12 @@ class Parameters:
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The word of `known` that is most like `word`, the first of equals, or None."""
-    known = list(known)
-    word = word.lower()
-    close = get_close_matches(word, known, n=len(known))
-    return max(
-        close, key=lambda k: (SequenceMatcher(None, k, word).ratio(), -known.index(k)), default=None
-    )
+
+    def likeness(one: str) -> float:
+        return SequenceMatcher(None, one, word.lower()).ratio()
+
+    best = max(known, key=likeness, default="")
+    return best if likeness(best) >= 0.6 else None
 
 
 def shown(value: Any) -> str:
@@ -206,24 +206,20 @@ class DlgmdParameters(Parameters):
     preset: ClassVar[str] = "9"
     source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
 
-    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", low=-10, high=64)
-    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", low=0, high=100)
-    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", low=0, high=10)
-    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", low=0.01, high=100)
-    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", low=0.01, high=100)
-    r: int = _key(6, "r", "px", "radius of the kernels", low=1, high=32)
-    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", low=0, high=100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", low=1e-12, high=100)
+    alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", -10, 64)
+    beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", 0, 100)
+    lam: float = _key(0.7, "λ", "1/px", "spread of the latency, Eq. (5)", 0, 10)
+    sigma_e: float = _key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", 0.01, 100)
+    sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", 0.01, 100)
+    r: int = _key(6, "r", "px", "radius of the kernels", 1, 32)
+    a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", 0, 100)
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
     ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
-    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", low=0, high=100)
-    m: float = _key(
-        0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", low=0.001, high=100
-    )
+    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
+    m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
-    kappa: float = _key(
-        0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", low=1e-9, high=100
-    )
+    kappa: float = _key(0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = _key(
         *("default", "–", "–", "how delays that are not whole frames are rounded"),
         choices=FORMULATIONS,
@@ -260,20 +256,18 @@ class LgmdParameters(Parameters):
     # Its own normalisation is 1 / (1 + exp(-K / n_cell)), from 1/2 at rest.
     kappa = None
 
-    p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", low=-1, high=1)
-    p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", low=-1, high=1)
-    w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", low=0, high=100)
-    delta_c: float = _key(
-        0.01, "Δ_C", "grey levels", "least of the scale of grouping", low=1e-6, high=255
-    )
+    p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", -1, 1)
+    p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", -1, 1)
+    w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", 0, 100)
+    delta_c: float = _key(0.01, "Δ_C", "grey levels", "least of the scale of grouping", 1e-6, 255)
     c_omega: float = _key(
-        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", low=0.001, high=1000
+        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", 0.001, 1000
     )
-    c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", low=1e-6, high=100)
-    t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", low=0, high=1e6)
+    c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", 1e-6, 100)
+    t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", 0, 1e6)
     # At 25 it would switch the cell off through contact; 255 is never.
     t_ffi: float = _key(
-        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", low=0, high=255
+        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", 0, 255
     )
     t_mp: float = _t_mp(0.999)
     n_sp: int = _n_sp()
@@ -296,19 +290,15 @@ class EmdLgmdParameters(Parameters):
     preset: ClassVar[str] = "emd-lgmd"
     source: ClassVar[str] = "EMD-LGMD; after Bermudez i Badia, Pyk and Verschure, 2007"
 
-    tau_high: float = _key(
-        8.0, "τ_h", "frames", "time constant of the high-pass", low=0.01, high=1000
-    )
-    tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", low=0.01, high=1000)
-    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", low=0, high=1)
-    f_active: float = _key(
-        0.05, "F_a", "luminance", "change that makes a cell count", low=0, high=1
-    )
-    c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", low=0, high=100)
+    tau_high: float = _key(8.0, "τ_h", "frames", "time constant of the high-pass", 0.01, 1000)
+    tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", 0.01, 1000)
+    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", 0, 1)
+    f_active: float = _key(0.05, "F_a", "luminance", "change that makes a cell count", 0, 1)
+    c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
     kappa: float = _key(
-        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", low=1e-12, high=100
+        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
     )
 
 
@@ -369,7 +359,7 @@ def load_preset(name: str | int) -> Config:
 
 
 def load_model_preset(model: str) -> Config:
-    """The published values of a model other than the D-LGMD; ParameterError if there are none."""
+    """The published values of a model other than the D-LGMD."""
     return load_config(presets_dir() / f"{model}.yaml")
 
 
@@ -410,13 +400,11 @@ def load_config(path: Path) -> Config:
     for key in document:
         if not isinstance(key, str):
             raise ParameterError(name, f"unknown parameter {shown(key)!r}", _SHOW_HINT)
-    words = {key: document.pop(key, None) for key in ("model", "engine")}
-    for key, word in words.items():
-        if word is not None and not isinstance(word, str):
-            raise ParameterError(name, f"{key} is not a name", _SHOW_HINT)
-    options = document.pop("options", None)
-    if options is not None and not isinstance(options, dict):
-        raise ParameterError(name, "options is not a mapping", _SHOW_HINT)
+    own = {key: document.pop(key, None) for key in ("model", "engine", "options")}
+    for key, value in own.items():
+        right, what = (dict, "a mapping") if key == "options" else (str, "a name")
+        if not isinstance(value, right | None):
+            raise ParameterError(name, f"{key} is not {what}", _SHOW_HINT)
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
     named = {"set": values.pop("set")} if "set" in values else {}
     if named:
@@ -424,7 +412,8 @@ def load_config(path: Path) -> Config:
             values = {**load_preset(shown(named["set"]).strip("'")).values, **values}
         except ParameterError as error:
             raise ParameterError(name, error.why, error.mend) from None
-    return Config(name, **words, values=values, options=options or {}, named=named)
+    own["options"] = own["options"] or {}
+    return Config(name, **own, values=values, named=named)
 
 
 _PLAIN = "Only plain numbers, true, false and names are read."
@@ -443,9 +432,8 @@ def _read(path: Path) -> str:
             data = file.read(MAX_CONFIG_BYTES + 1)
         size = max(path.stat().st_size, len(data))
         if size > MAX_CONFIG_BYTES:
-            raise ParameterError(
-                name, f"{size / 1e6:.1f} MB is too large for a configuration", _SHOW_HINT
-            )
+            why = f"{size / 1e6:.1f} MB is too large for a configuration"
+            raise ParameterError(name, why, _SHOW_HINT)
         return data.decode("utf-8")
     except UnicodeDecodeError:
         raise ParameterError(name, "it is not UTF-8 text", _SHOW_HINT) from None
@@ -470,13 +458,10 @@ def _parse(name: str, text: str) -> Any:
                 what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
                 raise ParameterError(name, f"{what[:200]} is not allowed", _PLAIN)
         return yaml.load(text, Loader=loader)
-    except yaml.constructor.ConstructorError as error:
-        problem = (error.problem or "it cannot be built").splitlines()[0][:200]
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ParameterError(name, f"{problem}{line}", _PLAIN) from None
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = f" in line {mark.line + 1}" if mark else ""
+        where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        if isinstance(error, yaml.constructor.ConstructorError):  # a key twice, or of no use as one
+            raise ParameterError(name, f"{str(error.problem)[:200]}{where}", _PLAIN) from None
         raise ParameterError(name, f"it is not valid YAML{where}", _SHOW_HINT) from None
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
         raise ParameterError(name, "it is not valid YAML", _SHOW_HINT) from None
@@ -527,14 +512,8 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 def merge(
     kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
 ) -> ParametersT:
-    """Defaults, then `config`, then `overrides`; errors name whichever is at fault.
-
-    Raises
-    ------
-    ParameterError
-        If a key is unknown or a value is not valid.
-    """
-    values = dict(config.values) if config else {}
+    """Defaults, then `config`, then `overrides`; a ParameterError names whichever is at fault."""
+    values = config.values if config else {}
     try:
         return kind.from_mapping({**values, **overrides})
     except ParameterError as error:

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections import Counter
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from dlgmd_cli.flights.path import Path, Stage, Stretch
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.flights.scenes import SCENES
 
+SMALL = {"--size": (36, 64)}
 SHAPE = (16, 32)
 DURATION_S, SHORT_S = 0.6, 0.29
 SHORT = 8  # the seed of the short flight
@@ -32,6 +35,14 @@ def stage_of(seed):
     room = Solid("room", WALL.faces)
     duration_s = SHORT_S if seed == SHORT else DURATION_S
     return Stage(World(room, [WALL]), path, "wall", CONTACTS_S.get(seed), duration_s)
+
+
+@lru_cache
+def scene_of(name):
+    """A scene with its options, small, and the rows of its truth."""
+    scene = SCENES[name]
+    options = scene.configure(SMALL)
+    return scene, options, list(scene.truth(options))
 
 
 class Quick(FlightScene):

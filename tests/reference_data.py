@@ -25,12 +25,15 @@ def reference_frames(sequence):
     return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
 
 
-def released_rows(sequence, number):
-    """What the released code printed for a sequence and a set: t -> column -> value."""
-    path = reference_dir() / f"released_{sequence}_set{number}.csv"
+def assert_released(responses, path):
+    """Every row that the released code printed is met; it computes in single precision."""
     with path.open(newline="") as handle:
-        return {int(row.pop("t")): {k: float(v) for k, v in row.items()} for row in _rows(handle)}
-
-
-def _rows(handle):
-    return list(csv.DictReader(handle))
+        rows = {int(row["t"]): row for row in csv.DictReader(handle)}
+    assert [t for t, one in enumerate(responses) if one.is_valid] == sorted(rows)
+    assert any(float(row["g_sum"]) > 0.0 for row in rows.values())
+    for t, row in rows.items():
+        for column in ("s_sum", "g_sum", "ffi", "t_de"):
+            expected = float(row[column])
+            actual = getattr(responses[t], "mp" if column == "g_sum" else column)
+            error = abs(actual - expected)
+            assert error <= 1e-5 * max(abs(expected), 1.0), f"t = {t}, {column}"

@@ -1,5 +1,6 @@
 """`dlgmd synth`: stimuli with their ground truth."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +75,9 @@ class _SectionOption(click.Option):
         self.section = section
 
 
+_flight_option = partial(click.option, cls=_SectionOption, section=_FLIGHTS)
+
+
 class _SectionedCommand(Command):
     """A command whose help has its options in sections."""
 
@@ -119,18 +123,14 @@ def _scene_options(command: Any) -> Any:
 @click.option("--sheet", is_flag=True, help="Draw a contact sheet, too, of up to 12 frames.")
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
 @_scene_options
-@click.option(
+@_flight_option(
     "--count",
-    cls=_SectionOption,
-    section=_FLIGHTS,
     type=click.IntRange(1, 1_000_000),
     metavar="N",
     help="Render N flights, each with the next seed, and DIR/labels.csv.",
 )
-@click.option(
+@_flight_option(
     "--jobs",
-    cls=_SectionOption,
-    section=_FLIGHTS,
     type=click.IntRange(1, 512),
     metavar="N",
     help="Processes that share the flights of --count.  [default: all processors]",
@@ -172,51 +172,38 @@ def synth(
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
-    form = Form.choose(lossless=lossless, png=png, playable=scene.is_playable)
-    draw = _drawer() if sheet else None
+    form = Form.choose(lossless=lossless, png=png, playable=scene.is_flight)
+    draw: DrawSheet | None = None
+    if sheet:  # Matplotlib is loaded only where one is asked for
+        from dlgmd_cli.plots.contact_sheet import save_contact_sheet
+
+        draw = save_contact_sheet
     if count is None:
         _render_one(scene, options, form, out, overwrite, draw)
         return
-    from dlgmd_cli.flights.dataset import Fleet
-    from dlgmd_cli.flights.scene import FlightScene
-
-    if not isinstance(scene, FlightScene):
+    if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
+    from dlgmd_cli.flights.dataset import Fleet
+
     _render_fleet(Fleet(scene, options, count, out, form, draw), jobs, overwrite)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
     """What the user has set, by flag, as scenes take it."""
-    values = {
-        f"--{name.replace('_', '-')}": value
-        for name, value in given.items()
-        if value not in (None, ())
-    }
-    if "--size" in values:
-        values["--size"] = values["--size"][::-1]
-    return values
-
-
-def _drawer() -> "DrawSheet":
-    """What draws contact sheets; Matplotlib is loaded only where one is asked for."""
-    from dlgmd_cli.plots.contact_sheet import save_contact_sheet
-
-    return save_contact_sheet
+    if given["size"]:
+        given["size"] = given["size"][::-1]
+    told = {name: value for name, value in given.items() if value not in (None, ())}
+    return {f"--{name.replace('_', '-')}": value for name, value in told.items()}
 
 
 def _list() -> None:
     """The scenes by kind, on stdout."""
-    from dlgmd_cli.flights.scene import FlightScene
     from dlgmd_cli.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
     for kind, is_flight in (("flight", True), ("flat scene", False)):
-        rows = [
-            (scene.name.ljust(width), scene.description)
-            for scene in SCENES.values()
-            if isinstance(scene, FlightScene) == is_flight
-        ]
-        print_table((kind, "shows"), rows)
+        scenes = [s for s in SCENES.values() if s.is_flight == is_flight]
+        print_table((kind, "shows"), [(s.name.ljust(width), s.description) for s in scenes])
 
 
 def _render_one(
@@ -231,7 +218,7 @@ def _render_one(
     from dlgmd_cli.stimuli.clip import write_clip
 
     # A flight has noise unless told otherwise, and what its video keeps of it is a camera's share.
-    is_smoothed = form.codec == "mpeg4" and not scene.is_playable and options.noise > 0.0
+    is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
     with progress(scene.name, scene.n_frames(options)) as on_frame:
@@ -246,12 +233,19 @@ def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
     """Render the flights that are not there yet, and label all that are, even after an error."""
     from dlgmd_cli.results.store import locked
 
+    is_interrupted = False
     with locked(fleet.folder):
-        n_before = len(fleet.present())
+        present = fleet.present()
+        missing = [number for number in range(fleet.count) if number not in present]
+        fleet.check(missing, overwrite=overwrite)
+        if present:
+            say(f"{len(present)} of {fleet.count} flights were already there.")
         try:
-            is_interrupted = _render_missing(fleet, jobs, overwrite)
+            _render_missing(fleet, missing, jobs or n_processors(), overwrite)
+        except (Interrupted, KeyboardInterrupt):
+            is_interrupted = True
         except Exception:
-            if len(fleet.present()) > n_before:
+            if len(fleet.present()) > len(present):
                 say(_kept(fleet, _label(fleet, overwrite)))
             raise
         n_present = _label(fleet, overwrite)
@@ -266,28 +260,20 @@ def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
         )
 
 
-def _render_missing(fleet: "Fleet", jobs: int | None, overwrite: bool) -> bool:
-    """Render what is missing and tell of what fails; says whether the user stopped it."""
+def _render_missing(fleet: "Fleet", missing: list[int], jobs: int, overwrite: bool) -> None:
+    """Render flights and tell of what fails."""
     from dlgmd_cli.flights.dataset import render_flights
 
-    present = fleet.present()
-    missing = [number for number in range(fleet.count) if number not in present]
-    fleet.check(missing, overwrite=overwrite)
-    if present:
-        say(f"{len(present)} of {fleet.count} flights were already there.")
-    n_jobs = min(jobs or n_processors(), max(1, len(missing)))
-    try:
-        with progress(fleet.scene.name, fleet.count, "flight") as on_flight:
-            on_flight(len(present))
-            done = render_flights(fleet, missing, n_jobs, overwrite=overwrite)
-            for n_done, (number, error) in enumerate(done, start=len(present) + 1):
-                if error is not None:
-                    name = fleet.name_of(number)
-                    say(str(error) if name in error.what else f"{name}: {error}")
-                on_flight(n_done)
-    except (Interrupted, KeyboardInterrupt):
-        return True
-    return False
+    n_present = fleet.count - len(missing)
+    n_jobs = min(jobs, max(1, len(missing)))
+    with progress(fleet.scene.name, fleet.count, "flight") as on_flight:
+        on_flight(n_present)
+        done = render_flights(fleet, missing, n_jobs, overwrite=overwrite)
+        for n_done, (number, error) in enumerate(done, start=n_present + 1):
+            if error is not None:
+                name = fleet.name_of(number)
+                say(str(error) if name in error.what else f"{name}: {error}")
+            on_flight(n_done)
 
 
 def _label(fleet: "Fleet", overwrite: bool) -> int:

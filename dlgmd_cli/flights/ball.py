@@ -17,7 +17,7 @@ from dlgmd_cli.flights.renderer.solids import Body, Motion, Round, Solid, World,
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
 from dlgmd_cli.flights.rooms import Hall
 from dlgmd_cli.flights.script import hover
-from dlgmd_cli.flights.textures import Rng, clouds, limited, plain
+from dlgmd_cli.flights.textures import Rng, clouds, limited
 
 CONTACT_FRAME = 61
 _BALL_M, _BALL_PX = 0.5, 25.0
@@ -44,7 +44,7 @@ def ball_and_capsules(seed: int) -> Stage:
     center = _EYE + np.array([arrives_m, 0.0, 0.0])
     ball = Round("ball", np.array([center, center]), _BALL_M, _ball_texture(rng), motion=approach)
     walls = Hall((60.0, 80.0, 40.0)).walls().values()
-    white = Texture(plain(_BACKGROUND))
+    white = Texture(_BACKGROUND)
     room = Solid("room", [quad(w.origin_m, w.right_m, w.down_m, white) for w in walls])
     capsules = [_capsule(rng, down, pace) for down, pace in _CAPSULES]
     path = fly([hover(contact_s + FRAME_S)], position_m=_EYE, seed=seed, jitter=0.0)

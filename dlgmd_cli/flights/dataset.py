@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.flights.scene import FlightOptions
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.store import appearing, refuse_existing
+from dlgmd_cli.stimuli.base import Scene
 from dlgmd_cli.stimuli.clip import (
     DrawSheet,
     Form,
@@ -26,25 +27,9 @@ from dlgmd_cli.stimuli.clip import (
 
 @dataclass(frozen=True)
 class Fleet:
-    """Flights of one scene in one folder; number i has the seed of `options`, and i more.
+    """Flights of one scene in one folder; number i has the seed of `options`, and i more."""
 
-    Attributes
-    ----------
-    scene : FlightScene
-        What they are flights of.
-    options : FlightOptions
-        Of the first; the others differ in the seed.
-    count : int
-        How many there are.
-    folder : Path
-        Where they are to be.
-    form : Form
-        What their frames are kept in.
-    draw_sheet : callable or None
-        Draws a contact sheet of each; can be pickled.
-    """
-
-    scene: FlightScene
+    scene: Scene[Any]
     options: FlightOptions
     count: int
     folder: Path
@@ -99,15 +84,7 @@ class Fleet:
         self._check_labels(overwrite=overwrite)
 
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
-        """Write the labels of flights.
-
-        Raises
-        ------
-        OutputExistsError
-            If labels of other videos are there and may not be replaced.
-        OutputError
-            If they cannot be written.
-        """
+        """Write the labels of flights, unless those of other videos are there."""
         self._check_labels(overwrite=overwrite)
         with appearing(self.labels_path) as (path,):
             write_labels(path, [labels[number] for number in sorted(labels)])
@@ -155,31 +132,10 @@ class Fleet:
 def render_flights(
     fleet: Fleet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
 ) -> Iterator[tuple[int, DlgmdError | None]]:
-    """Render flights; the files do not depend on how many processes do it.
+    """Render flights by number; the files do not depend on how many processes do it.
 
-    Nobody else may write into the fleet's folder meanwhile: what killed processes left there is
-    removed.
-
-    Parameters
-    ----------
-    fleet : Fleet
-        What they are flights of.
-    numbers : iterable of int
-        Which.
-    jobs : int
-        Processes that share them; with 1, this process renders all.
-    overwrite : bool
-        Replace what is in the way.
-
-    Yields
-    ------
-    (int, DlgmdError or None)
-        Number of a flight, as it is done, and what went wrong with it.
-
-    Raises
-    ------
-    Interrupted
-        If the user asks to stop.
+    Yields the number of each flight as it is done, and the error if it failed. Nobody else may
+    write into the fleet's folder meanwhile: what killed processes left there is removed.
     """
     remove_leftovers(fleet.folder)
     if jobs == 1:

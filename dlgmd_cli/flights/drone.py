@@ -60,31 +60,23 @@ def fly(
     jitter: float = 1.0,
     contact_s: float | None = None,
 ) -> Path:
-    """Fly a script.
+    """Fly a script, which begins on the floor if its first phase does, else in the air.
 
     Parameters
     ----------
     script : sequence of Phase
-        One phase or more. If it begins with `stand` or `take_off`, the drone stands on the floor
-        at first; else it is in the air.
     position_m : array_like, shape (3,)
         Where it starts.
-    yaw_deg : float
-        Where its nose points at first.
-    speed_m_s : float
-        How fast it flies at first, along its nose, if it is in the air.
+    yaw_deg, speed_m_s : float
+        Where its nose points at first, and how fast it flies that way, if it is in the air.
     seed : int
-        Seed of the disturbances. The same script and seed are the same flight to the last bit.
+        Of the disturbances. The same script and seed are the same flight to the last bit.
     jitter : float
         Factor on the disturbances; 0 is still air.
     contact_s : float, optional
         Time above 0 at which it hits something. It is thrown back, and hovers near by instead of
         following the script, as a phase called "collision". Up to and including that time, the
         flight is the same as without contact. A time at or after the end changes nothing.
-
-    Returns
-    -------
-    Path
     """
     starts = [0.0]
     for each in script:
@@ -254,12 +246,7 @@ def _rebound(
 class _Pilot:
     """The autopilot, which flies one phase after the other.
 
-    Parameters
-    ----------
-    drone : _Drone
-        As it is at the start, with a heading that is to stay.
-    hold_m : (float, float), optional
-        Position to hold, x and y; by default, where the drone stops.
+    It holds a given position, (x, y), at first, or the one where the drone stops.
     """
 
     def __init__(self, drone: _Drone, hold_m: tuple[float, float] | None = None) -> None:

@@ -23,14 +23,7 @@ _SAME_DIRECTION = 1e-12
 
 
 class Nearest:
-    """Exact distances from a point to convex bodies and walls.
-
-    Parameters
-    ----------
-    bodies : sequence of Solid or Round
-    walls : sequence of Face
-        Faces of a room; each counts as its whole plane.
-    """
+    """Exact distances from a point to convex bodies, and to walls, which are whole planes."""
 
     def __init__(self, bodies: Sequence[Body], walls: Sequence[Face] = ()) -> None:
         self.surfaces = Surfaces(bodies)
@@ -50,12 +43,9 @@ class Nearest:
         self._wall_levels = np.array([wall.normal @ wall.corners_m[0] for wall in walls])
 
     def distances(self, position_m: FloatArray, time_s: float) -> FloatArray:
-        """Distances from a point, (3,), to each body, and then to each wall.
+        """Distances from a point, (3,), to each body, and then to each wall, in m.
 
-        Returns
-        -------
-        ndarray, shape (n_bodies + n_walls,)
-            In m; 0 inside a body, negative behind a wall.
+        They are 0 inside a body, and negative behind a wall.
         """
         surfaces = self.surfaces
         # A body that has moved is as far as one at rest is from where the point would be then.
@@ -95,15 +85,7 @@ class Nearest:
 
 
 def surroundings(world: World, names: Collection[str] | None = None) -> Nearest:
-    """Everything in a world that a drone can hit.
-
-    Parameters
-    ----------
-    world : World
-    names : collection of str, optional
-        Only bodies with these names count, and the room only if its own is one of them; by
-        default everything does.
-    """
+    """Everything in a world that a drone can hit, or only the bodies and the room of some names."""
     bodies = [body for body in world.bodies if names is None or body.name in names]
     return Nearest(bodies, world.room.faces if names is None or world.room.name in names else ())
 
@@ -111,22 +93,10 @@ def surroundings(world: World, names: Collection[str] | None = None) -> Nearest:
 def first_contact(
     path: Path, world: World, target_names: Collection[str] | None = None
 ) -> float | None:
-    """When something first comes within `REACH_M` of the camera.
+    """When something first comes within `REACH_M` of the camera, in s; None if nothing ever does.
 
     What is that near from the start on, such as the floor that the drone stands on, counts only
-    once it has been farther away.
-
-    Parameters
-    ----------
-    path : Path
-    world : World
-    target_names : collection of str, optional
-        See `surroundings`.
-
-    Returns
-    -------
-    float or None
-        In s; None if nothing ever does.
+    once it has been farther away. Names are those of `surroundings`.
     """
     nearest = surroundings(world, target_names)
 
@@ -164,18 +134,12 @@ class Extent:
     It is spanned by two of their corners, or of the balls that their round parts end in: the
     angle between the directions to the two, plus half the angle that each ball spans itself.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-
     Attributes
     ----------
-    points_m : ndarray, shape (n, 3)
-        Corners of solids, and the middles of the balls that round bodies end in.
+    points_m, radii_m : ndarray, shape (n, 3) and (n,)
+        Corners of solids, with radius 0, and the middles of the balls that round bodies end in.
     body : ndarray, shape (n,)
         Index of the body that a point belongs to.
-    radii_m : ndarray, shape (n,)
-        0 for corners.
     """
 
     def __init__(self, surfaces: Surfaces) -> None:
@@ -195,19 +159,10 @@ class Extent:
         offsets_m: FloatArray,
         velocities_m_s: FloatArray,
     ) -> tuple[float, float]:
-        """The greatest angle between two directions from a point to the bodies.
+        """The greatest angle between two directions from a moving point to bodies, and its rate.
 
-        Parameters
-        ----------
-        position_m, velocity_m_s : ndarray, shape (3,)
-            Of the point.
-        offsets_m, velocities_m_s : ndarray, shape (n_bodies, 3)
-            How far the bodies have moved, and how fast they move.
-
-        Returns
-        -------
-        angle_deg, rate_deg_s : float
-            180 and 0 where the bodies surround the point, or it is in a round one.
+        Offsets and velocities of the bodies are (n_bodies, 3). The angle is 180 degrees, and its
+        rate 0, where the bodies surround the point, or it is in a round one.
         """
         towards = self.points_m + offsets_m[self.body] - position_m
         speeds = velocities_m_s[self.body] - velocity_m_s

@@ -24,13 +24,6 @@ class ImageSpeed:
 
     The points are those at the crossings of a grid over the picture, and the visible ones of the
     target's corners and of the outlines of its round parts.
-
-    Parameters
-    ----------
-    world : World
-    camera : Camera
-    target : str, optional
-        Name of the bodies that are the target.
     """
 
     def __init__(self, world: World, camera: Camera, target: str | None = None) -> None:
@@ -70,22 +63,11 @@ class ImageSpeed:
     def cast(
         self, rays: FloatArray, pose: Pose, offsets_m: FloatArray
     ) -> tuple[FloatArray, IntArray]:
-        """Find what is nearest along lines of sight.
+        """Find what is nearest along rays, (n, 3), in the camera's axes, with 1 forward.
 
-        Parameters
-        ----------
-        rays : ndarray, shape (n, 3)
-            Directions in the camera's axes: right, down and forward, with forward 1.
-        pose : Pose
-        offsets_m : ndarray, shape (n_bodies, 3)
-            How far the bodies have moved.
-
-        Returns
-        -------
-        closeness : ndarray, shape (n,)
-            1 / depth along the camera's axis, in 1/m; 0 where there is nothing.
-        body : ndarray, shape (n,)
-            Index of the body in `surfaces`, whose last one is the room; 0 where there is nothing.
+        The bodies have moved by (n_bodies, 3) m. Returns 1 / depth along the camera's axis, (n,),
+        in 1/m, and the index of the body in `surfaces`, whose last one is the room; both are 0
+        where nothing is.
         """
         surfaces, axes = self.surfaces, pose.camera_from_world.T
         closeness, body = np.zeros(len(rays)), np.zeros(len(rays), np.intp)

@@ -20,14 +20,8 @@ _SAME_S = 1e-9
 class State:
     """The drone at an instant.
 
-    Attributes
-    ----------
-    position_m, velocity_m_s : ndarray, shape (3,)
-        In the world.
-    roll_deg, pitch_deg, yaw_deg : float
-        See `dlgmd_cli.flights.renderer.camera.rotation`. Yaw goes beyond 360 after a full turn.
-    angular_velocity_rad_s : ndarray, shape (3,)
-        About the world's axes.
+    Angles are those of `rotation` in renderer/camera.py; yaw goes beyond 360 after a full turn. The
+    angular velocity, (3,), is about the world's axes.
     """
 
     position_m: FloatArray
@@ -45,15 +39,10 @@ class State:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A smooth part of a flight.
+    """A smooth part of a flight, in samples `step_s` apart.
 
-    Attributes
-    ----------
-    start_s : float
-    step_s : float
-        Time from one sample to the next.
-    samples : ndarray, shape (n, 12), n >= 2
-        Position, velocity, roll, pitch and yaw, and their rates, in m, rad and s.
+    Each of the samples, (n, 12), has position, velocity, roll, pitch and yaw, and their rates, in
+    m, rad and s.
     """
 
     start_s: float
@@ -86,14 +75,9 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Path:
-    """The path of a drone.
+    """The path of a drone: stretches, each valid until the next one starts, that time included.
 
-    Attributes
-    ----------
-    stretches : sequence of Stretch
-        Each is valid until the next one starts, that time included.
-    phases : tuple of (str, float, float)
-        Name, start and end, in s, without gaps.
+    Phases have a name, start and end, in s, without gaps.
     """
 
     stretches: Sequence[Stretch]
@@ -133,12 +117,10 @@ class Stage:
 
     Attributes
     ----------
-    world : World
-    path : Path
     target : str
         Name of the bodies that distances and angles refer to; all of that name are one target.
     contact_s : float or None
-        Time at which the drone hits something; None if it never does.
+        Time at which the drone hits something.
     duration_s : float
         How much of the flight is filmed.
     """

@@ -7,15 +7,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.flights.renderer.texture import FloatImage
-from dlgmd_cli.flights.textures import (
-    Rng,
-    Sheet,
-    Size,
-    cloth,
-    clouds,
-    layered,
-    limited,
-)
+from dlgmd_cli.flights.textures import Rng, Sheet, Size, clouds, layered, limited
 
 
 def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
@@ -63,37 +55,22 @@ def poster(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     return sheet.finished()
 
 
-def spines(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
-    """A row of books seen from their backs; over the shorter ones the shelf's dark shows."""
-    sheet = Sheet(size_m, px_per_m, 0.03)
-    width, height = size_m
-    x = 0.0
-    while x < width:
-        thick = rng.uniform(0.015, 0.055)
-        top = height * rng.uniform(0.0, 0.3)
-        tone = float(rng.choice([0.06, 0.12, 0.2, 0.3, 0.45, 0.65])) * rng.uniform(0.8, 1.2)
-        sheet.rectangle(x, top, thick - 0.003, height - top, tone)
-        ink = 0.75 if tone < 0.25 else 0.07
-        for at in rng.uniform(0.08, 0.85, 2):
-            y = top + at * (height - top)
-            sheet.rectangle(x, y, thick - 0.003, rng.uniform(0.004, 0.02), ink)
-        title = top + 0.35 * (height - top)
-        sheet.rectangle(x + 0.35 * thick, title, 0.25 * thick, 0.3 * (height - top), ink)
-        x += thick
-    return sheet.finished()
-
-
 def bookcase_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
-    """Five rows of books behind the two glass doors of a bookcase."""
+    """Five rows of books, seen from their backs, behind the two glass doors of a bookcase."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
-    n_rows = 5
-    tall = (height - 0.1) / n_rows
-    for row in range(n_rows):
-        books = spines(rng, (width - 0.08, tall - 0.06), px_per_m)
-        # The board above keeps the light from the rear and from what stands there.
-        books *= np.linspace(0.45, 1.0, len(books), dtype=np.float32)[:, None]
-        sheet.stick(books, 0.04, 0.05 + row * tall)
+    tall = (height - 0.1) / 5
+    for low in 0.05 + tall * np.arange(1, 6):
+        sheet.rectangle(0.04, low - tall + 0.06, width - 0.08, tall - 0.06, 0.03)
+        x = 0.04
+        while x < width - 0.1:
+            thick, high = rng.uniform(0.015, 0.055), (tall - 0.06) * rng.uniform(0.7, 1.0)
+            back = float(rng.choice([0.05, 0.1, 0.2, 0.35, 0.6])) * rng.uniform(0.8, 1.2)
+            ink = 0.75 if back < 0.25 else 0.07
+            sheet.rectangle(x, low - high, thick - 0.003, high, back)
+            sheet.rectangle(x, low - rng.uniform(0.2, 0.9) * high, thick - 0.003, 0.015, ink)
+            sheet.rectangle(x + 0.35 * thick, low - 0.65 * high, 0.25 * thick, 0.3 * high, ink)
+            x += thick
     sheet.rectangle(0.5 * width - 0.02, 0.0, 0.04, height, tone)
     sheet.rectangle(0.5 * width - 0.003, 0.0, 0.006, height, 0.2 * tone)
     return sheet.finished()
@@ -134,16 +111,9 @@ def carton_side(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> F
         sheet.polygon(tip + unit * np.array([*arrow, (-0.09, 0.12)]), ink)
     sheet.rectangle(0.62 * width, 0.12 * height + 0.34 * unit, 0.28 * width, 0.025 * unit, ink)
     sheet.lettering(rng, (0.08 * width, 0.5 * height, 0.5 * width, 0.2 * height), 0.09 * unit, ink)
-    sheet.lettering(
-        rng, (0.08 * width, 0.76 * height, 0.6 * width, 0.18 * height), 0.03 * unit, ink
-    )
     sheet.rectangle(0.72 * width, 0.66 * height, 0.2 * width, 0.22 * height, 0.75)
-    for x in np.arange(0.74, 0.9, 0.012):
-        if rng.uniform() < 0.6:
-            sheet.rectangle(x * width, 0.7 * height, 0.006 * width, 0.1 * height, 0.06)
-    sheet.lettering(
-        rng, (0.74 * width, 0.83 * height, 0.16 * width, 0.03 * height), 0.02 * unit, 0.1
-    )
+    text = (0.74 * width, 0.7 * height, 0.16 * width, 0.16 * height)
+    sheet.lettering(rng, text, 0.03 * unit, 0.06)
     waves = clouds(rng, sheet.shape, (max(3.0, 0.006 * sheet.scale), 0.3 * sheet.scale))
     worn = layered(rng, sheet, (0.2, 0.04, 0.01), fine=0.3)
     return limited(sheet.finished(0.8) * (1.0 + 0.025 * waves + 0.05 * worn))
@@ -172,21 +142,6 @@ def notebook_screen(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     return sheet.finished()
 
 
-def keyboard(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
-    """Dark keys in rows on a grey case, and a touch pad towards the one who types."""
-    sheet = Sheet(size_m, px_per_m, 0.25)
-    width, height = size_m
-    for row in range(6):
-        count = 14 if row < 5 else 8
-        pitch = 0.92 * width / count
-        for column in range(count):
-            y = height * (0.08 + 0.085 * row)
-            sheet.rectangle(0.04 * width + pitch * column, y, 0.86 * pitch, 0.068 * height, 0.05)
-            sheet.rectangle(0.045 * width + pitch * (column + 0.25), y + 0.01, 0.004, 0.006, 0.6)
-    sheet.rectangle(0.34 * width, 0.65 * height, 0.32 * width, 0.28 * height, 0.18)
-    return limited(sheet.finished() * (1.0 + 0.02 * layered(rng, sheet, (0.05,))))
-
-
 def door_leaf(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
     """A door with its frame, two sunk panels and a handle."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -201,9 +156,9 @@ def door_leaf(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> Flo
     return limited(sheet.finished() * (1.0 + 0.03 * layered(rng, sheet, (0.4, 0.08, 0.02))))
 
 
-def window_pane(rng: Rng, size_m: Size, px_per_m: float, light: float = 0.9) -> FloatImage:
+def window_pane(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     """A bright window: blurred trees, houses and sky behind its bars, and a sill."""
-    sheet = Sheet(size_m, px_per_m, light)
+    sheet = Sheet(size_m, px_per_m, 0.9)
     width, height = size_m
     for _ in range(7):
         wide, top = rng.uniform(0.15, 0.4) * width, rng.uniform(0.4, 0.75) * height
@@ -213,10 +168,8 @@ def window_pane(rng: Rng, size_m: Size, px_per_m: float, light: float = 0.9) -> 
         sheet.disc(x, y, rng.uniform(0.03, 0.15) * width, rng.uniform(0.12, 0.4))
     sheet.image[...] = cv2.GaussianBlur(sheet.image, (0, 0), 0.025 * sheet.scale)
     sheet.image *= 1.0 + 0.03 * clouds(rng, sheet.shape, 0.1 * sheet.scale)
-    bars = 2 if width < 1.7 else 3
-    for x in np.linspace(0.0, width, bars + 1)[1:-1]:
-        sheet.rectangle(x - 0.035, 0.0, 0.07, height, 0.55)
-        sheet.rectangle(x - 0.004, 0.0, 0.008, height, 0.25)
+    sheet.rectangle(0.5 * width - 0.035, 0.0, 0.07, height, 0.55)
+    sheet.rectangle(0.5 * width - 0.004, 0.0, 0.008, height, 0.25)
     sheet.frame(0.0, 0.0, width, height, 0.06, 0.6)
     sheet.frame(0.06, 0.06, width - 0.12, height - 0.12, 0.012, 0.2)
     sheet.rectangle(0.0, height - 0.05, width, 0.05, 0.75)
@@ -240,16 +193,6 @@ def cupboard_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.35) 
     sheet.rectangle(0.0, height - 0.06, width, 0.06, 0.3 * tone)
     sheet.frame(0.0, 0.0, width, height, 0.012, 0.6 * tone)
     return sheet.finished()
-
-
-def radiator_front(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.7) -> FloatImage:
-    """White ribs with dark between them."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    for x in np.arange(0.04, size_m[0] - 0.04, 0.06):
-        sheet.rectangle(x, 0.03, 0.014, size_m[1] - 0.06, 0.5 * tone)
-        sheet.rectangle(x + 0.014, 0.03, 0.008, size_m[1] - 0.06, 0.75 * tone)
-    sheet.rectangle(0.0, 0.0, size_m[0], 0.015, min(0.85, 1.2 * tone))
-    return limited(sheet.finished() * (1.0 + 0.02 * clouds(rng, sheet.shape, 0.2 * sheet.scale)))
 
 
 def ceiling_panels(
@@ -287,18 +230,3 @@ def _sunk(sheet: Sheet, box: tuple[float, float, float, float], tone: float) -> 
     sheet.frame(x, y, width, height, 0.014, 0.75 * tone)
     sheet.rectangle(x, y, width, 0.014, 0.5 * tone)
     sheet.rectangle(x, y + height - 0.014, width, 0.014, min(0.85, 1.3 * tone))
-
-
-def shirt(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
-    """Striped cloth."""
-    image = cloth(rng, size_m, px_per_m, tone)
-    rows = np.arange(image.shape[0]) / image.shape[0]
-    return limited(image * (1.0 + 0.35 * np.sin(2 * np.pi * 9 * rows))[:, None])
-
-
-def head(tone: float) -> FloatImage:
-    """Hair over skin of a tone, as a capsule shows it from the side."""
-    image = np.full((50, 40), tone, np.float32)
-    image[:22] = 0.05
-    image[22:28] += np.linspace(0.05 - tone, 0.0, 6, dtype=np.float32)[:, None]
-    return image

@@ -10,7 +10,7 @@ import numpy as np
 from dlgmd_cli.flights.geometry import Nearest
 from dlgmd_cli.flights.path import REACH_M, Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
-from dlgmd_cli.flights.renderer.solids import Body, Round, Solid, World
+from dlgmd_cli.flights.renderer.solids import Body, World
 from dlgmd_cli.flights.rooms import Place
 
 # Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front looks along its x.
@@ -37,22 +37,9 @@ def in_the_way(
 ) -> list[Body]:
     """An obstacle straight ahead, so far that the camera comes within reach of it at a time.
 
-    Parameters
-    ----------
-    path : Path
-        The flight as if nothing were there.
-    contact_s : float
-    build : callable
-        Makes the obstacle.
-    target : str
-        The name of what is met; other parts of the obstacle must not be met before.
-    turned_deg : float
-        How far the obstacle's front is turned from where the drone comes from.
-
-    Raises
-    ------
-    PassedError
-        If the camera does not come within reach of it.
+    The path is that as if nothing were there. `target` is the name of what is met; other parts of
+    the obstacle must not be met before. Its front is turned from where the drone comes from. Raises
+    PassedError if the camera does not come within reach of it.
     """
     state = path.state(contact_s)
     ahead = heading(state.velocity_m_s)
@@ -75,7 +62,7 @@ def in_the_way(
     for _ in range(_N_HALVINGS):
         middle = 0.5 * (near + far)
         near, far = (middle, far) if touches(middle) else (near, middle)
-    return [_placed(body, near * ahead) for body in bodies]
+    return [body.moved(near * ahead) for body in bodies]
 
 
 def beside(
@@ -83,15 +70,7 @@ def beside(
 ) -> list[Body]:
     """An obstacle that looks at the drone from beside or before where it is at a time.
 
-    Parameters
-    ----------
-    path : Path
-    time_s : float
-    build : callable
-        Makes the obstacle.
-    aside_m, ahead_m : float
-        How far left of the drone it stands and how far ahead, as it flies then; as its nose
-        points, if it does not.
+    It is so far left of the drone and ahead, as it flies then; as its nose points, if it does not.
     """
     state = path.state(time_s)
     stands = np.linalg.norm(state.velocity_m_s) < _STANDS_M_S
@@ -140,7 +119,6 @@ def singled_out(world: World, index: int) -> World:
 
 def _other(body: Body) -> Body:
     """The same body by another name."""
-    assert isinstance(body, Solid | Round)
     return replace(body, name=f"other {body.name}")
 
 
@@ -149,10 +127,3 @@ def heading(velocity_m_s: FloatArray) -> FloatArray:
     level = velocity_m_s * (1.0, 1.0, 0.0)
     ahead: FloatArray = level / np.linalg.norm(level)
     return ahead
-
-
-def _placed(body: Body, by_m: FloatArray) -> Body:
-    """A body at rest elsewhere."""
-    if body.motion is not None:
-        raise ValueError("what moves cannot be put in the way")
-    return body.moved(by_m)

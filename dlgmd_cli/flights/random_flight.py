@@ -1,10 +1,10 @@
 """A random room, a random flight through it, and whatever comes of that."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from dlgmd_cli.flights import script
 from dlgmd_cli.flights.bodies import spot
 from dlgmd_cli.flights.drone import fly
 from dlgmd_cli.flights.furniture import furniture
@@ -20,17 +20,6 @@ from dlgmd_cli.flights.placing import (
 )
 from dlgmd_cli.flights.renderer.solids import Body, World
 from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
-from dlgmd_cli.flights.script import (
-    Phase,
-    accelerate,
-    cruise,
-    decelerate,
-    hover,
-    roll,
-    stand,
-    take_off,
-    yaw,
-)
 from dlgmd_cli.flights.textures import Rng
 
 _AFTER_S = 0.5
@@ -53,14 +42,6 @@ _OBSTACLES = (
 )
 
 
-class _Obstacle(NamedTuple):
-    """What may stand in a room: its name, how it is built, and a height at which it can be hit."""
-
-    name: str
-    build: Build
-    height_m: float
-
-
 def random_flight(seed: int) -> Stage:
     """Something is hit in about half of the flights: an obstacle, a wall, or furniture.
 
@@ -77,12 +58,12 @@ def random_flight(seed: int) -> Stage:
 
 def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     """A stage, or None if it would be over before it has begun."""
-    obstacle = _obstacle(rng)
-    script, height = _script(rng, obstacle.height_m, stops=plan == "stop")
+    name, build, height = _obstacle(rng)
+    phases, height = _script(rng, height, stops=plan == "stop")
     start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
     turned = rng.uniform(-6.0, 6.0)
-    free = fly(script, position_m=start, yaw_deg=turned, seed=seed)
-    moving = [end for name, _, end in free.phases if name not in ("stand", "take off", "hover")]
+    free = fly(phases, position_m=start, yaw_deg=turned, seed=seed)
+    moving = [end for phase, _, end in free.phases if phase not in ("stand", "take off", "hover")]
     when = rng.uniform(0.55, 0.95) * moving[-1]
     met = free.state(when)
     if plan in ("hit", "wall") and (
@@ -90,7 +71,7 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
         or np.linalg.norm(met.velocity_m_s[:2]) < _LEAST_M_S
     ):
         return None
-    guests = _standing(rng, plan, obstacle, free, when)
+    guests = _standing(rng, plan, name, build, free, when)
     if guests is None:
         return None
     place = _place(rng, free, guests, when if plan == "wall" else None)
@@ -101,37 +82,37 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     if contact_s is not None:
         world, target = _nearest(free, world, contact_s)
     elif guests:
-        target = obstacle.name
+        target = name
     else:
         world, target = _nearest(free, world, when)
     if contact_s is None:
         return Stage(world, free, target, None, free.duration_s)
-    path = fly(script, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
+    path = fly(phases, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
     duration = min(contact_s + _AFTER_S, path.duration_s)
     return Stage(world, path, target, contact_s, duration)
 
 
 def _standing(
-    rng: Rng, plan: str, obstacle: _Obstacle, path: Path, when_s: float
+    rng: Rng, plan: str, name: str, build: Build, path: Path, when_s: float
 ) -> Sequence[Body] | None:
     """The obstacle where the plan wants it, or None if the flight would pass over it."""
     if plan == "hit":
         turned = rng.uniform(-40.0, 40.0)
         try:
-            return in_the_way(path, when_s, obstacle.build, obstacle.name, turned_deg=turned)
+            return in_the_way(path, when_s, build, name, turned_deg=turned)
         except PassedError:
             return None
     if plan == "pass":
         aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.75, 1.2)
-        return beside(path, when_s, obstacle.build, aside)
+        return beside(path, when_s, build, aside)
     if plan == "stop":
         ahead = rng.uniform(0.9, 1.8)
-        return beside(path, path.duration_s, obstacle.build, 0.0, ahead_m=ahead)
+        return beside(path, path.duration_s, build, 0.0, ahead_m=ahead)
     return ()
 
 
-def _obstacle(rng: Rng) -> _Obstacle:
-    """One of six, with looks and a size of its own."""
+def _obstacle(rng: Rng) -> tuple[str, Build, float]:
+    """One of six, with looks and a size of its own: name, builder, and a height to hit it at."""
     looks = np.random.default_rng(rng.integers(2**32))
     piece, name, sizes, (low_m, high_m) = _OBSTACLES[rng.integers(len(_OBSTACLES))]
     scale = rng.uniform(*sizes)
@@ -139,28 +120,31 @@ def _obstacle(rng: Rng) -> _Obstacle:
     def build(at_m: tuple[float, float], yaw_deg: float) -> list[Body]:
         return furniture(piece, looks, spot(at_m, yaw_deg, scale))
 
-    return _Obstacle(name, build, rng.uniform(scale * low_m, scale * high_m))
+    return name, build, rng.uniform(scale * low_m, scale * high_m)
 
 
-def _script(rng: Rng, height: float, *, stops: bool) -> tuple[list[Phase], float]:
+def _script(rng: Rng, height: float, *, stops: bool) -> tuple[list[script.Phase], float]:
     """What is to be flown, and the height of the camera at the start."""
     tilt = rng.uniform(5.0, 14.0)
-    script = [hover(rng.uniform(0.3, 1.0))]
+    phases = [script.hover(rng.uniform(0.3, 1.0))]
     if rng.random() < 0.2:
-        script = [stand(rng.uniform(0.2, 0.6)), take_off(rng.uniform(1.8, 2.4), height - 0.12)]
+        phases = [
+            script.stand(rng.uniform(0.2, 0.6)),
+            script.take_off(rng.uniform(1.8, 2.4), height - 0.12),
+        ]
         height = 0.12
-    script.append(accelerate(rng.uniform(1.0, 2.2), -tilt))
+    phases.append(script.accelerate(rng.uniform(1.0, 2.2), -tilt))
     for _ in range(rng.integers(0, 3)):
         seconds, side = rng.uniform(0.5, 1.4), rng.choice([-1.0, 1.0])
         turn = [
-            cruise(seconds),
-            yaw(seconds, side * rng.uniform(5.0, 20.0)),
-            roll(0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+            script.cruise(seconds),
+            script.yaw(seconds, side * rng.uniform(5.0, 20.0)),
+            script.roll(0.5 * seconds, side * rng.uniform(2.0, 5.0)),
         ]
-        script.append(turn[rng.integers(len(turn))])
+        phases.append(turn[rng.integers(len(turn))])
     if stops:
-        script.append(decelerate(rng.uniform(1.8, 2.6), rng.uniform(8.0, 16.0)))
-    return script, height
+        phases.append(script.decelerate(rng.uniform(1.8, 2.6), rng.uniform(8.0, 16.0)))
+    return phases, height
 
 
 def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -> Place:

@@ -4,57 +4,72 @@ In all of them `guests` are bodies that the flight is about. They are not among 
 place; nothing is put where they are, and those at rest cast their shadows on the floor.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from dlgmd_cli.flights import textures
-from dlgmd_cli.flights.bodies import Spot, Triple, spot
+from dlgmd_cli.flights.bodies import spot
 from dlgmd_cli.flights.furniture import catalogue, furniture_at_wall
 from dlgmd_cli.flights.pictures import ceiling_panels
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import Body, Solid, quad
 from dlgmd_cli.flights.renderer.texture import FloatImage, Texture
-from dlgmd_cli.flights.shadows import Wall, shaded
 from dlgmd_cli.flights.textures import Rng, limited
 
-OFF_WALL_M = 0.01
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
 _GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
-_WALLS: dict[str, Callable[..., FloatImage]] = {
-    "plaster": textures.plaster,
-    "wallpaper": textures.wallpaper,
-    "brick": textures.brick,
-}
-_FLOORS: dict[str, Callable[..., FloatImage]] = {
-    "parquet": textures.parquet,
-    "tiles": textures.tiles,
-    "carpet": textures.carpet,
-}
 # What stands along the walls, by the name that the catalogue has for it.
 _CLUTTER = (
-    *("shelf", "desk", "window", "sofa", "cupboard", "plant", "cartons", "bookcase", "door"),
-    *("sideboard", "lamp", "window", "bookcase", "poster"),
+    *("bookcase", "desk", "window", "sofa", "cupboard", "stools", "cartons", "bookcase", "door"),
+    *("sideboard", "bookcase", "window", "desk", "poster"),
 )
-_LITTLE = ("window", "door", "cupboard", "poster", "plant", "window", "poster", "sideboard")
+_LITTLE = ("window", "door", "cupboard", "poster", "stools", "window", "poster", "sideboard")
 _END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
 _FLAT = ("poster", "door", "window")
 _SPACE_M = 0.02  # between two things
 _AXES = np.vstack([np.eye(3), -np.eye(3)])
+# Of shadows: their resolution; the share of the light that a thing takes away where it touches,
+# how fast that fades with the distance, and how far it reaches.
+_SHADE_PX_M = 40.0
+_DEEPEST = 0.6
+_FADE_M = 0.25
+_FARTHEST_M = 0.9
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A rectangle seen from inside a room, as `Face` has it."""
+
+    origin_m: FloatArray
+    right_m: FloatArray
+    down_m: FloatArray
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height."""
+        return float(np.linalg.norm(self.right_m)), float(np.linalg.norm(self.down_m))
+
+    def seen(self, points_m: FloatArray) -> FloatArray:
+        """Points as (right, down, how far in front of it), from its top left corner, in m."""
+        width, height = self.size_m
+        right, down = self.right_m / width, self.down_m / height
+        axes = np.array([right, down, np.cross(down, right)])
+        placed: FloatArray = (points_m - self.origin_m) @ axes.T
+        return placed
 
 
 @dataclass(frozen=True)
 class Hall:
     """The inside of a room: x from 0 to its length, y from -width/2 to width/2, z from 0.
 
-    Attributes
-    ----------
-    size_m : (float, float, float)
-        Length, width and height.
+    `size_m` is its length, width and height.
     """
 
-    size_m: Triple
+    size_m: tuple[float, float, float]
 
     def walls(self) -> dict[str, Wall]:
         """Its sides: "near" (at x = 0), "far", "left" (towards y), "right", "floor", "ceiling"."""
@@ -85,11 +100,6 @@ class Hall:
             "right": ((along_m, off_m - width / 2), 90.0),
         }[side]
 
-    def on(self, side: str, along_m: float, up_m: float = 0.0) -> Spot:
-        """A spot on a wall, `up_m` over the floor, that looks into the room; see `stand`."""
-        (x, y), yaw_deg = self.stand(side, along_m, OFF_WALL_M)
-        return spot((x, y, up_m), yaw_deg)
-
 
 @dataclass(frozen=True)
 class Place:
@@ -98,6 +108,52 @@ class Place:
     hall: Hall
     room: Solid
     bodies: list[Body] = field(default_factory=list)
+
+
+def shaded(image: FloatImage, wall: Wall, bodies: Sequence[Body]) -> FloatImage:
+    """The picture of a wall, darker near its edges and behind what is close to it.
+
+    What moves casts no shadow.
+    """
+    width, height = wall.size_m
+    shape = (
+        max(2, math.ceil(height * _SHADE_PX_M)),
+        max(2, math.ceil(width * _SHADE_PX_M)),
+    )
+    light = np.outer(_edges(shape[0], height), _edges(shape[1], width)).astype(np.float32)
+    for body in bodies:
+        if isinstance(body, Solid) and body.motion is None:
+            _darken(light, wall.seen(body.corners_m))
+    full: FloatImage = image * cv2.resize(light, image.shape[::-1]).reshape(image.shape)
+    return full
+
+
+def _edges(count: int, length_m: float) -> FloatArray:
+    """How bright it is along a side between two corners."""
+    at = (np.arange(count) + 0.5) * length_m / count
+    bright: FloatArray = 1.0 - 0.22 * (np.exp(-at / 0.3) + np.exp((at - length_m) / 0.3))
+    return bright
+
+
+def _darken(light: FloatImage, corners_m: FloatArray) -> None:
+    """Take away the light behind a body whose corners are as `Wall.seen` has them."""
+    nearest = float(corners_m[:, 2].min())
+    if nearest > _FARTHEST_M:
+        return
+    hull = cv2.convexHull((corners_m[:, :2] * _SHADE_PX_M).astype(np.float32))
+    sigma = (0.03 + 0.3 * nearest) * _SHADE_PX_M
+    rim = math.ceil(3.0 * sigma) + 1
+    x, y, width, height = cv2.boundingRect(hull)
+    left, top = max(0, x - rim), max(0, y - rim)
+    around = light[top : max(0, y + height + rim), left : max(0, x + width + rim)]
+    if not around.size:
+        return
+    # Filled with room to spare, so that a shadow at the picture's edge is not half as deep there.
+    shadow = np.zeros((around.shape[0] + 2 * rim, around.shape[1] + 2 * rim), np.float32)
+    points = np.round(16.0 * (hull - 0.5 + (rim - left, rim - top))).astype(np.int32)
+    cv2.fillPoly(shadow, [points], 1.0, shift=4)
+    soft = cv2.GaussianBlur(shadow, (0, 0), sigma)[rim:-rim, rim:-rim]
+    around *= 1.0 - _DEEPEST * math.exp(-nearest / _FADE_M) * soft
 
 
 def room(
@@ -111,15 +167,14 @@ def room(
 ) -> Solid:
     """Walls, floor and ceiling, with the soft shadows of `bodies` that stand in front of them.
 
-    `wall` is plaster, wallpaper or brick, `floor` is parquet, tiles or carpet; there are so many
-    columns, along x, and rows of `lamps` in the ceiling. The faces are in the order of
-    `Hall.walls`.
+    `wall` is plaster or brick, `floor` is parquet or carpet; there are so many columns, along x,
+    and rows of `lamps` in the ceiling. The faces are in the order of `Hall.walls`.
     """
     tone = rng.uniform(0.4, 0.7)
     faces = []
     for side, seen in hall.walls().items():
         if side == "floor":
-            image = _FLOORS[floor](rng, seen.size_m, _FLOOR_PX_PER_M)
+            image = getattr(textures, floor)(rng, seen.size_m, _FLOOR_PX_PER_M)
         elif side == "ceiling":
             image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, lamps=lamps)
         else:
@@ -131,8 +186,7 @@ def room(
 
 def _wall(rng: Rng, material: str, seen: Wall, tone: float) -> FloatImage:
     """A wall with its skirting board."""
-    tones = {} if material == "brick" else {"tone": tone}
-    image = _WALLS[material](rng, seen.size_m, _WALL_PX_PER_M, **tones)
+    image = getattr(textures, material)(rng, seen.size_m, _WALL_PX_PER_M, tone)
     board = round(0.08 * image.shape[0] / seen.size_m[1])
     image[-board:] = 0.22
     image[-board : 2 - board] = 0.5
@@ -167,18 +221,8 @@ class Furnishing:
     ) -> None:
         """Put things along a wall from one end of a span to the other, as far as they go.
 
-        Parameters
-        ----------
-        side : str
-            The wall; see `Hall.stand`.
-        names : sequence of str
-            What the catalogue has `at_walls`, in their order along the wall.
-        span_m : (float, float)
-            Where along the wall.
-        depth_m : float
-            What reaches farther into the room than this is left out.
-        gap_m : (float, float)
-            The least and the most space between two things.
+        The names are what the catalogue has `at_walls`, in their order along the wall. What reaches
+        farther into the room than `depth_m` is left out. Gaps have a least and a greatest width.
         """
         at, end = span_m
         for name in names:
@@ -195,15 +239,13 @@ class Furnishing:
                     at = middle + half + rng.uniform(*gap_m)
                     break
 
-    def finished(
-        self, rng: Rng, wall: str, floors: Sequence[str], lamps: tuple[int, int] | None = None
-    ) -> Place:
-        """The room with all that was put in it, on one of some floors."""
+    def finished(self, rng: Rng, wall: str, lamps: tuple[int, int] | None = None) -> Place:
+        """The room with all that was put in it."""
         inside = room(
             self.hall,
             rng,
             wall=wall,
-            floor=str(rng.choice(floors)),
+            floor=str(rng.choice(["parquet", "carpet"])),
             lamps=lamps or (max(1, round(self.hall.size_m[0] / 2.5)), 2),
             bodies=[*self.guests, *self.bodies],
         )
@@ -240,16 +282,8 @@ def cluttered_room(
 ) -> Place:
     """A room full of furniture along its walls.
 
-    Parameters
-    ----------
-    length_m, width_m : float
-        Of the room; see `Hall`.
-    free_width_m : float
-        No furniture is within half of this from the x axis, up to `end_m` before the far wall.
-    end_m : float
-        How far furniture at the far wall may reach into the room.
-    guests : sequence of Body
-        See the head of this module.
+    No furniture is within half of `free_width_m` from the x axis, but at the far wall, where it
+    reaches `end_m` into the room.
     """
     furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
     depth, half_m = (width_m - free_width_m) / 2, width_m / 2
@@ -263,17 +297,13 @@ def cluttered_room(
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
     furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
-    wall = str(rng.choice(["plaster", "wallpaper", "plaster", "brick"]))
-    return furnishing.finished(rng, wall, ["parquet", "carpet", "tiles"])
+    return furnishing.finished(rng, str(rng.choice(["brick", "plaster", "plaster"])))
 
 
 def simple_room(
     rng: Rng, *, length_m: float, width_m: float = 5.0, guests: Sequence[Body] = ()
 ) -> Place:
-    """A room with a few things at its side walls, at least 1.3 m from the x axis.
-
-    The far wall is bare. The parameters are those of `cluttered_room`.
-    """
+    """A room with a few things 1.3 m or more from the x axis; its far wall is bare."""
     furnishing = Furnishing(Hall((length_m, width_m, 2.8)), guests)
     names = list(rng.permutation(_LITTLE))
     for side, share in (("left", names[::2]), ("right", names[1::2])):
@@ -281,7 +311,7 @@ def simple_room(
         depth_m = width_m / 2 - 1.3
         furnishing.line(rng, side, share, span, depth_m=depth_m, gap_m=(0.3, 1.2))
     furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
-    return furnishing.finished(rng, "plaster", ["parquet", "carpet", "tiles"])
+    return furnishing.finished(rng, "plaster")
 
 
 def corridor(
@@ -300,4 +330,4 @@ def corridor(
     for side in ("far", "near"):
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
     lamps = (max(1, round(length_m / 2.4)), 1)
-    return furnishing.finished(rng, "plaster", ["tiles", "carpet"], lamps)
+    return furnishing.finished(rng, "plaster", lamps)

@@ -31,20 +31,7 @@ _TOO_FAST_PX_S = 1e12
 class FlightOptions(ClipOptions):
     """Options of all flights: those of the camera, in addition to those of every clip.
 
-    Attributes
-    ----------
-    exposure_ms : float
-        How long the shutter is open, which blurs what moves; 0 for no blur.
-    vignette : float
-        Share of the light that the lens loses in the corners.
-    noise : float
-        Read noise: standard deviation, in units of full scale of linear light.
-    shot_noise : float
-        Standard deviation that a fully bright pixel gets in addition; its square grows with light.
-    gamma : float
-        Grey levels are linear light to the power of 1 / gamma.
-    rolling_shutter_ms : float
-        How much later the last row is taken than the first.
+    Noise is as `Sensor` has it. Exposure and rolling shutter are 0 for none.
     """
 
     fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
@@ -73,18 +60,12 @@ class FlightOptions(ClipOptions):
 class FlightScene(Scene[FlightOptions]):
     """A flight through a place.
 
-    Parameters
-    ----------
-    name, description, defaults
-        See `Scene`.
-    stage : callable
-        Builds the place and the flight from a seed; a function of a module, so that it can be
-        pickled.
+    `stage` builds the place and the flight from a seed; it is a function of a module, so that it
+    can be pickled.
     """
 
     truth_type = FlightTruth
-    is_playable = True
-    has_record = True
+    is_flight = True
 
     def __init__(
         self,
@@ -134,14 +115,9 @@ class FlightScene(Scene[FlightOptions]):
         return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
 
     def record(self, options: FlightOptions) -> dict[str, Any]:
-        """The facts of the clip as a whole.
+        """The facts of the clip as a whole, as the README of the sample videos has them.
 
-        Returns
-        -------
-        dict
-            `width`, `height`, `fps` and `frames`; the `target`; `collision_frame`, the first at or
-            after the contact with it, None if the clip has none; `collision_time_s`, None if the
-            flight has none; and `phases`, each with its `name`, `first_frame` and `last_frame`.
+        `collision_frame` is the first at or after the contact, None if the clip has none.
         """
         stage, n_frames = self.stage(options), self.n_frames(options)
         height, width = options.shape
@@ -166,21 +142,10 @@ class FlightScene(Scene[FlightOptions]):
 
 
 def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
-    """The frames of a flight in order.
+    """The frames of a flight in order, (H, W) uint8.
 
     Frame i is taken at i / fps. With an exposure, that is the middle of the time that the shutter
     is open; with a rolling shutter, it is the time of the middle row.
-
-    Parameters
-    ----------
-    stage : Stage
-    options : FlightOptions
-        Of the camera.
-    n_frames : int
-
-    Yields
-    ------
-    ndarray, shape (H, W), uint8
     """
     camera = Camera(options.shape, options.fov_deg)
     sensor = Sensor(

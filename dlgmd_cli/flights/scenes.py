@@ -20,7 +20,7 @@ from dlgmd_cli.flights.path import Stage
 from dlgmd_cli.flights.placing import DAYLIGHT, FRAME_S, in_the_way, world_of
 from dlgmd_cli.flights.random_flight import random_flight
 from dlgmd_cli.flights.renderer.solids import Body, Motion
-from dlgmd_cli.flights.rooms import Hall, cluttered_room, corridor, simple_room
+from dlgmd_cli.flights.rooms import cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.flights.textures import Rng
 from dlgmd_cli.parameters import nearest
@@ -30,7 +30,7 @@ from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 
 NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
 _ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}
-_DUSK = 0.3
+_DUSK, _OFF_WALL_M = 0.3, 0.01
 # What is filmed after a collision.
 _AFTER_S = 15 * FRAME_S
 
@@ -45,19 +45,7 @@ _SMALL = FlightOptions(shape=(360, 640))
 
 
 def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
-    """A flight that `scenes.yaml` describes.
-
-    Parameters
-    ----------
-    spec : mapping
-        Its description.
-    seed : int
-        Of the room, of what stands in it, and of what disturbs the drone.
-
-    Returns
-    -------
-    Stage
-    """
+    """The flight that a part of `scenes.yaml` describes, with the seed of all that is random."""
     phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
     flight = partial(
         fly, phases, position_m=spec["start_m"], yaw_deg=spec.get("yaw_deg", 0.0), seed=seed
@@ -88,7 +76,7 @@ def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
 def _piece(
     name: str, rng: Rng, at_m: Sequence[float], yaw_deg: float = 0.0, motion: Motion | None = None
 ) -> list[Body]:
-    """A piece of furniture somewhere on the floor."""
+    """A piece of furniture somewhere, on the floor unless a height is given."""
     return furniture(name, rng, spot(at_m, yaw_deg), motion=motion)
 
 
@@ -100,8 +88,7 @@ def _bystander(
     if "at_frame" in obstacle:
         return _piece(name, rng, (_x(path, obstacle["at_frame"] / 30.0), obstacle["y_m"]))
     if "up_m" in obstacle:
-        far = Hall((length_m, 0.0, 0.0)).on("far", 0.0, obstacle["up_m"])
-        return furniture(name, rng, far)
+        return _piece(name, rng, (length_m - _OFF_WALL_M, 0.0, obstacle["up_m"]), 180.0)
     walk = obstacle["walks"]
 
     def motion(time_s: float) -> tuple[float, float, float]:
@@ -154,12 +141,7 @@ SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_flat_scenes()
 
 
 def find_scene(name: str) -> Scene[Any]:
-    """The scene called `name`.
-
-    Raises
-    ------
-    ParameterError
-        If there is none.
+    """The scene called `name`; raises ParameterError if there is none.
 
     Examples
     --------

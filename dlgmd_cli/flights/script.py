@@ -15,20 +15,13 @@ class Phase:
 
     Attributes
     ----------
-    name : str
-        The phase in the ground truth.
-    seconds : float
-        Above 0.
     forward : str
         What happens to the speed along the nose: "stand" on the floor, "hold" the position,
         "keep" the speed there was at first, "tilt" by `pitch_deg` whatever the speed, or "brake"
         with `pitch_deg` and then hold the position.
-    pitch_deg : float
-        Nose up is positive.
-    roll_deg : float or None
-        Right side down is positive; None banks as far as it takes not to slip sideways.
-    yaw_rate_deg_s : float
-        Counter-clockwise as seen from above is positive.
+    pitch_deg, roll_deg, yaw_rate_deg_s : float
+        Nose up, right side down, and counter-clockwise as seen from above are positive. Without a
+        roll, it banks as far as it takes not to slip sideways.
     climb_m : float
         How far it rises; at most about 1.4 (seconds - 0.5)² m can be flown.
     """

@@ -27,14 +27,8 @@ _EVENED = 1.16  # what interpolation takes off the standard deviation
 class Sheet:
     """A picture of something flat; x goes right and y down, in m from its top left corner.
 
-    Parameters
-    ----------
-    size_m : (float, float)
-        Width and height.
-    px_per_m : float
-        Its resolution; less where a side would have more than `MAX_SIDE_PX`.
-    tone : float
-        Reflectance that it has before anything is drawn.
+    It has less resolution where a side would have more than `MAX_SIDE_PX`, and one tone before
+    anything is drawn.
     """
 
     def __init__(self, size_m: Size, px_per_m: float, tone: float = 0.5) -> None:
@@ -148,15 +142,8 @@ def layered(rng: Rng, sheet: Sheet, cells_m: Sequence[float], fine: float = 0.5)
     return total / math.sqrt(fine**2 + len(cells_m))
 
 
-def plain(tone: float) -> FloatImage:
-    """One colour, as a single pixel."""
-    return np.full((1, 1), tone, np.float32)
-
-
-def plaster(
-    rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6, rough: float = 0.045
-) -> FloatImage:
-    """Painted plaster, uneven by `rough`, with stains and a few scratches."""
+def plaster(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6) -> FloatImage:
+    """Painted plaster, uneven, with stains and a few scratches."""
     sheet = Sheet(size_m, px_per_m, tone)
     width, height = size_m
     for _ in range(int(1.5 * width)):
@@ -165,51 +152,18 @@ def plaster(
         sheet.line(np.array([(x, y), *ends]), 0.008, tone * rng.uniform(0.75, 0.92))
     stained = np.maximum(clouds(rng, sheet.shape, 0.7 * sheet.scale) - 1.0, 0.0)
     uneven = layered(rng, sheet, (1.2, 0.3, 0.08, 0.03), fine=0.8)
-    return limited(sheet.finished(1.2) * (1.0 + rough * uneven - 0.06 * stained))
+    return limited(sheet.finished(1.2) * (1.0 + 0.045 * uneven - 0.06 * stained))
 
 
-def wallpaper(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.55) -> FloatImage:
-    """Stripes and a small figure, over and over."""
+def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
+    """A brick wall; its joints have the tone, and the bricks are darker."""
     sheet = Sheet(size_m, px_per_m, tone)
-    pitch = rng.uniform(0.2, 0.3)
-    part = Sheet((pitch, 1.4 * pitch), sheet.scale, tone)
-    part.rectangle(0.0, 0.0, 0.18 * pitch, 1.4 * pitch, 0.8 * tone)
-    part.rectangle(0.22 * pitch, 0.0, 0.03 * pitch, 1.4 * pitch, 0.65 * tone)
-    petals = rng.integers(4, 8)
-    for y, radius in ((0.4, 0.2), (1.05, 0.11)):
-        for turn in np.arange(petals) * 2.0 * np.pi / petals:
-            petal_x, petal_y = 0.62 + 0.6 * radius * np.cos(turn), y + 0.6 * radius * np.sin(turn)
-            part.disc(petal_x * pitch, petal_y * pitch, 0.42 * radius * pitch, 0.6 * tone)
-        part.disc(0.62 * pitch, y * pitch, 0.3 * radius * pitch, min(0.85, 1.4 * tone))
-    times = tuple(-(-full // of) for full, of in zip(sheet.shape, part.shape, strict=True))
-    sheet.image = np.tile(part.image, times)[: sheet.shape[0], : sheet.shape[1]]
-    return limited(sheet.finished(0.9) * (1.0 + 0.03 * layered(rng, sheet, (1.0, 0.2))))
-
-
-def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
-    """A brick wall; its joints are brighter than the bricks."""
-    sheet = Sheet(size_m, px_per_m, min(0.8, 1.7 * tone))
     long, high, joint = 0.25, 0.08, 0.012
     for row, y in enumerate(np.arange(0.0, size_m[1], high)):
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
-            of_brick = tone * rng.uniform(0.7, 1.3)
+            of_brick = tone * rng.uniform(0.42, 0.78)
             sheet.rectangle(x, y, long - joint, high - joint, of_brick)
     return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
-
-
-def concrete(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
-    """Bare concrete with the joints and holes of its moulds."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    for x in np.arange(1.25, size_m[0], 1.25):
-        sheet.rectangle(x, 0.0, 0.012, size_m[1], 0.7 * tone)
-    for y in np.arange(1.25, size_m[1], 1.25):
-        sheet.rectangle(0.0, y, size_m[0], 0.012, 0.7 * tone)
-    for x in np.arange(0.3, size_m[0], 0.65):
-        for y in np.arange(0.3, size_m[1], 0.65):
-            sheet.disc(x, y, 0.015, 0.4 * tone)
-    return limited(
-        sheet.finished(0.8) * (1.0 + 0.13 * layered(rng, sheet, (0.9, 0.25, 0.07, 0.02)))
-    )
 
 
 def wood(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
@@ -235,20 +189,6 @@ def parquet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.2) -> Float
     return limited(sheet.finished() * (1.0 + 0.12 * fibres + 0.03 * grain(rng, sheet.shape)))
 
 
-def tiles(
-    rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.35, side_m: float = 0.3
-) -> FloatImage:
-    """Square tiles with dark joints."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    for y in np.arange(0.0, size_m[1], side_m):
-        for x in np.arange(0.0, size_m[0], side_m):
-            sheet.rectangle(x, y, side_m, side_m, tone * rng.normal(1.0, 0.06))
-        sheet.rectangle(0.0, y, size_m[0], 0.008, 0.5 * tone)
-    for x in np.arange(0.0, size_m[0], side_m):
-        sheet.rectangle(x, 0.0, 0.008, size_m[1], 0.5 * tone)
-    return limited(sheet.finished() * (1.0 + 0.065 * layered(rng, sheet, (0.5, 0.12, 0.04))))
-
-
 def carpet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatImage:
     """Short pile, trodden, with the joints of its squares."""
     sheet = Sheet(size_m, px_per_m, tone)
@@ -265,22 +205,3 @@ def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatIm
     weave = clouds(rng, sheet.shape, (3.0, 14.0)) + clouds(rng, sheet.shape, (14.0, 3.0))
     creased = layered(rng, sheet, (0.4, 0.1), fine=0.2)
     return limited(tone * (1.0 + 0.08 * weave + 0.08 * creased))
-
-
-def metal(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.4) -> FloatImage:
-    """Brushed across the width."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    brushed = clouds(rng, sheet.shape, (0.3 * sheet.scale, 3.0))
-    return limited(
-        tone * (1.0 + 0.05 * brushed + 0.04 * clouds(rng, sheet.shape, 0.3 * sheet.scale))
-    )
-
-
-def curtain(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
-    """Cloth in upright folds."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    width = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale
-    bent = clouds(rng, sheet.shape, (0.15 * sheet.scale, 0.8 * sheet.scale))
-    folds = np.sin(2.0 * np.pi * width / 0.13 + 1.5 * bent)
-    shaded = cv2.GaussianBlur(folds.astype(np.float32), (0, 0), 1.5)
-    return limited(tone * (0.8 + 0.28 * shaded + 0.03 * grain(rng, sheet.shape)))

@@ -20,25 +20,18 @@ class FlightTruth:
 
     Attributes
     ----------
-    frame : int
-    time_s : float
-    x_m, y_m, z_m : float
-        Position of the camera.
-    roll_deg, pitch_deg, yaw_deg : float
-        See `dlgmd_cli.flights.renderer.camera.rotation`.
+    x_m, y_m, z_m, roll_deg, pitch_deg, yaw_deg : float
+        The camera; see `State`.
     distance_m : float
         From the camera to the nearest point of the target; 0 inside.
     time_to_contact_s : float
         Time left until contact in this flight; NaN after it, and in a flight without contact.
-    angular_size_deg : float
+    angular_size_deg, angular_velocity_deg_s : float
         The greatest angle between two directions from the camera to points of the target, whether
-        they are in the picture or not; 180 at most.
-    angular_velocity_deg_s : float
-        Rate of `angular_size_deg`; the camera's rotation does not matter to it.
+        they are in the picture or not, 180 at most; and its rate, to which the camera's rotation
+        does not matter.
     max_image_speed_px : float
         How far the fastest point in the picture would move until the next frame, in px.
-    phase : str
-        What the drone is doing.
     """
 
     frame: int
@@ -60,22 +53,7 @@ class FlightTruth:
 def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Iterator[FlightTruth]:
     """The truth of frames 0, 1, … at index / fps.
 
-    Parameters
-    ----------
-    stage : Stage
-        The motions of its bodies must be defined a little before and after any frame.
-    camera : Camera
-    fps : float
-    n_frames : int
-
-    Yields
-    ------
-    FlightTruth
-
-    Raises
-    ------
-    ParameterError
-        If nothing in the world has the target's name.
+    Raises ParameterError if nothing in the world has the target's name.
     """
     target = Target(stage)
     speeds = ImageSpeed(stage.world, camera, stage.target)

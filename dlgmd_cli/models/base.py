@@ -4,7 +4,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -77,7 +77,7 @@ def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response
     return Response(p_sum, math.nan, math.nan, math.nan, math.nan, layers)
 
 
-class Model(Protocol):
+class Model:
     """A looming detector that is fed one frame at a time and keeps constant memory.
 
     Attributes
@@ -94,24 +94,16 @@ class Model(Protocol):
         Index of the first frame with a full history, counting from 0 at `reset`.
     """
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def layer_units(self) -> tuple[str, str, str]: ...
-
-    @property
-    def params(self) -> Parameters: ...
-
-    @property
-    def engine_name(self) -> str: ...
-
-    @property
-    def first_valid_frame(self) -> int: ...
+    name: str
+    layer_units: tuple[str, str, str]
+    params: Parameters
+    engine_name: str
+    first_valid_frame: int
+    _receptors: "Photoreceptors"
 
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
-        ...
+        self._receptors.reset()
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
@@ -141,7 +133,7 @@ class Model(Protocol):
         MissingExtraError
             If the engine asked for needs a package that is not installed.
         """
-        ...
+        raise NotImplementedError
 
 
 def create_model(params: Parameters, **options: Any) -> Model:

@@ -9,6 +9,7 @@ from dlgmd_cli.models.base import (
     FloatImage,
     Grey,
     Layers,
+    Model,
     Photoreceptors,
     Response,
     aligned,
@@ -23,7 +24,7 @@ RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
 
 
-class DLGMD:
+class DLGMD(Model):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
 
     Parameters
@@ -56,6 +57,7 @@ class DLGMD:
 
     name = "dlgmd"
     layer_units = ("luminance", "luminance", "luminance²")
+    params: DlgmdParameters
 
     def __init__(
         self,
@@ -75,10 +77,6 @@ class DLGMD:
         self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self._ffi_delay)
         self._receptors = Photoreceptors(self.first_valid_frame)
         self._engine_is_for: tuple[object, object] | None = None
-
-    def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
-        self._receptors.reset()
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False

@@ -7,12 +7,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.base import FloatImage, Grey, Layers, Photoreceptors, Response, undefined
+from dlgmd_cli.models.base import (
+    FloatImage,
+    Grey,
+    Layers,
+    Model,
+    Photoreceptors,
+    Response,
+    undefined,
+)
 from dlgmd_cli.models.engines import AUTO, require_opencv
 from dlgmd_cli.parameters import EmdLgmdParameters
 
 
-class EmdLGMD:
+class EmdLGMD(Model):
     """LGMD on correlators that answer to expansion, after [Bermudez2007].
 
     With luminance L in 0..1, and Z[·] a field expanded about its centre by 1 + delta:
@@ -38,6 +46,7 @@ class EmdLGMD:
     name = "emd-lgmd"
     layer_units = ("luminance", "luminance²", "luminance²")
     first_valid_frame = 2
+    params: EmdLgmdParameters
 
     def __init__(
         self,
@@ -53,10 +62,6 @@ class EmdLGMD:
         )
         self._rest = np.float32(math.exp(-1.0 / self.params.tau_high))
         self._receptors = Photoreceptors(0)
-
-    def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
-        self._receptors.reset()
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False

@@ -5,7 +5,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import FloatImage, Grey, Layers, Photoreceptors, Response, undefined
+from dlgmd_cli.models.base import (
+    FloatImage,
+    Grey,
+    Layers,
+    Model,
+    Photoreceptors,
+    Response,
+    undefined,
+)
 from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
 from dlgmd_cli.parameters import LgmdParameters
 
@@ -14,7 +22,7 @@ INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.
 WHITE = 255.0
 
 
-class LGMD:
+class LGMD(Model):
     """LGMD of [Zhao2018] after [Yue2006]: signed, with inhibition from the nearest neighbours.
 
     With luminance L in grey levels, 0..255, everything outside the frame zero:
@@ -38,6 +46,7 @@ class LGMD:
     name = "lgmd"
     layer_units = ("grey levels", "grey levels", "grey levels")
     first_valid_frame = 2
+    params: LgmdParameters
 
     def __init__(
         self,
@@ -50,10 +59,6 @@ class LGMD:
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []
         self._receptors = Photoreceptors(0)
-
-    def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
-        self._receptors.reset()
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False

@@ -22,17 +22,8 @@ _LONGEST_NAME, _LONGEST_PHASE = 48, 28
 def plot_contact_sheet(sheet: ContactSheet) -> Figure:
     """Frames in grey, four in a row, each with its number, time, phase, and how near contact is.
 
-    The collision frame has a thick black rim and says in bold words that it is one.
-
-    Parameters
-    ----------
-    sheet : ContactSheet
-        Up to 12 frames fit on a page.
-
-    Returns
-    -------
-    Figure
-        Two columns of a paper wide.
+    The collision frame has a thick black rim and says in bold words that it is one. Up to 12 frames
+    fit on a page; the figure is as wide as two columns of a paper.
     """
     height, width = sheet.images[0].shape
     n_columns = min(_N_COLUMNS, len(sheet.images))

@@ -61,18 +61,9 @@ def invalid(flag: str, why: str, mend: str = "") -> ParameterError:
 class ClipOptions:
     """What every clip has; checked on construction.
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the frames, in px.
-    fps : float
-        Frames per second.
-    n_frames : int or None
-        Length of the clip; None leaves it to the scene.
-    fov_deg : float
-        Horizontal field of view of the pinhole camera; its pixels are square.
-    seed : int
-        Where all that is random starts.
+    `shape` is height and width, in px; `n_frames` None leaves the length to the scene; `fov_deg` is
+    the horizontal field of view of a pinhole camera with square pixels; `seed` is where all that is
+    random starts.
     """
 
     shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", whole=True)
@@ -119,39 +110,28 @@ class Scene(ABC, Generic[OptionsT]):
 
     Attributes
     ----------
-    name : str
-        What it is called on the command line; also the stem of its files.
-    description : str
-        One line for a list.
+    name, description : str
+        What it is called on the command line, also the stem of its files; and one line for a list.
     defaults : ClipOptions
         Its options, with their defaults.
     truth_type : type
         The dataclass of the ground truth of a frame; its fields are the columns of the CSV.
-    is_playable : bool
-        Whether its video is to be one that most players show, rather than the same everywhere.
-    has_record : bool
-        Whether it has more to say of a clip than a row a frame: `record`.
+    is_flight : bool
+        Flights have a `record`, and a video that most players show; the video of others is the
+        same everywhere.
     """
 
     name: str
     description: str
     defaults: OptionsT
     truth_type: type
-    is_playable = False
-    has_record = False
+    is_flight = False
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
-        """The defaults with some options replaced.
+        """The defaults with some options replaced, by flag, such as ``--speed``.
 
-        Parameters
-        ----------
-        given : mapping
-            Flag, such as ``--speed``, to value.
-
-        Raises
-        ------
-        ParameterError
-            If the scene has no such option, or cannot be rendered with these values.
+        Raises ParameterError if the scene has no such option, or cannot be rendered with these
+        values.
         """
         names = {each.metadata["limits"].flag: each.name for each in fields(self.defaults)}
         for flag in given:

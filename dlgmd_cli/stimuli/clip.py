@@ -33,12 +33,9 @@ _PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
 
 @dataclass(frozen=True)
 class Form:
-    """How frames are kept.
+    """How frames are kept: as "mpeg4", "h264", "ffv1" or "png".
 
-    Attributes
-    ----------
-    codec : {"mpeg4", "h264", "ffv1", "png"}
-        The last two keep every grey level; PNG is a folder of pictures.
+    The last two keep every grey level; PNG is a folder of pictures.
     """
 
     codec: str
@@ -86,20 +83,9 @@ class Form:
 class ContactSheet:
     """Some frames of a clip, and what the clip is.
 
-    Attributes
-    ----------
-    name : str
-        What the clip is called.
-    fps : float
-    n_frames : int
-        Of the whole clip.
-    seed : int
-    record : dict
-        See `Scene.record`.
-    images : sequence of ndarray, shape (H, W), uint8
-        At least one, in order, as they were rendered, before any video smoothed them.
-    rows : sequence
-        The ground truth of each.
+    The images, (H, W) uint8, are those that were rendered, before any video smoothed them; `rows`
+    is the ground truth of each. `n_frames` is the length of the whole clip, `record` that of
+    `Scene`.
     """
 
     name: str
@@ -120,7 +106,7 @@ def clip_paths(
 ) -> tuple[Path, ...]:
     """The files of a clip: frames, truth, the record if the scene has one, the sheet if asked."""
     paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
-    if scene.has_record:
+    if scene.is_flight:
         paths.append(folder / f"{name}.yaml")
     return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
 
@@ -142,15 +128,9 @@ def write_clip(
 
     Parameters
     ----------
-    scene : Scene
-        What to render.
-    options : ClipOptions
-        Options of that scene.
-    folder : Path
-        Where to; made if need be.
     form : Form, optional
-        What else than the scene's own kind of video: ``NAME.avi`` in FFV1, or ``NAME/0000.png``
-        and so on.
+        What else than the scene's own kind of video: ``NAME.avi`` in FFV1, or ``NAME/0000.png`` and
+        so on.
     name : str, optional
         The files' stem, if not the scene's name.
     overwrite : bool
@@ -167,16 +147,11 @@ def write_clip(
 
     Raises
     ------
-    ParameterError
-        If the scene cannot be had with these options, or no video can hold it.
-    OutputExistsError
-        If a file exists already and may not be replaced.
-    OutputError
-        If the files cannot be written.
-    Interrupted
-        If the user asks to stop.
+    ParameterError, OutputExistsError, OutputError, Interrupted
+        The scene or a video cannot be had so; a file may not be replaced, or cannot be written; the
+        user asks to stop. Nothing half made is left.
     """
-    form = form or Form.choose(playable=scene.is_playable)
+    form = form or Form.choose(playable=scene.is_flight)
     n_frames = scene.n_frames(options)
     form.check(options)
     name = name or scene.name
@@ -195,7 +170,7 @@ def write_clip(
             _write_pictures(temporary[0], images, n_digits(n_frames))
         rows = list(scene.truth(options))
         write_truth(temporary[1], scene.truth_type, rows)
-        if scene.has_record:
+        if scene.is_flight:
             sheet = {} if draw_sheet is None else {"sheet": paths[-1].name}
             first = {"scene": scene.name, "seed": options.seed}
             document = {**first, **facts, **sheet, **identity(scene, options, form)}
@@ -231,21 +206,19 @@ def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> 
     if form.is_video:
         others.insert(0, frames)
     elif os.path.lexists(frames):
-        mend = "Choose another --out."
+        why, mend = "", "Choose another --out."
         if frames.is_symlink() or not frames.is_dir():
-            raise OutputExistsError(str(frames), "this is not a folder of pictures", mend)
-        strays = [
+            why = "this is not a folder of pictures"
+        elif strays := [
             entry.name
             for entry in frames.iterdir()
             if not _PICTURE.fullmatch(entry.name) or not entry.is_file()
-        ]
-        if strays:
+        ]:
             why = f"this folder holds other files, such as {min(strays)}"
+        elif not overwrite:
+            why, mend = "it already exists", "Add --overwrite to replace it."
+        if why:
             raise OutputExistsError(str(frames), why, mend)
-        if not overwrite:
-            raise OutputExistsError(
-                str(frames), "it already exists", "Add --overwrite to replace it."
-            )
     for path in others:
         refuse_existing(path, overwrite=overwrite)
 
@@ -260,48 +233,21 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
-    """Write ground truth as CSV; OSError passes through.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    columns : type
-        The dataclass that the rows are of; its fields are the columns.
-    rows : iterable
-        One a frame. NaN becomes an empty cell.
-    """
+    """Write ground truth as CSV; the columns are a dataclass's fields, and NaN is an empty cell."""
     names = [field.name for field in fields(columns)]
     values = ([getattr(row, name) for name in names] for row in rows)
-    write_rows(
-        path,
-        names,
-        ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values),
-    )
+    cells = ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values)
+    write_rows(path, names, cells)
 
 
-def chosen_frames(
-    n_frames: int, collision_frame: int | None = None, n_stills: int = N_STILLS
-) -> tuple[int, ...]:
+def chosen_frames(n_frames: int, collision_frame: int | None = None) -> tuple[int, ...]:
     """Which frames a sheet shows: the first, the last, the collision, and others evenly between.
 
-    Parameters
-    ----------
-    n_frames : int
-        Length of the clip, at least 1.
-    collision_frame : int, optional
-        The steps before it and those after it differ by what it takes to meet it.
-    n_stills : int
-        How many there are to be, at least 3; all frames where the clip has no more.
-
-    Returns
-    -------
-    tuple of int
-        In order, each once.
+    The steps before a collision and those after it differ by what it takes to meet it.
     """
-    if n_frames <= n_stills:
+    if n_frames <= N_STILLS:
         return tuple(range(n_frames))
-    last, n_steps = n_frames - 1, n_stills - 1
+    last, n_steps = n_frames - 1, N_STILLS - 1
     middle = collision_frame or 0
     if not 0 < middle < last:
         return tuple(_evenly(0, last, n_steps))
@@ -343,16 +289,10 @@ def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> N
 
 def _put(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
     """Rename files to where they are to be, an earlier record removed first, the new one last."""
-    in_order = sorted(zip(temporary, paths, strict=True), key=lambda pair: _is_record(pair[1]))
-    for _, path in in_order:
-        if _is_record(path):
-            path.unlink(missing_ok=True)
+    in_order = sorted(zip(temporary, paths, strict=True), key=lambda p: p[1].suffix == ".yaml")
+    if in_order[-1][1].suffix == ".yaml":
+        in_order[-1][1].unlink(missing_ok=True)
     for file, path in in_order:
         if path.is_dir():
             shutil.rmtree(path)
         file.replace(path)
-
-
-def _is_record(path: Path) -> bool:
-    """Whether a file of a clip is its record."""
-    return path.suffix == ".yaml"

@@ -24,14 +24,8 @@ MIN_METRES, MAX_METRES = 0.001, 10_000
 class ApproachOptions(FlatOptions):
     """Options of a scene with one object on the optical axis.
 
-    Attributes
-    ----------
-    object_size_m : float
-        Side of the cube or diameter of the ball.
-    speed_m_s : float
-        How fast the distance shrinks or grows, in m/s.
-    distance_m : float
-        From the camera to the nearest point of the object at frame 0.
+    The size is the side of the cube or the diameter of the ball; the distance is that from the
+    camera to its nearest point at frame 0.
     """
 
     object_size_m: float = option(0.5, "--object-size", MIN_METRES, MAX_METRES, unit="m")
@@ -40,18 +34,9 @@ class ApproachOptions(FlatOptions):
 
 
 class Approach(Scene[ApproachOptions]):
-    """An object of one kind that moves along the optical axis at constant speed.
+    """A "cube" or a "ball" that moves along the optical axis at constant speed.
 
-    Parameters
-    ----------
-    name, description : str
-        See `Scene`.
-    solid : {"cube", "ball"}
-        The kind of object.
-    defaults : ApproachOptions
-        See `Scene`.
-    recedes : bool
-        Whether it goes away, so that there is no contact.
+    If it recedes, there is no contact.
     """
 
     truth_type = FlatTruth

@@ -19,18 +19,7 @@ _SWAY_PER_FRAME = (1 / 18, 1 / 23)
 def pan_frames(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Iterator[GreyImage]:
     """Frames of a camera that sways in front of a random texture, as hard to decode as a flight.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        H and W in px.
-    n_frames : int
-        How many.
-    seed : int
-        Of the texture and of the noise.
-
-    Yields
-    ------
-    ndarray, shape (H, W), uint8
+    They are (H, W) uint8 each; the seed is that of the texture and of the noise.
     """
     height, width = shape
     rng = np.random.default_rng(seed)

@@ -20,15 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 class FlatOptions(ClipOptions):
     """What all flat scenes can be told.
 
-    Attributes
-    ----------
-    contrast : float
-        Weber contrast of the object, (object - background) / background.
-    background : float
-        Luminance of the background in 0..1; 1 is grey level 255, in proportion.
-    noise : float
-        Standard deviation of Gaussian noise that every pixel of every frame gets, in units of
-        luminance, before frames are rounded to grey levels. `seed` is where it starts.
+    `contrast` is Weber's, (object - background) / background; luminances are 0 to 1, which is grey
+    level 255, in proportion. `noise` is the standard deviation, in units of luminance, that every
+    pixel of every frame gets before frames are rounded to grey levels.
     """
 
     contrast: float = option(-0.75, "--contrast", -1, 1000)
@@ -93,16 +87,9 @@ def render(
 def rectangle(
     shape: tuple[int, int], center_yx: tuple[float, float], size_yx: tuple[float, float]
 ) -> Patch:
-    """Area coverage of an upright rectangle, exact.
+    """Area coverage of an upright rectangle, exact; it may be far larger than the picture.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the picture, in px.
-    center_yx : (float, float)
-        Centre of the rectangle in px, y down; pixel (0, 0) reaches from 0 to 1.
-    size_yx : (float, float)
-        Its height and width in px; it may be far larger than the picture.
+    All is in px, y down; pixel (0, 0) reaches from 0 to 1.
     """
     rows, y = _pixel_edges(center_yx[0], size_yx[0] / 2, shape[0])
     columns, x = _pixel_edges(center_yx[1], size_yx[1] / 2, shape[1])
@@ -114,14 +101,7 @@ def rectangle(
 def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: float) -> Patch:
     """Area coverage of a disc, exact but for rounding (1e-3 at a radius of a million px).
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the picture, in px.
-    center_yx : (float, float)
-        Centre of the disc in px, y down; pixel (0, 0) reaches from 0 to 1.
-    radius_px : float
-        Its radius in px; it may be far larger than the picture.
+    It may be far larger than the picture; coordinates are those of `rectangle`.
     """
     rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
     columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])

@@ -19,12 +19,8 @@ from dlgmd_cli.stimuli.plain import (
 class TranslationOptions(FlatOptions):
     """Options of a scene with squares that move sideways.
 
-    Attributes
-    ----------
-    object_size_px : float or None
-        Side of the squares; None makes it a ninth of the height.
-    speeds_px : tuple of float
-        One speed a square, in px/frame, from top to bottom; negative is to the left.
+    There is one speed a square, from top to bottom; negative is to the left. A size of None makes
+    them a ninth of the height.
     """
 
     object_size_px: float | None = option(

@@ -5,10 +5,10 @@ import re
 import shlex
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import yaml
+from conftest import read_video
 
 from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES
@@ -16,17 +16,6 @@ from dlgmd_cli.flights.scenes import SCENES
 pytestmark = pytest.mark.slow
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
-
-
-def frames_of(path: Path) -> np.ndarray:
-    """Every frame of a video, (n, H, W)."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    frames = []
-    while True:
-        is_read, frame = capture.read()
-        if not is_read:
-            return np.array(frames)
-        frames.append(frame[:, :, 1])
 
 
 def sample_commands() -> list[str]:
@@ -62,7 +51,7 @@ def test_sample_is_what_its_command_makes(dlgmd, command):
         assert made == kept
     sample = SAMPLES / video.name
     assert sample.stat().st_size <= 1_000_000
-    kept_frames, frames = frames_of(sample).astype(float), frames_of(video).astype(float)
+    kept_frames, frames = (np.array(read_video(path)[1], float) for path in (sample, video))
     assert kept_frames.shape == frames.shape
     # Another release of the codec may round in another way, but sees the same picture.
     assert np.mean(np.abs(kept_frames - frames)) < 2.0

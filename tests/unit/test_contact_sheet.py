@@ -1,9 +1,6 @@
 """Contact sheets of clips: which frames, what is said of them, and the files of `synth --sheet`."""
 
 import math
-import os
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -153,11 +150,9 @@ def test_frames_are_shown_as_they_are_or_averaged_over_area():
 @pytest.mark.parametrize(
     ("n", "shape", "name", "phase"),
     [
-        (6, (270, 480), "flight", ""),
         (12, (1080, 1920), "x" * 300, "a phase of many words, and some more words"),
         (5, (640, 480), "flight", "hover"),
         (1, (400, 16), "x" * 300, "hover"),
-        (12, (16, 400), "flight", "a phase of many words, and some more words"),
     ],
 )
 def test_words_neither_overlap_nor_leave_the_figure(n, shape, name, phase):
@@ -218,29 +213,6 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     assert 13 in [row.frame for row in sheet.rows] and record["collision_frame"] == 13
 
 
-def test_there_is_none_unless_asked_for(synth, dlgmd):
-    synth("--out", "with", "--lossless")
-    result = dlgmd("synth", "quick", "--out", "without", "--lossless")
-    assert len(result.stdout.splitlines()) == 3
-    for suffix in ("avi", "csv"):
-        a, b = (Path(folder, f"quick.{suffix}") for folder in ("with", "without"))
-        assert a.read_bytes() == b.read_bytes()
-    assert "sheet" not in yaml.safe_load(Path("without", "quick.yaml").read_text())
-    assert not list(Path("without").glob("*.png"))
-
-
-def test_a_short_flat_clip_whatever_its_frames_are_kept_in(dlgmd):
-    sheets = set()
-    for form in ([], ["--png"]):
-        folder = Path("out", *form)
-        arguments = ["looming-cube", "--sheet", *SMALL, "--noise", 0.1, "--frames", 2, *form]
-        result = dlgmd("--quiet", "synth", *arguments, "--out", folder)
-        assert result.exit_code == 0 and result.stderr == ""
-        assert result.stdout.split()[-1] == str(folder / "looming-cube-sheet.png")
-        sheets.add((folder / "looming-cube-sheet.png").read_bytes())
-    assert len(sheets) == 1
-
-
 def test_a_sheet_is_replaced_only_when_told(synth):
     Path("quick-sheet.png").write_bytes(b"mine")
     result = synth()
@@ -290,39 +262,4 @@ def test_every_flight_has_its_own_and_keeps_it(synth, dlgmd):
     assert synth(*fleet, "--overwrite").exit_code == 0 and many() == before
 
 
-def test_flights_without_sheets_are_rendered_again_only_if_told_to(synth, dlgmd, monkeypatch):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    fleet = ["--count", 1, "--out", "f", "--lossless"]
-    dlgmd("synth", "quick", *fleet)
-    before = many()
-    result = synth(*fleet)
-    assert result.exit_code == 2 and many() == before
-    assert result.stderr.endswith(
-        f"Error: {Path('f', 'quick-0000.yaml')}: another flight already exists here (without a "
-        "sheet). Add --overwrite to replace such flights, or choose another --out.\n"
-    )
-    assert synth(*fleet, "--overwrite").exit_code == 0
-    assert before.items() - many().items() == {("quick-0000.yaml", before["quick-0000.yaml"])}
-
-
 # What it costs those who do not want it
-
-
-def test_without_a_sheet_nothing_is_imported_to_draw(tmp_path):
-    program = (
-        "import sys\n"
-        "from dlgmd_cli.__main__ import main\n"
-        "sys.argv = ['dlgmd', *'synth looming-cube --size 32x32 --frames 2 --out'.split(), '.']\n"
-        "try:\n    main()\n"
-        "except SystemExit: pass\n"
-        "print('matplotlib' in sys.modules)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.splitlines() == ["looming-cube.mp4", "looming-cube.csv", "False"]

@@ -12,7 +12,7 @@ from reference import clips
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, SpikeDetector, absolute, detect, sequence
+from dlgmd_cli.models.detection import Alarm, absolute, detect, sequence
 from dlgmd_cli.parameters import MODELS, DlgmdParameters, load_set
 
 NAN = np.nan
@@ -20,16 +20,11 @@ potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))
 FRAMES = clips.looming(24, 30, 9, seed=1)
 
 
-def test_absolute_is_half_at_kappa():
+def test_absolute_is_half_at_kappa_whatever_the_size():
     mp = np.array([NAN, 0.0, 3.0, 9.0])
     np.testing.assert_allclose(absolute(mp, 1000, 0.003), [NAN, 0, 0.5, 0.75])
-
-
-def test_absolute_does_not_depend_on_size():
-    assert absolute(5.0, 100, 0.01) == absolute(20.0, 400, 0.01)
-
-
-def test_without_kappa_it_is_the_sigmoid_of_the_lgmd():
+    np.testing.assert_array_equal(absolute(4 * mp, 4000, 0.003), absolute(mp, 1000, 0.003))
+    # Without kappa it is the sigmoid of the LGMD.
     expected = [NAN, 0.5, 1 / (1 + math.exp(-2.0)), 1.0]
     np.testing.assert_allclose(absolute(np.array([NAN, 0.0, 12.0, 1e9]), 6, None), expected)
 
@@ -43,29 +38,26 @@ def test_absolute_is_causal_and_bounded(mp, kappa):
     np.testing.assert_allclose(whole, one_by_one, rtol=1e-15)
 
 
-def test_sequence_spans_zero_to_one_over_valid_frames():
-    mp = np.array([NAN, NAN, 4.0, 2.0, 6.0])
-    np.testing.assert_array_equal(sequence(mp), [NAN, NAN, 0.5, 0.0, 1.0])
-
-
-@pytest.mark.parametrize("mp", [[NAN, 0.0, 0.0], [NAN, NAN], []])
-def test_sequence_of_a_still_scene_is_undefined(mp):
-    assert np.isnan(sequence(np.array(mp))).all()
-
-
-def test_a_spike_is_at_or_above_the_threshold():
-    spikes, _ = detect(np.array([NAN, 0.39999, 0.4, 0.5]), 0.4, 2)
-    assert spikes.tolist() == [False, False, True, True]
+@pytest.mark.parametrize(
+    ("mp", "expected"),
+    [
+        ([NAN, NAN, 4.0, 2.0, 6.0], [NAN, NAN, 0.5, 0.0, 1.0]),
+        ([NAN, 0.0, 0.0], [NAN] * 3),  # a still scene
+        ([NAN, NAN], [NAN] * 2),
+        ([], []),
+    ],
+)
+def test_sequence_spans_zero_to_one_over_valid_frames(mp, expected):
+    np.testing.assert_array_equal(sequence(np.array(mp)), expected)
 
 
 @pytest.mark.parametrize("n_sp", [1, 2, 3])
 def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
-    level = np.array([1, 0, 1, 1, 1, NAN, 1, 1])
-    spikes, alarms = detect(level, 0.5, n_sp)
-    assert spikes.tolist() == [one == 1 for one in level]
-    assert alarms.tolist() == [n >= n_sp for n in (1, 0, 1, 2, 3, 0, 1, 2)]
-    detector = SpikeDetector(0.5, n_sp)
-    assert [detector.step(one) for one in level] == list(zip(spikes, alarms, strict=True))
+    level = np.array([0.4, 0.39999, 1, 0.5, 1, NAN, 1, 1])
+    spikes, alarms = detect(level, 0.4, n_sp)
+    in_a_row = (1, 0, 1, 2, 3, 0, 1, 2)
+    assert spikes.tolist() == [n > 0 for n in in_a_row]
+    assert alarms.tolist() == [n >= n_sp for n in in_a_row]
 
 
 def test_nothing_is_detected_in_nothing():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.flights.drone import fly
-from dlgmd_cli.flights.geometry import Nearest, first_contact, surroundings
+from dlgmd_cli.flights.geometry import Nearest, first_contact
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import REACH_M, Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
@@ -139,11 +139,8 @@ def test_inside_a_closed_body_there_is_no_distance():
         row = first_row([body], "x", inside)
         assert (row.distance_m, row.angular_size_deg, row.angular_velocity_deg_s) == (0, 180, 0)
     slanted = Solid("x", [polygon((3, 0, 0), (4, 1, 0), (4, 1, 2), (3, 0, 2))])
-    without_a_bottom = [f for f in box((3, 0, 1), (4, 1, 2), name="x").faces if f.normal[2] >= 0]
     path = fly([hover(1)], position_m=(3.4, 0.6, 0.8), jitter=0.0)
     assert first_row([slanted], "x", path).distance_m == pytest.approx(0.2 / math.sqrt(2))
-    row = first_row([Solid("x", without_a_bottom)], "x", path)
-    assert row.distance_m == pytest.approx(math.hypot(0.2, 0.4))
 
 
 numbers = st.floats(-3, 3)
@@ -326,7 +323,7 @@ def test_each_line_of_sight_meets_what_brute_force_says():
     pose, offsets = still(angles=(5, -8, 12)).pose, lines.surfaces.offsets(0.4)
     closeness, body = lines.cast(lines.grid, pose, offsets)
     assert set(body) == {0, 1, 2, 3, 4, 5}
-    for index in range(0, len(lines.grid), 29):
+    for index in range(0, len(lines.grid), 61):
         ray = lines.grid[index] @ pose.camera_from_world
         depths = [
             slow_depth(each, pose.position_m - offset, ray)
@@ -352,12 +349,6 @@ def test_the_fastest_point_is_that_of_finite_differences(time_s):
     )
     expected = np.linalg.norm((after - before) / (2 * h), axis=-1).max()
     assert lines.fastest(path.state(time_s), time_s) == pytest.approx(expected, rel=1e-4)
-
-
-def test_speeds_of_rows_are_per_frame_and_follow_the_target():
-    things, path = [board(4, 1)], straight()
-    expected = fastest(things, path.state(0.0), "board") / 25
-    assert first_row(things, "board", path).max_image_speed_px == expected
 
 
 # Contact
@@ -411,10 +402,3 @@ def test_the_floor_it_stands_on_is_no_contact_and_a_ceiling_is():
     assert first_contact(path, World(ROOM)) is None
     found = first_contact(path, World(box((-5, -5, 0), (5, 5, 1.5), name="room", inwards=True)))
     assert path.state(found).position_m[2] == pytest.approx(1.5 - REACH_M, abs=1e-6)
-
-
-def test_surroundings_are_the_bodies_and_the_walls():
-    near = surroundings(World(ROOM, [board(4, 1), ball(0.3, (0, 1, 1))]))
-    assert near.distances(np.array([0.0, 0, 1]), 0.0).min() == pytest.approx(0.7)
-    assert near.distances(np.array([-3.0, 0, 1]), 0.0).min() == pytest.approx(1.0), "the floor"
-    assert near.distances(np.array([0.0, 0, 8.5]), 0.0).min() == pytest.approx(-0.5), "outside"

@@ -1,19 +1,16 @@
 """`dlgmd synth SCENE --count`: many flights, their labels, and what an early end leaves of them."""
 
 import pickle
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import pytest
 import yaml
 from flightscenes import SHORT, Quick
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.flights.scenes import SCENES
-from dlgmd_cli.results.labels import Label, read_labels, write_labels
+from dlgmd_cli.results.labels import read_labels
 
 OUT = Path("flights")
 HEADER = "video,collision_frame\n"
@@ -144,7 +141,7 @@ def test_files_of_others_are_refused(synth):
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
-@pytest.mark.parametrize("text", ["", "scene: [", "- 1\n", "collision_frame: 3\n"])
+@pytest.mark.parametrize("text", ["scene: [", "collision_frame: 3\n"])
 def test_a_record_that_says_nothing_is_no_flight(synth, text):
     synth(count=2)
     (OUT / "quick-0001.yaml").write_text(text)
@@ -153,7 +150,7 @@ def test_a_record_that_says_nothing_is_no_flight(synth, text):
     assert synth("--overwrite", count=2).exit_code == 0
 
 
-@pytest.mark.parametrize("fault", ["mp4", "csv", "x", "1.5", "-3", "true", "[1]"])
+@pytest.mark.parametrize("fault", ["mp4", "csv", "x", "-3"])
 def test_a_damaged_flight_is_none(synth, fault):
     synth(count=2)
     record = OUT / "quick-0001.yaml"
@@ -173,7 +170,7 @@ def test_a_damaged_flight_is_none(synth, fault):
     [
         (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "it lists other videos, such as other.mp4"),
         ("", "it holds no labels"),
-        (HEADER + "quick-0001.mp4,soon\n", "line 2 is no label"),
+        (HEADER + "quick-0001.mp4,soon\n", "line 2 is not a label"),
     ],
 )
 def test_labels_of_others_are_refused(synth, text, why):
@@ -187,33 +184,6 @@ def test_labels_of_others_are_refused(synth, text, why):
     )
     assert contents() == {"labels.csv": text.encode()}
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
-
-
-def test_labels_cannot_take_the_place_of_a_folder(synth):
-    (OUT / "labels.csv").mkdir(parents=True)
-    result = synth("--overwrite")
-    assert result.exit_code == 2 and "labels.csv: it is a folder" in result.stderr
-    assert len(list(OUT.iterdir())) == 1
-
-
-def test_a_folder_that_cannot_be_made_is_one_line(synth):
-    OUT.touch()
-    result = synth()
-    assert result.exit_code == 1 and result.stderr.count("\n") == 1
-    assert result.stderr.startswith(f"Error: {OUT}: it cannot be written (")
-
-
-def test_a_bar_counts_all_flights(synth, monkeypatch):
-    seen = []
-
-    @contextmanager
-    def progress(name, total, unit):
-        yield lambda done: seen.append((name, total, unit, done))
-
-    synth(count=2)
-    monkeypatch.setattr("dlgmd_cli.commands.synth.progress", progress)
-    synth()
-    assert seen == [("quick", 4, "flight", n_done) for n_done in (2, 3, 4)]
 
 
 # Ending before the end
@@ -247,25 +217,12 @@ def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     assert labels() == HEADER + "quick-0000.mp4,\nquick-0002.mp4,\n"
 
 
-def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(synth):
-    result = synth(jobs=2, count=6, at_3="kill", at_4="error")
-    assert result.exit_code == 1
-    said = sorted(result.stderr.splitlines())
-    assert said[0].startswith("Error: 2 of 6 flights failed; the other 4 are in")
-    assert said[1].startswith("quick-0003: its process was killed")
-    assert said[2] == "quick-0004: here: it cannot be. Mend it."
-    listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
-    assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
-    assert len(contents()) == 3 * 4 + 1  # nothing half made
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_bug_keeps_what_is_there(synth, jobs):
-    result = synth(jobs=jobs, count=8, at_7="bug")
+def test_a_bug_keeps_what_is_there(synth):
+    result = synth(count=4, at_3="bug")
     assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
     listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
-    assert listed == sorted(path.name for path in OUT.glob("*.mp4")) and len(listed) >= 5
-    assert f"{OUT} holds {len(listed)} of 8 flights; run the same command again" in result.stderr
+    assert listed == sorted(path.name for path in OUT.glob("*.mp4")) and len(listed) == 3
+    assert f"{OUT} holds {len(listed)} of 4 flights; run the same command again" in result.stderr
     assert len(contents()) == 3 * len(listed) + 1
 
 
@@ -314,32 +271,16 @@ def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
 # Labels
 
 
-@settings(max_examples=30)
-@given(
-    st.lists(
-        st.builds(
-            Label,
-            st.from_regex(r"[a-z/é\"'. ,]+\.mp4", fullmatch=True),
-            st.none() | st.integers(0, 10**9 - 1),
-        )
-    )
-)
-def test_labels_read_back(tmp_path_factory, made):
-    path = tmp_path_factory.getbasetemp() / "labels.csv"
-    write_labels(path, made)
-    assert read_labels(path) == made
-
-
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"\xff\xfe", "it cannot be read (it is no CSV in UTF-8)"),
+        (b"\xff\xfe", "it cannot be read (not a CSV file)"),
         (b"video\na.mp4\n", "it holds no labels"),
-        (b"video,collision_frame\na.mp4\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is no label"),
-        (b"video,collision_frame\na.mp4,-1\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is no label"),
-        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is no label"),
+        (b"video,collision_frame\na.mp4\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is not a label"),
+        (b"video,collision_frame\na.mp4,-1\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is not a label"),
     ],
 )
 def test_what_holds_no_labels(tmp_path, data, why):
@@ -348,10 +289,3 @@ def test_what_holds_no_labels(tmp_path, data, why):
     with pytest.raises(ResultError) as caught:
         read_labels(path)
     assert caught.value.why == why
-
-
-def test_labels_that_are_not_there(tmp_path):
-    with pytest.raises(ResultError, match="it cannot be read"):
-        read_labels(tmp_path / "x.csv")
-    with pytest.raises(ResultError, match="it cannot be read"):
-        read_labels(tmp_path)

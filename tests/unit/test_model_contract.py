@@ -1,6 +1,5 @@
 """What every model of the registry keeps to, whatever it computes."""
 
-import dataclasses
 import math
 import tracemalloc
 
@@ -9,7 +8,7 @@ import pytest
 from reference import clips, slow
 
 from dlgmd_cli.errors import FrameError, ParameterError
-from dlgmd_cli.models.base import Layers, Photoreceptors, Response, create_model
+from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters import MODELS, DlgmdParameters, Parameters
 
@@ -322,18 +321,6 @@ def test_parameters_of_no_model_are_refused():
         create_model(Parameters.__new__(Parameters))
 
 
-def test_photoreceptors_keep_what_changed_so_many_frames_ago():
-    receptors, level = Photoreceptors(3), 0
-    for t in range(7):
-        level += t  # so that P(t) = t
-        receptors.take(np.full((2, 2), level, np.uint8))
-        for delay in range(min(t, 3)):
-            assert np.all(receptors.p(delay) == t - delay)
-            assert np.all(receptors.stack[receptors.position(delay)] == t - delay)
-            assert receptors.p_sum(delay) == pytest.approx(4 * (t - delay) / 255)
-    assert receptors.unit == 1 / 255 and math.isnan(receptors.p_sum(3))
-
-
 @pytest.mark.parametrize(
     ("p_sum", "s_sum", "attenuation_db"),
     [
@@ -348,9 +335,3 @@ def test_photoreceptors_keep_what_changed_so_many_frames_ago():
 def test_attenuation(p_sum, s_sum, attenuation_db):
     response = Response(p_sum, s_sum, 0.0, 0.0, 0.0)
     assert response.attenuation_db == pytest.approx(attenuation_db, abs=1e-12, nan_ok=True)
-
-
-def test_responses_and_layers_are_frozen():
-    for frozen, name in ((Response(1.0, 1.0, 1.0, 1.0, 1.0), "mp"), (Layers(), "s")):
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(frozen, name, 2.0)

@@ -19,7 +19,6 @@ from dlgmd_cli.parameters import (
     FORMULATIONS,
     MODELS,
     DlgmdParameters,
-    LgmdParameters,
     load_config,
     load_model_preset,
     load_preset,
@@ -67,10 +66,6 @@ def test_keys_and_defaults():
     assert {key: actual[key] for key in expected} == expected
     assert list(actual) == list(DlgmdParameters.specs()) == list(DlgmdParameters.defaults())
     assert set(actual) == set(KEYS) and DlgmdParameters.defaults() == actual
-
-
-def test_the_lgmd_never_switches_off_unless_asked_to():
-    assert LgmdParameters().t_ffi == 255.0
 
 
 @pytest.mark.parametrize(
@@ -375,12 +370,6 @@ def test_unreadable_files(tmp_path, file):
         handle.truncate(100_000_000)  # a hole: nothing is read
     with pytest.raises(ParameterError, match=r"100\.0 MB is too large"):
         load_config(file)
-
-
-def test_unknown_set():
-    with pytest.raises(ParameterError) as caught:
-        load_preset(12)
-    assert str(caught.value) == "there is no set 12. Choose 1 to 9."
 
 
 @pytest.mark.parametrize("pair", ["r", "=3", "r=[1", "r=", "r=abc", "r=.nan", "q=1"])

@@ -98,24 +98,7 @@ def test_known_points_are_found_in_the_picture(place, angles, tilt, n_texels):
             assert np.abs(centroid(picture, expected) - expected).max() < 0.5
 
 
-@settings(max_examples=20, deadline=None)
-@given(
-    place=st.tuples(st.floats(-3, 0.5), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
-    roll=st.floats(-45, 45),
-    tilt=st.floats(-40, 40),
-)
-def test_the_area_of_a_board_is_that_of_its_projected_corners(place, roll, tilt):
-    right = rotation(0, 0, tilt) @ (-0.8 * Y)
-    origin = np.array([2.0, 0.0, 0.4]) - right / 2.0
-    tilted = Solid("board", [quad(origin, right, -0.8 * Z, plain(1.0))])
-    camera, pose = Camera((240, 320), 70.0), look(*place, roll)
-    corners = camera.project(tilted.corners_m, pose)
-    if np.all(corners > 1) and np.all(corners < (319, 239)):
-        area = cv2.contourArea(corners.astype(np.float32))
-        assert seen([tilted], pose, camera).sum() == pytest.approx(area, rel=1e-4)
-
-
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     corners=st.lists(st.tuples(st.floats(-30, 60), st.floats(-30, 60)), min_size=3, max_size=7),
     window=st.tuples(*[st.integers(0, 12)] * 2, *[st.integers(13, 30)] * 2),
@@ -228,13 +211,6 @@ def test_textures_are_neither_blurred_nor_jagged():
     assert np.mean(errors) < 0.32 * wanted
 
 
-def test_the_rim_of_a_texture_reaches_to_the_edge_of_its_face():
-    row = seen([board(1, 2, Texture([[0.2, 0.8]]))], camera=Camera((120, 160), 90.0))[60]
-    np.testing.assert_allclose(row[:38], 0.2, atol=1e-6)
-    np.testing.assert_allclose(row[-38:], 0.8, atol=1e-6)
-    assert row[60:100].mean() == pytest.approx(0.5, abs=1e-3)
-
-
 def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
     """Also where the horizon of a wall goes exactly through the middles of pixels."""
     rng = np.random.default_rng(2)
@@ -289,42 +265,11 @@ def test_order_is_exact_for_upright_bodies():
     assert sorted(cut.back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]
 
 
-@pytest.mark.parametrize("turned", [0.0, 40.0])
-def test_what_is_nearer_hides_also_where_its_middle_is_farther(turned):
-    axes, bodies = rotation(0, 0, turned), []
-    for low, high, level in (
-        ((1.5, -0.5, -1), (1.6, 8, 1), 1.0),
-        ((1.8, -0.2, -0.5), (2.2, 0.6, 0.5), 0.5),
-    ):
-        faces = [
-            quad(axes @ f.origin_m, axes @ f.right_m, axes @ f.down_m, f.texture)
-            for f in box(low, high, level).faces
-        ]
-        bodies.append(Solid("box", faces))
-    for ordered in (bodies, bodies[::-1]):
-        assert Order(ordered).is_exact
-        picture = seen(ordered, look(yaw=turned))
-        assert not (np.abs(picture - 0.5) < 0.01).any() and picture[60, 80] == 1.0
-
-
 def test_of_bodies_that_cut_the_nearer_one_is_seen():
     bodies = [box((2, -1, -1), (3, 1, 1), 1.0), box((2.5, -1, -1), (4, 1, 1), 0.5)]
     for ordered in (bodies, bodies[::-1]):
         assert seen(ordered)[60, 80] == 1.0
         assert seen(ordered, look(x=6.0, yaw=180.0))[60, 80] == 0.5
-
-
-def test_of_bodies_that_hide_each_other_in_a_ring_the_farthest_is_painted_first():
-    """Three bars along the axes, each before the next one as seen from afar along (1, 1, 1)."""
-    eye, everywhere = np.full(3, 10.0), dict.fromkeys(range(3), (0.0, 0.0, 9.0, 9.0))
-    for farthest in range(3):
-        bars = []
-        for axis in range(3):
-            middle = np.roll([0.0, 1.0, -1.0], axis) - 2.0 * (axis == farthest) * np.eye(3)[axis]
-            half = np.where(np.arange(3) == axis, 4.0, 0.2)
-            bars.append(box(middle - half, middle + half))
-        expected = [(farthest + step) % 3 for step in range(3)]
-        assert Order(bars).back_to_front(eye, everywhere) == expected
 
 
 def test_a_moving_body_is_where_it_moves_to():
@@ -405,13 +350,6 @@ def test_a_round_body_is_textured_from_wherever_it_is_seen():
             assert np.isfinite(renderer.render(look(x, 0, z, pitch=pitch + away))).all()
 
 
-def test_the_top_of_a_capsule_has_the_top_of_its_texture():
-    ramp = np.linspace(1.0, 0.0, 64)[:, None] * np.ones((1, 16))
-    column = seen([capsule([2, 0, -0.3], [2, 0, 0.3], 0.2, Texture(ramp))])[:, 80]
-    lit = np.flatnonzero(column > 0.05)
-    assert (np.diff(column[lit[1] : lit[-1]]) < 0).all() and column[lit[2]] > 0.85
-
-
 @pytest.mark.parametrize(
     "body",
     [
@@ -454,16 +392,6 @@ def test_noise_is_normal_and_new_in_every_pixel():
     assert 3.5 < np.abs(noise).max() < 4.4 and abs((noise**3).mean()) < 0.05
     for shift in ((0, 1), (1, 0), (0, 4), (3, 2)):
         assert abs((noise * np.roll(noise, shift, (0, 1))).mean()) < 0.015
-
-
-def test_noise_is_the_same_again_and_new_in_every_frame():
-    first, again, *others = (
-        exposed(0.5, (50, 50), index, read_noise=0.02, seed=seed)
-        for seed, index in ((1, 0), (1, 0), (1, 1), (2, 0))
-    )
-    assert (first == again).all()
-    for one, other in itertools.combinations([first, *others], 2):
-        assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.1
 
 
 def test_the_vignette_takes_its_share_from_the_corners():

@@ -15,7 +15,6 @@ from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES, find_scene
 from dlgmd_cli.stimuli.base import Scene
 from dlgmd_cli.stimuli.plain import Patch, disc, rectangle
-from dlgmd_cli.stimuli.translating import TranslationOptions
 
 SHAPE = (24, 32)
 SMALL = {"--size": (48, 64), "--frames": 6}
@@ -49,12 +48,6 @@ def test_rectangle_covers_its_own_area(y: float, x: float, height: float, width:
     assert coverage.min() >= 0.0 and coverage.max() <= 1.0 + 1e-6
 
 
-def test_rectangle_edges_are_mixed_by_area() -> None:
-    coverage = whole(rectangle((4, 5), (2.0, 2.5), (2.5, 3.0)), (4, 5))
-    expected = np.outer([0.25, 1.0, 1.0, 0.25], [0.0, 1.0, 1.0, 1.0, 0.0])
-    np.testing.assert_allclose(coverage, expected, atol=1e-7)
-
-
 @settings(max_examples=40, deadline=None)
 @given(near, near, st.floats(0.05, 40.0))
 def test_disc_agrees_with_counting_points(y: float, x: float, radius: float) -> None:
@@ -72,12 +65,6 @@ def test_disc_agrees_with_counting_points(y: float, x: float, radius: float) -> 
 def test_shapes_far_larger_than_the_picture_cover_it(size: float) -> None:
     assert np.all(whole(disc(SHAPE, (12.0, 16.0), size)) == 1.0)
     assert np.all(whole(rectangle(SHAPE, (12.0, 16.0), (size, size))) == 1.0)
-
-
-@pytest.mark.parametrize("center", [(-50.0, 5.0), (12.0, 90.0), (-1e9, -1e9)])
-def test_shapes_out_of_sight_change_nothing(center: tuple[float, float]) -> None:
-    assert not whole(disc(SHAPE, center, 9.0)).any()
-    assert not whole(rectangle(SHAPE, center, (9.0, 9.0))).any()
 
 
 # Every flat scene
@@ -150,28 +137,18 @@ def test_contrast_is_webers(
     ("flag", "value", "why"),
     [
         ("--size", (48, 9000), "9000 is out of range. Choose 16 to 8190 px."),
-        ("--size", (0, 64), "0 is out of range"),
         ("--size", (48.5, 64), "48.5 is not a whole number"),
         ("--size", (48,), "it needs a height and a width"),
         ("--fps", math.nan, "nan is out of range. Choose 1 to 600."),
-        ("--fps", 0.0, "0.0 is out of range"),
         ("--frames", 0, "0 is out of range"),
-        ("--frames", -3, "-3 is out of range"),
         ("--frames", 10**400, "is out of range"),
         ("--fov", 180.0, "180.0 is out of range. Choose 1 to 170 degrees."),
-        ("--object-size", 0.0, "0.0 is out of range. Choose "),
-        ("--object-size", -math.inf, "-inf is out of range"),
-        ("--speed", math.nan, "nan is out of range"),
         ("--speed", True, "True is not a number"),
         ("--speed", "fast", "fast is not a number"),
         ("--contrast", -1.1, "-1.1 is out of range"),
         ("--contrast", 0.5, "0.5 on a background of 0.8 makes the object brighter than white"),
-        ("--contrast", math.nan, "nan is out of range"),
         ("--background", 0.0, "0.0 is out of range. Choose above 0 to 1."),
-        ("--background", 1.5, "1.5 is out of range"),
         ("--noise", -0.1, "-0.1 is out of range"),
-        ("--seed", -1, "-1 is out of range"),
-        ("--seed", 1.5, "1.5 is not a whole number"),
     ],
 )
 def test_scene_refuses_what_it_cannot_be(
@@ -306,12 +283,3 @@ def test_every_cube_needs_a_speed(speeds: tuple[float, ...]) -> None:
 def test_cubes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ParameterError, match=r"4 squares of 68 px .* Choose 67 px or less"):
         SCENES["translating-cubes"].configure({"--object-size": 68.0})
-
-
-def test_translation_has_a_size_but_no_growth() -> None:
-    scene = SCENES["translating-cubes"]
-    rows = list(scene.truth(scene.configure({"--object-size": 40.0})))
-    angle = math.degrees(2.0 * math.atan(20.0 / TranslationOptions().focal_px))
-    assert [row.angular_size_deg for row in rows] == pytest.approx([angle] * 75)
-    assert {row.angular_velocity_deg_s for row in rows} == {0.0}
-    assert all(math.isnan(row.time_to_contact_s) for row in rows)

@@ -4,29 +4,17 @@ import re
 import shlex
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from conftest import read_video
 from flightscenes import Quick
 
 from dlgmd_cli.flights.scenes import SCENES
 
 ROOT = Path(__file__).parents[2]
 SMALL = ["--size", "64x48", "--frames", "5"]
-
-
-def frames_of(path: Path) -> np.ndarray:
-    """Every frame of a video, (n, H, W)."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    frames = []
-    while True:
-        is_read, frame = capture.read()
-        if not is_read:
-            return np.array(frames)
-        frames.append(frame[:, :, 1])
 
 
 def test_writes_a_video_and_its_truth(dlgmd):
@@ -36,14 +24,8 @@ def test_writes_a_video_and_its_truth(dlgmd):
     assert video == Path("new", "folder", "looming-cube.mp4")
     assert truth == Path("new", "folder", "looming-cube.csv")
     assert result.stderr == ""
-    assert frames_of(video).shape == (5, 48, 64)
+    assert np.array(read_video(video)[1]).shape == (5, 48, 64, 3)
     assert len(truth.read_text().splitlines()) == 6
-
-
-def test_writes_here_unless_told_otherwise(dlgmd):
-    result = dlgmd("synth", "translating-cubes", "--speed", "2", *SMALL)
-    assert result.stdout.split() == ["translating-cubes.mp4", "translating-cubes.csv"]
-    assert Path("translating-cubes.mp4").is_file()
 
 
 def test_all_options_arrive(dlgmd):
@@ -53,7 +35,7 @@ def test_all_options_arrive(dlgmd):
     )
     result = dlgmd("synth", "looming-cube", *options.split())
     assert result.exit_code == 0, result.output
-    first = frames_of(Path("here", "looming-cube.avi"))[0]
+    first = read_video(Path("here", "looming-cube.avi"))[1][0][..., 1]
     assert first[0, 0] == 64  # 0.25 * 255, rounded
     assert np.count_nonzero(first == 128) == 16**2  # f = 32 px, 2 m at 4 m
     assert Path("here", "looming-cube.csv").read_text().splitlines()[-1].startswith("2,0.2,")
@@ -75,18 +57,6 @@ def test_a_flight_has_a_record_and_no_note_on_its_noise(dlgmd, monkeypatch):
     assert result.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
     monkeypatch.setitem(sys.modules, "av", None)
     assert dlgmd("synth", "quick", "--noise", 0.5, "--overwrite").stderr == ""
-
-
-def test_a_bar_counts_the_frames(dlgmd, monkeypatch):
-    seen = []
-
-    @contextmanager
-    def progress(name, total, unit="frame"):
-        yield lambda done: seen.append((name, total, unit, done))
-
-    monkeypatch.setattr("dlgmd_cli.commands.synth.progress", progress)
-    dlgmd("synth", "looming-cube", "--size", "64x48", "--frames", 3)
-    assert seen == [("looming-cube", 3, "frame", n) for n in (1, 2, 3)]
 
 
 def test_lists_the_scenes_by_kind(dlgmd, monkeypatch):

@@ -19,18 +19,8 @@ _CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0
 def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
     """The body's axes in the world, as the columns of a matrix: Rz(yaw) Ry(-pitch) Rx(roll).
 
-    Parameters
-    ----------
-    roll_deg : float
-        Right side down is positive.
-    pitch_deg : float
-        Nose up is positive.
-    yaw_deg : float
-        Counter-clockwise as seen from above; at 0 the nose points along x.
-
-    Returns
-    -------
-    ndarray, shape (3, 3), float64
+    Positive are right side down, nose up, and counter-clockwise as seen from above. At yaw 0 the
+    nose points along x.
     """
     roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
@@ -43,15 +33,7 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Pose:
-    """Position and attitude of the camera, which looks along the body's x.
-
-    Attributes
-    ----------
-    position_m : ndarray, shape (3,)
-        In the world.
-    rotation : ndarray, shape (3, 3)
-        The body's axes in the world, as columns; see `rotation`.
-    """
+    """Position of the camera, (3,), and its attitude as `rotation` has it; it looks along x."""
 
     position_m: FloatArray
     rotation: FloatArray
@@ -67,12 +49,7 @@ class Pose:
 class Camera:
     """A pinhole camera with square pixels; its axis meets the picture in the middle.
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the picture, in px.
-    fov_deg : float
-        Horizontal field of view.
+    `shape` is the height and width in px, `fov_deg` the horizontal field of view.
     """
 
     shape: tuple[int, int]

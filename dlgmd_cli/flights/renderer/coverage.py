@@ -20,12 +20,8 @@ _ROUNDING = 1e-9
 class Coverage:
     """The shares of pixels that many polygons cover.
 
-    Parameters
-    ----------
-    polygons : sequence of ndarray, shape (n, 2)
-        Corners in px of the picture, clockwise on the screen; they may be far outside of it.
-    window : (int, int, int, int)
-        The part of the picture that matters.
+    The polygons, (n, 2) each, are in px of the picture, clockwise on the screen; they may be far
+    outside of it. Only what is in the window matters.
     """
 
     def __init__(self, polygons: Sequence[FloatArray], window: Window) -> None:
@@ -37,19 +33,9 @@ class Coverage:
         self._starts = np.searchsorted(owner, np.arange(len(polygons) + 1))
 
     def share(self, index: int, window: Window) -> FloatImage | None:
-        """Area of a polygon in each pixel of a window.
+        """Area of a polygon in each pixel of a window that it touches, inside that of all polygons.
 
-        Parameters
-        ----------
-        index : int
-            Which polygon.
-        window : (int, int, int, int)
-            Inside the window of all polygons; the polygon touches it.
-
-        Returns
-        -------
-        ndarray, shape (h, w), float32, or None
-            0 to 1, up to rounding; None if it is 1 everywhere.
+        Returns (h, w) float32, 0 to 1 up to rounding, or None if it is 1 everywhere.
         """
         left, top, right, bottom = window
         width, height = right - left, bottom - top

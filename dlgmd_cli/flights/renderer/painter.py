@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
+from dlgmd_cli.flights.renderer.camera import Camera, Pose
 from dlgmd_cli.flights.renderer.coverage import Coverage
 from dlgmd_cli.flights.renderer.solids import Surfaces, World
 from dlgmd_cli.flights.renderer.texture import FloatImage, Outline, Window
@@ -20,11 +20,6 @@ class Renderer:
 
     Every face is drawn by its exact homography, far ones first; pixels on an edge get the exact
     share that is covered, and textures are sampled at the size that they are seen at.
-
-    Parameters
-    ----------
-    world : World
-    camera : Camera
     """
 
     def __init__(self, world: World, camera: Camera) -> None:
@@ -38,25 +33,18 @@ class Renderer:
     ) -> FloatImage:
         """The picture at a time: (H, W) float32, the light that comes from each pixel.
 
-        A white surface in ordinary light is 1.
-
-        Parameters
-        ----------
-        pose : Pose
-        time_s : float
-            Time of the moving bodies and of the light.
-        rows : (int, int), optional
-            The first row and the one after the last: only they are painted and returned.
+        A white surface in ordinary light is 1. Of some rows, the first and the one after the last,
+        only they are painted and returned.
         """
         offsets = self._surfaces.offsets(time_s)
         for index, body in enumerate(self.world.bodies):
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
         outlines = self._sight.outlines(self.camera, pose, offsets)
-        painted = [outlines.pop(len(self.world.bodies), [])]  # the room
+        room = outlines.pop(len(self.world.bodies), None)
         extents = {index: _extent(each) for index, each in outlines.items()}
         order = self._order.back_to_front(pose.position_m, extents)
-        painted.extend(outlines[index] for index in order)
+        painted = [*([room] if room else []), *(outlines[index] for index in order)]
         picture = _paint(painted, self.camera, rows or (0, self.camera.shape[0]))
         light = self.world.light(time_s)
         if light != 1.0:
@@ -78,9 +66,10 @@ def _paint(
     coverage = Coverage([outline.corners_xy for outline in every], (0, rows[0], width, rows[1]))
     first = 0
     for outlines in bodies:
-        before, (left, top) = _before(picture, outlines, rows)
+        left, top, right, bottom = _window(outlines, width, rows)
+        before = picture[top:bottom, left:right].copy()
         for index, outline in enumerate(outlines, first):
-            for window in _bands(outline.corners_xy, camera.shape, rows):
+            for window in _bands(_window([outline], width, rows)):
                 x, y, x_end, y_end = window
                 texture = outline.sample(window, camera.focal_px)
                 texture *= np.float32(outline.gain)
@@ -96,19 +85,6 @@ def _paint(
     return picture[rows[0] : rows[1]]
 
 
-def _before(
-    picture: FloatImage, outlines: Sequence[Outline], rows: tuple[int, int]
-) -> tuple[FloatImage, tuple[int, int]]:
-    """What is in the picture around some outlines, and where its left top corner is."""
-    if len(outlines) <= 1:
-        return picture, (0, 0)
-    low_x, low_y, high_x, high_y = _extent(outlines)
-    left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
-    right = min(max(math.ceil(high_x), left), picture.shape[1])
-    bottom = max(min(math.ceil(high_y), rows[1]), top)
-    return picture[top:bottom, left:right].copy(), (left, top)
-
-
 def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
     """Left, top, right and bottom of some outlines."""
     corners = np.concatenate([outline.corners_xy for outline in outlines])
@@ -116,13 +92,21 @@ def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
     return left, top, right, bottom
 
 
-def _bands(
-    corners_xy: FloatArray, shape: tuple[int, int], rows: tuple[int, int]
-) -> Iterator[Window]:
-    """Windows that hold all that a polygon, (n, 2), touches in some rows of a picture."""
-    (low_x, low_y), (high_x, high_y) = corners_xy.min(axis=0), corners_xy.max(axis=0)
-    left, right = max(math.floor(low_x), 0), min(math.ceil(high_x), shape[1])
-    top, bottom = max(math.floor(low_y), rows[0]), min(math.ceil(high_y), rows[1])
+def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> Window:
+    """What some outlines touch in some rows of a picture."""
+    low_x, low_y, high_x, high_y = _extent(outlines)
+    left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
+    return (
+        left,
+        top,
+        max(min(math.ceil(high_x), width), left),
+        max(min(math.ceil(high_y), rows[1]), top),
+    )
+
+
+def _bands(window: Window) -> Iterator[Window]:
+    """A window in parts."""
+    left, top, right, bottom = window
     if left < right:
         n_rows = max(_MIN_ROWS, _BAND_PX // (right - left))
         for first in range(top, bottom, n_rows):

@@ -25,17 +25,15 @@ class Sensor:
     camera : Camera
         Gives the size, and the angles for the vignette.
     vignette : float
-        Share of the light that is lost in the corners, 0 to 1. Elsewhere the loss follows
-        1 - cos⁴ of the angle to the axis, scaled to that.
-    shot_noise : float
-        Standard deviation of a fully bright pixel, as a share of its light; its variance is
-        proportional to the light.
-    read_noise : float
-        Standard deviation of every pixel, as a share of full light.
+        Share of the light that is lost in the corners. Elsewhere the loss follows 1 - cos⁴ of the
+        angle to the axis, scaled to that.
+    shot_noise, read_noise : float
+        Standard deviations of a fully bright pixel, whose variance is proportional to the light,
+        and of every pixel, as shares of full light.
     gamma : float
         Grey levels are 255 light^(1 / gamma).
     seed : int
-        Seed of the noise.
+        Of the noise.
     """
 
     def __init__(

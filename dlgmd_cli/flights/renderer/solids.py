@@ -63,15 +63,7 @@ def quad(
     texture: Texture,
     gain: float = 1.0,
 ) -> Face:
-    """A rectangular face that its texture fills.
-
-    Parameters
-    ----------
-    origin_m, right_m, down_m : array_like, shape (3,)
-        Top left corner and the sides from there, as somebody sees them who looks at the front.
-    texture, gain
-        See `Face`.
-    """
+    """A rectangular face that its texture fills; the corner and the sides are those of `Face`."""
     origin, right, down = (np.asarray(each, float) for each in (origin_m, right_m, down_m))
     corners = np.array([origin, origin + down, origin + down + right, origin + right])
     return Face(corners, texture, origin, right, down, gain)
@@ -81,14 +73,7 @@ def quad(
 class Solid:
     """A convex body with planar faces that look outwards, or a flat one that has only a front.
 
-    Attributes
-    ----------
-    name : str
-        What it belongs to, such as "chair"; several bodies can share a name.
-    faces : sequence of Face
-        All that can be seen of it.
-    motion : callable or None
-        How far it has moved, (3,) in m, at a time in s; None if it never moves.
+    Several bodies can share a name, such as "chair"; `motion` is None if it never moves.
     """
 
     name: str
@@ -117,22 +102,11 @@ class Solid:
 
 @dataclass(frozen=True)
 class Round:
-    """A capsule: all points within `radius_m` of the straight line between two points.
+    """A capsule: all points within `radius_m` of the line between two points, `ends_m`, (2, 3).
 
-    If both are the same point, it is a ball.
-
-    Attributes
-    ----------
-    name, motion
-        See `Solid`.
-    ends_m : ndarray, shape (2, 3)
-        The two points.
-    radius_m : float
-    texture : Texture
-        The capsule as seen from far away, from the side. The image is as high as the capsule is
-        long from tip to tip, with its bottom at the first end, and twice the radius wide.
-    gain : float
-        See `Face`.
+    If both are the same point, it is a ball. The texture is the capsule as seen from far away, from
+    the side: as high as it is long from tip to tip, with its bottom at the first end, and twice the
+    radius wide.
     """
 
     name: str
@@ -162,16 +136,9 @@ Body = Solid | Round
 
 @dataclass(frozen=True)
 class World:
-    """A room and what is in it.
+    """A room, whose faces look inwards, and convex bodies in it, none of which cuts into another.
 
-    Attributes
-    ----------
-    room : Solid
-        Convex, seen from inside: its faces look inwards. It is behind everything else.
-    bodies : sequence of Solid or Round
-        Convex bodies in it, none of which cuts into another.
-    light : callable
-        How bright it is at a time in s; 1 is ordinary.
+    `light` is how bright it is at a time in s; 1 is ordinary.
     """
 
     room: Solid
@@ -182,23 +149,17 @@ class World:
 class Surfaces:
     """The surfaces of some bodies as arrays, where they are before any motion.
 
-    Parameters
-    ----------
-    bodies : sequence of Solid or Round
-
     Attributes
     ----------
     faces : list of Face
         The faces of all solids; those of one solid follow each other.
-    face_body : ndarray, shape (n_faces,)
-        Index of the body that a face belongs to.
+    face_body, round_body : ndarray, shape (n_faces,) and (n_rounds,)
+        Index of the body that a face or a round body is.
     corners_m : ndarray, shape (n_faces, n_corners, 3)
         A face with fewer corners than others repeats its last one.
     normals : ndarray, shape (n_faces, 3)
     rounds : list of Round
-    round_body : ndarray, shape (n_rounds,)
-    ends_m : ndarray, shape (n_rounds, 2, 3)
-    radii_m : ndarray, shape (n_rounds,)
+    ends_m, radii_m : ndarray, shape (n_rounds, 2, 3) and (n_rounds,)
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
@@ -228,10 +189,7 @@ class Surfaces:
         return offsets
 
     def velocities(self, time_s: float) -> FloatArray:
-        """How fast each body moves, (n_bodies, 3), in m/s.
-
-        Motions must be defined a little before and after the time.
-        """
+        """How fast each body moves at a time, (n_bodies, 3), in m/s."""
         later, earlier = self.offsets(time_s + _HALF_S), self.offsets(time_s - _HALF_S)
         velocities: FloatArray = (later - earlier) / (2.0 * _HALF_S)
         return velocities

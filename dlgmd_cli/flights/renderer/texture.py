@@ -31,12 +31,9 @@ _VANISHING = 1e-9
 
 
 class Texture:
-    """Reflectance over a rectangle.
+    """Reflectance over a rectangle, (h, w) float32 in 0..1, linear in light.
 
-    Parameters
-    ----------
-    image : ndarray, shape (h, w), float32
-        Reflectance in 0..1, linear in light. A single pixel is a plain colour.
+    A single number is a plain colour.
     """
 
     def __init__(self, image: npt.ArrayLike) -> None:
@@ -103,23 +100,12 @@ class Outline:
         if len(levels) == 1:
             return np.full(shape, self.texture.mean, np.float32)
         finest, coarsest = self._sizes_in(window, focal_px)
-        picture: FloatImage = np.zeros(shape, np.float32)
-        for size in range(coarsest, finest - 1, -1):
-            # Farther away, the next coarser size is all there is; nearer, the next finer one.
-            farthest = -math.inf if size == coarsest else self._closeness(size + 1, focal_px)
-            nearest = math.inf if size == finest else self._closeness(size - 1, focal_px)
-            part = _between(self.plane, window, farthest, nearest)
-            if part is None:
-                continue
-            warped = self._warped(part, size)
-            x, y, x_end, y_end = part
-            target = picture[y - top : y_end - top, x - left : x_end - left]
-            if size == coarsest:
-                target[...] = warped
-                continue
-            warped -= target
-            warped *= self._share_of_finer(part, size, focal_px)
-            target += warped
+        picture = self._warped(window, coarsest)
+        for size in range(coarsest - 1, finest - 1, -1):
+            finer = self._warped(window, size)
+            finer -= picture
+            finer *= self._share_of_finer(window, size, focal_px)
+            picture += finer
         # On the horizon of the plane, nothing times infinity is NaN.
         cv2.patchNaNs(picture, self.texture.mean)
         return picture
@@ -181,28 +167,3 @@ class Outline:
             return facing
         slanted = facing * self.distance_m**-_FORESHORTENING
         return float(slanted ** (1.0 / (1.0 + _FORESHORTENING)))
-
-
-def _between(plane: FloatArray, window: Window, low: float, high: float) -> Window | None:
-    """A window that holds all of another where a plane is between two values; None if nowhere."""
-    left, top, right, bottom = window
-    a, b, c = plane.tolist()
-    x, x_end = _passed(a, low - c, high - c, (b * top, b * bottom), (left, right))
-    y, y_end = _passed(b, low - c, high - c, (a * left, a * right), (top, bottom))
-    return (x, y, x_end, y_end) if x < x_end and y < y_end else None
-
-
-def _passed(
-    slope: float, low: float, high: float, others: tuple[float, float], limits: tuple[int, int]
-) -> tuple[int, int]:
-    """From and before which pixel ``slope * x``, with one of the others, is between two values."""
-    first, last = low - max(others), high - min(others)
-    if slope < 0.0:
-        first, last = last, first
-    if slope == 0.0:
-        return limits if first < 0.0 < last else (0, 0)
-    least, most = limits
-    return (
-        math.floor(min(max(first / slope, least), most)),
-        math.ceil(min(max(last / slope, least), most)),
-    )

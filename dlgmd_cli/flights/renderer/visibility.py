@@ -39,13 +39,7 @@ def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 class Sight:
-    """The outlines of bodies; all planar faces are projected together.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The bodies that can be seen.
-    """
+    """The outlines of bodies; all planar faces are projected together."""
 
     def __init__(self, surfaces: Surfaces) -> None:
         self._surfaces = surfaces
@@ -62,15 +56,7 @@ class Sight:
     def outlines(
         self, camera: Camera, pose: Pose, offsets_m: FloatArray
     ) -> dict[int, list[Outline]]:
-        """The outlines of the visible bodies, by index of the body.
-
-        Parameters
-        ----------
-        camera : Camera
-        pose : Pose
-        offsets_m : ndarray, shape (n_bodies, 3)
-            How far the bodies have moved.
-        """
+        """The outlines of the visible bodies, by index; they have moved by (n_bodies, 3) m."""
         found: dict[int, list[Outline]] = {}
         surfaces = self._surfaces
         # A body that has moved looks like one at rest from where the camera would be then.
@@ -231,11 +217,6 @@ class Order:
     tried are those along the axes and, where none of them separates the two, those along the faces
     of both. Of bodies that cut into each other, and of several that hide each other in a ring, the
     one with the farther middle is painted first.
-
-    Parameters
-    ----------
-    bodies : sequence of Solid or Round
-        Where they are now.
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
@@ -265,14 +246,10 @@ class Order:
     def back_to_front(
         self, eye_m: FloatArray, extents: Mapping[int, tuple[float, float, float, float]]
     ) -> list[int]:
-        """Indices of some bodies, farthest first, as seen from a point.
+        """Indices of some bodies, farthest first, as seen from a point, (3,).
 
-        Parameters
-        ----------
-        eye_m : ndarray, shape (3,)
-        extents : mapping of int to (float, float, float, float)
-            Index of each body, and its left, top, right and bottom in the picture. Bodies that do
-            not overlap there may come in any order.
+        `extents` has the left, top, right and bottom of each body in the picture. Bodies that do
+        not overlap there may come in any order.
         """
         indices = np.array(list(extents), int)
         middles = (self._low[indices] + self._high[indices]) / 2.0

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -13,14 +12,10 @@ from dlgmd_cli.models.base import FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters import ENGINES
 
-# Imported on first use: Numba takes a fifth of a second.
-_HOMES = {
-    "opencv": ("dlgmd_cli.models.engines.opencv", "OpencvEngine"),
-    "numba": ("dlgmd_cli.models.engines.numba", "NumbaEngine"),
-}
 AUTO = "auto"
 # In smaller frames, Numba's start takes longer than it saves in a few hundred frames.
 WORTH_COMPILING_PX = 500_000
+NOT_INSTALLED = "is not installed"
 
 
 class Grouping(NamedTuple):
@@ -40,19 +35,10 @@ class Engine(Protocol):
         grouping: Grouping,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame, in units of luminance.
+        """ΣS and ΣG of the newest frame, in units of luminance; S and G into `layers`, (H, W).
 
-            S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
-            G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
-
-        Parameters
-        ----------
-        receptors : Photoreceptors
-            With P(t) and as many before it as the largest delay.
-        grouping : Grouping
-            Constants of this frame's grouping layer.
-        layers : (ndarray, ndarray), optional
-            Filled with S and G; shape (H, W) float32 each.
+        S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
+        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
         """
         ...
 
@@ -60,42 +46,29 @@ class Engine(Protocol):
 def choose_engine(
     name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
 ) -> str:
-    """Resolve `auto` to the engine that suits the size; any other name stays as it is.
+    """Resolve `auto` to the engine that suits `n_cells` = H · W; other names stay as they are.
 
-    Parameters
-    ----------
-    name : str
-        One of `ENGINES`, or `auto`.
-    n_cells : int
-        H · W of the frames.
-    tell : callable, optional
-        Called with a message if Numba would suit the size but cannot be loaded.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such engine.
-    MissingExtraError
-        If the package that it needs is not installed.
+    Raises ParameterError if there is no such engine, and MissingExtraError if the package that it
+    needs is not there. `tell` is called if Numba would suit the size but cannot be loaded.
     """
     if name not in (*ENGINES, AUTO):
         raise ParameterError(
             "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
         )
-    if name == "numba" and (fault := _fault_of_numba()):
+    if name == "opencv" or (name == AUTO and n_cells < WORTH_COMPILING_PX):
+        return "opencv"
+    fault = _fault_of_numba()
+    if fault is None:
+        return "numba"
+    if name == "numba":
         raise MissingExtraError(
             "--engine numba",
             f"the package 'numba' {fault}",
             "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.",
         )
-    if name != AUTO:
-        return name
-    if n_cells < WORTH_COMPILING_PX or not _is_installed("numba"):
-        return "opencv"
-    fault = _fault_of_numba()
-    if fault:
+    if fault != NOT_INSTALLED:
         tell(f"The package 'numba' {fault}; the engine is opencv.")
-    return "opencv" if fault else "numba"
+    return "opencv"
 
 
 def require_opencv(name: str, model: str) -> str:
@@ -110,30 +83,22 @@ def require_opencv(name: str, model: str) -> str:
 def create_engine(
     name: str, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
 ) -> Engine:
-    """An engine by its name, for frames like those of `receptors`.
+    """An engine, imported on first use, for frames like those of `receptors`.
 
     `tell` is called with a message before something that takes long.
     """
-    module, kind = _HOMES[name]
-    engine: Engine = getattr(import_module(module), kind)(connections, receptors, tell)
+    kind = getattr(import_module(f"{__name__}.{name}"), f"{name.title()}Engine")
+    engine: Engine = kind(connections, receptors, tell)
     return engine
-
-
-def _is_installed(package: str) -> bool:
-    """Whether a package is there, without importing it."""
-    try:
-        return find_spec(package) is not None
-    except ValueError:  # sys.modules says that it is absent
-        return False
 
 
 def _fault_of_numba() -> str | None:
     """Why Numba cannot be used, or None."""
-    if not _is_installed("numba"):
-        return "is not installed"
     try:
         import_module("numba")
     except Exception as error:  # it refuses, for one, a NumPy that is too new for it
+        if isinstance(error, ModuleNotFoundError) and error.name == "numba":
+            return NOT_INSTALLED
         return f"cannot be loaded ({str(error) or type(error).__name__})"
     return None
 

@@ -5,7 +5,7 @@ so that it convolves as well.
 """
 
 from collections.abc import Callable
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -13,7 +13,7 @@ import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
 from dlgmd_cli.models.engines import Grouping, just_below
-from dlgmd_cli.models.engines.plan import Filter, Separable, Source, plan
+from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
 # Three float32 images of this size stay in a cache of 2 MB.
@@ -26,18 +26,14 @@ Window = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
-    """A part of the image, and the surroundings that its result depends on.
+    """A part of the image, `target`, with the surroundings it depends on, `window`.
 
-    `window` is the tile and its surroundings, and `target` the tile itself, both in the image;
-    `core` is the tile itself and `grouped` what its grouping looks at, both in `window`; `inner` is
-    the tile itself in `grouped`.
+    Both are places in the image; `core` is the place of the tile in `window`.
     """
 
     window: Window
     target: Window
     core: Window
-    grouped: Window
-    inner: Window
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -53,11 +49,7 @@ class OpencvEngine:
         self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
     ) -> None:
         kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
-        terms = sorted(plan(kernels, connections.gaussians), key=lambda term: term.source)
-        self._groups = [
-            (source, [term.filter for term in group])
-            for source, group in groupby(terms, lambda term: term.source)
-        ]
+        self._filters = plan(kernels, connections.gaussians)
         _, height, width = receptors.stack.shape
         self._tiles = tiles((height, width), connections.radius_px)
         largest = max(height * width for height, width in (tile.shape for tile in self._tiles))
@@ -73,16 +65,14 @@ class OpencvEngine:
         s_sum = g_sum = 0.0
         for tile in self._tiles:
             height, width = tile.shape
-            s, part, spare = (m[: height * width].reshape(height, width) for m in self._memory)
-            self._summate(receptors, tile, s, part, spare)
+            s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
+            self._summate(receptors, tile, s, part, g)
             s_sum += cv2.sumElems(s[tile.core])[0]
-            around = part[tile.grouped]
-            sum_4x4(s[tile.grouped], out=around)
-            g = spare[tile.core]
-            _group(s[tile.core], around[tile.inner], grouping, g)
-            g_sum += cv2.sumElems(g)[0]
+            sum_4x4(s, out=part)
+            _group(s[tile.core], part[tile.core], grouping, g[tile.core])
+            g_sum += cv2.sumElems(g[tile.core])[0]
             if layers is not None:
-                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g
+                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
         return s_sum, g_sum
 
     def _summate(
@@ -95,7 +85,7 @@ class OpencvEngine:
     ) -> None:
         """S on the window of a tile; correct wherever the kernels stay inside the window."""
         is_first = True
-        for source, filters in self._groups:
+        for source, filters in self._filters.items():
             image = _floats(receptors, source, tile.window, spare)
             for one in filters:
                 apply(one, image, out=s if is_first else part)
@@ -109,10 +99,11 @@ class OpencvEngine:
 
 def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
     """Filter `image` into `out`, both (H, W)."""
-    if isinstance(one, Separable):
-        cv2.sepFilter2D(image, -1, one.row, one.column, dst=out, borderType=_BORDER)
+    if len(one) == 2:
+        column, row = one
+        cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
-        cv2.filter2D(image, -1, one.kernel, dst=out, borderType=_BORDER)
+        cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
@@ -136,17 +127,10 @@ def _spans(side: int, limit: int) -> list[tuple[int, int]]:
     return list(pairwise(side * i // count for i in range(count + 1)))
 
 
-def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, ...]:
+def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, slice, slice]:
     """The fields of a `Tile` along one side, for the cells `start` up to `stop`."""
-    first, last = max(0, start - BEFORE), min(side, stop + AFTER)
-    begin, end = max(0, first - radius), min(side, last + radius)
-    return (
-        slice(begin, end),
-        slice(start, stop),
-        slice(start - begin, stop - begin),
-        slice(first - begin, last - begin),
-        slice(start - first, stop - first),
-    )
+    begin, end = max(0, start - BEFORE - radius), min(side, stop + AFTER + radius)
+    return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
 def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
