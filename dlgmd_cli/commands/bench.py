@@ -14,6 +14,20 @@ from dlgmd_cli.commands.options import FiniteRange, decoder_option, engine_optio
 from dlgmd_cli.commands.progress import progress
 
 TABLE_IV_SET = 7
+# Title of a column, what of a row it shows, and how.
+_COLUMNS = {
+    "r": ("radius", "d"),
+    "scale": ("scale", "g"),
+    "size": ("size", ""),
+    "engine": ("engine", ""),
+    "frames/s": ("frames_per_s", ".0f"),
+    "core ms": ("core_ms", ".3f"),
+    "decode ms": ("decode_ms", ".3f"),
+    "whole ms": ("whole_ms", ".3f"),
+    "120 frames s": ("whole_s", ".2f"),
+    "paper s": ("paper_s", ".2f"),
+    "ratio": ("ratio", ".1f"),
+}
 
 
 @click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
@@ -87,11 +101,10 @@ def bench(
     radii = tuple(dict.fromkeys(radii)) or RADII
     scales = tuple(dict.fromkeys(scales)) or SCALES
     csv_paths = () if csv_path is None else (csv_path,)
-    for path in csv_paths:
-        refuse_existing(path, overwrite=overwrite, option="--csv")
     with appearing(*csv_paths, option="--csv") as files:
-        for file in files:  # refused at once, not after minutes
-            file.touch()
+        for path, file in zip(csv_paths, files, strict=True):
+            refuse_existing(path, overwrite=overwrite, option="--csv")
+            file.touch()  # refused at once, not after minutes
         n_steps = repeats * len(radii) * len(scales)
         with _clip(input_path, n_frames) as clip, progress("bench", n_steps, "step") as on_step:
             measured = measure(
@@ -108,7 +121,10 @@ def bench(
             )
         for warning in measured["warnings"]:
             warn(f"{input_path or 'the clip'}: {warning}")
-        _show(measured, as_json=as_json)
+        if as_json:
+            print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
+        else:
+            _show(measured)
         for file in files:
             _write_csv(file, measured["rows"])
     if csv_path is not None and not as_json:
@@ -129,61 +145,34 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
         say(f"Rendering {n_frames} frames of {width}x{height}.")
-        frames = pan_frames((height, width), n_frames)
-        write_video(path, frames, (height, width), 30.0)
+        write_video(path, pan_frames((height, width), n_frames), (height, width), 30.0)
         yield str(path)
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    """The rows as they are, empty where a value is not known."""
     from dlgmd_cli.results.csv import cell, write_rows
 
-    write_rows(
-        path,
-        list(rows[0]),
-        (
-            [
-                value if isinstance(value, str) else cell(math.nan if value is None else value)
-                for value in row.values()
-            ]
-            for row in rows
-        ),
-    )
+    def text(value: Any) -> str:
+        return value if isinstance(value, str) else cell(math.nan if value is None else value)
+
+    write_rows(path, list(rows[0]), (list(map(text, row.values())) for row in rows))
 
 
-def _show(measured: dict[str, Any], *, as_json: bool) -> None:
+def _show(measured: dict[str, Any]) -> None:
     """The table, and how long the whole takes compared with decoding alone."""
     rows, alone_ms = measured["rows"], measured["decoding_alone_ms"]
-    if as_json:
-        print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
-        return
-    print_table(
-        (
-            *("r", "scale", "size", "engine", "frames/s", "core ms", "decode ms", "whole ms"),
-            *("120 frames s", "paper s", "ratio"),
-        ),
-        [
-            (
-                str(row["radius"]),
-                f"{row['scale']:g}",
-                f"{row['width']}x{row['height']}",
-                row["engine"],
-                f"{row['frames_per_s']:.0f}",
-                *(f"{row[name]:.3f}" for name in ("core_ms", "decode_ms", "whole_ms")),
-                f"{row['whole_s']:.2f}",
-                "" if row["paper_s"] is None else f"{row['paper_s']:.2f}",
-                "" if row["ratio"] is None else f"{row['ratio']:.1f}",
-            )
-            for row in rows
-        ],
-    )
-    shares = ", ".join(
-        f"{row['whole_ms'] / alone_ms:.2f} times as long at {row['width']}x{row['height']}"
-        for row in rows
-        if row["radius"] == rows[0]["radius"]
-    )
+    cells, shares = [], []
+    for row in rows:
+        size = f"{row['width']}x{row['height']}"
+        shown = [({**row, "size": size}[key], look) for key, look in _COLUMNS.values()]
+        cells.append(tuple("" if value is None else format(value, look) for value, look in shown))
+        if row["radius"] == rows[0]["radius"]:
+            shares.append(f"{row['whole_ms'] / alone_ms:.2f} times as long at {size}")
+    print_table(tuple(_COLUMNS), cells)
     width, height = measured["input_wh"]
     click.echo(
         f"Decoding {measured['frames']} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
         f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole takes "
-        f"{shares}."
+        f"{', '.join(shares)}."
     )

@@ -1,7 +1,6 @@
 """`dlgmd sweep`: a model over a grid of two of its parameters."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -30,21 +29,18 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import Parameters, parse_overrides
 
 if TYPE_CHECKING:
-    from dlgmd_cli.results.sweep import Grid, SweepResult
+    from dlgmd_cli.results.sweep import Grid
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.runs.sweep import Subject
-    from dlgmd_cli.video.frames import Frame
 
-SCENE = "translating-cubes"
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
-MAX_FRAMES = 75
 # The parameters of the paper's Fig. 11, without those that it varies.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 _AXIS_HELP = "A parameter and its values: KEY=FROM:TO:STEP, or KEY=VALUE,VALUE."
 _INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
 
 cube_options = option_group(
-    "cubes",
+    "shape",
     dict,
     click.option(
         "--speed",
@@ -66,7 +62,7 @@ cube_options = option_group(
         type=int,
         metavar="N",
         help="Without INPUT: length of each clip.  [default: as many frames as the fastest cube "
-        f"is in sight, {MAX_FRAMES} at most]",
+        "is in sight, 75 at most]",
     ),
 )
 
@@ -99,7 +95,7 @@ def sweep(
     input_path: str | None,
     x: str,
     y: str,
-    cubes: dict[str, Any],
+    shape: dict[str, Any],
     false_positive_frame: int | None,
     asked: dict[str, Any],
     given: dict[str, Any],
@@ -120,42 +116,54 @@ def sweep(
     Writes OUT/sweep-NAME/ with sweep.csv, one row per grid point and speed, a figure, and
     sweep.yaml. Points are kept as they are done: after an interruption, the same command continues.
     """
+    import numpy as np
+
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.sweep import Sweep, engine_for
+    from dlgmd_cli.runs.run import input_options as options_of
+    from dlgmd_cli.runs.sweep import FIGURE, Sweep, film
     from dlgmd_cli.threads import n_processors
 
-    _refuse_others(input_path, cubes, {**given, "false_positive_frame": false_positive_frame})
+    _refuse_others(input_path, shape, {**given, "false_positive_frame": false_positive_frame})
     setup = _setup(asked, of_cubes=input_path is None)
     grid = _grid(x, y, type(setup.params), asked)
-    with _subject(input_path, setup, cubes, given, false_positive_frame) as subject:
+    with ExitStack() as opened:
+        if input_path is None:
+            subject = _cubes(shape, given["size"] or DEFAULT_SIZE, grid, setup.params)
+        else:
+            options = options_of(setup, given)
+            video = opened.enter_context(options.open(input_path))
+            subject = film(input_path, video, options, false_positive_frame)
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
-        engine = engine_for(setup.params, setup.engine, subject.size_wh, say)
-        swept = Sweep(folder, subject, grid, setup.params, setup.label, engine)
-        done, n_points = swept.result.done, len(swept.points)
-        with store.locked(folder):
-            swept.resume(overwrite=output.overwrite)
-            if done:
-                say(f"{len(done)} of {n_points} points are already done.")
-            try:
-                swept.compute(jobs or n_processors(), tell=say, progress=progress)
-            except Exception:
-                if done:
-                    say(
-                        f"{folder} holds {len(done)} of {n_points} points; "
-                        "the same command continues from there."
-                    )
-                raise
-            if swept.fault is not None:
-                n_left_out = f"{len(grid) - n_points} of {len(grid)}"
-                warn(f"{n_left_out} points cannot be computed: {swept.fault.why}")
-            for warning in swept.warnings:
-                warn(f"{input_path or subject.name}: {warning}")
-            swept.finish(_figures(swept.result, width, output.formats))
-    print_table(("", "least", "at", "greatest", "at"), swept.result.extremes())
-    if swept.result.has_infinite("distinguishability"):
+        swept = Sweep(folder, subject, grid, setup, say)
+        result, n_points = swept.result, len(swept.points)
+        opened.enter_context(store.locked(folder))
+        swept.resume(overwrite=output.overwrite)
+        if result.done:
+            say(f"{len(result.done)} of {n_points} points are already done.")
+        try:
+            swept.compute(jobs or n_processors(), progress=progress)
+        except Exception:
+            if result.done:
+                held = f"{folder} holds {len(result.done)} of {n_points} points"
+                say(f"{held}; the same command continues from there.")
+            raise
+        if swept.fault is not None:
+            left_out = f"{len(grid) - n_points} of {len(grid)} points"
+            warn(f"{left_out} cannot be computed: {swept.fault.why}")
+        for warning in swept.warnings:
+            warn(f"{input_path or subject.name}: {warning}")
+        figures = {}
+        if output.formats:
+            from dlgmd_cli.plots.style import figure_files
+            from dlgmd_cli.plots.sweeps import plot_sweep
+
+            figures = figure_files({FIGURE: partial(plot_sweep, result, width)}, output.formats)
+        swept.finish(figures)
+    print_table(("", "least", "at", "greatest", "at"), result.extremes())
+    if np.isinf(result.columns.get("distinguishability", 0.0)).any():
         print_table(("",), [(_INFINITE,)])
     print_path(folder)
-    end_if_interrupted(folder, len(done), complete=True)
+    end_if_interrupted(folder, n_points, complete=True)
 
 
 def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict[str, Any]) -> None:
@@ -198,80 +206,14 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
     return Grid(*axes)
 
 
-@contextmanager
-def _subject(
-    input_path: str | None,
-    setup: "Setup",
-    cubes: dict[str, Any],
-    given: dict[str, Any],
-    false_positive_frame: int | None,
-) -> "Iterator[Subject]":
-    """What the models look at."""
-    if input_path is None:
-        yield _cubes(cubes, given["size"] or DEFAULT_SIZE)
-        return
-    from dlgmd_cli.runs import run as runs
-    from dlgmd_cli.runs.sweep import video_subject
+def _cubes(
+    shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
+) -> "Subject":
+    """The cubes that the options ask for, with as many rows as any kernel of the grid reaches."""
+    from dlgmd_cli.runs.sweep import cubes
 
-    options = runs.input_options(setup, given)
-    with options.open(input_path) as video:
-        yield video_subject(input_path, video, options, false_positive_frame)
-
-
-def _cubes(asked: dict[str, Any], size_wh: tuple[int, int]) -> "Subject":
-    """Black cubes over white, each alone in its clip."""
-    from dlgmd_cli.runs.sweep import Subject
-    from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
-    from dlgmd_cli.video.frames import Frame
-
-    scene, (width, height) = Translation(SCENE, "", TranslationOptions()), size_wh
-    speeds_px = tuple(dict.fromkeys(asked["speed"])) or DEFAULT_SPEEDS_PX
-    side_px = DEFAULT_SIDE_PX if asked["cube_size"] is None else asked["cube_size"]
-    flags: dict[str, Any] = {
-        "--size": (height, width),
-        "--object-size": side_px,
-        "--contrast": -1.0,
-        "--background": 1.0,
-        "--frames": asked["frames"],
-    }
-    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
-    n_frames = asked["frames"]
-    if n_frames is None:
-        n_frames = min(MAX_FRAMES, *map(scene.n_frames, each))
-        # With an odd number, cubes at whole px/frame are at whole pixels.
-        n_frames -= 1 - n_frames % 2
-    each = [replace(options, n_frames=n_frames) for options in each]
-
-    def clips(reach_px: int | None) -> "Iterator[Iterable[Frame]]":
-        margin = height if reach_px is None else reach_px + 1
-        first = max(0, int((height - side_px) / 2) - margin)
-        rows = slice(first, height - first)
-        for options in each:
-            pictures = enumerate(scene.frames(options))
-            yield (Frame(index, index / options.fps, one[rows]) for index, one in pictures)
-
-    def too_short(n_given: int, label: str, n_needed: int) -> ParameterError:
-        frames = f"{n_given} frame{'s' * (n_given > 1)}"
-        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
-        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
-
-    record = {"side_px": side_px, "frames": n_frames, "width": width, "height": height}
-    return Subject(
-        name=SCENE,
-        size_wh=size_wh,
-        clips=clips,
-        speeds_px=speeds_px,
-        settings={"cubes": {"speeds_px": list(speeds_px), **record}},
-        too_short=too_short,
-    )
-
-
-def _figures(result: "SweepResult", width: Any, formats: tuple[str, ...]) -> dict[str, Any]:
-    """What writes the figure in each format, by its name."""
-    if not formats:
-        return {}
-    from dlgmd_cli.plots.style import figure_files
-    from dlgmd_cli.plots.sweeps import plot_sweep
-    from dlgmd_cli.runs.sweep import FIGURE
-
-    return figure_files({FIGURE: partial(plot_sweep, result, width)}, formats)
+    speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
+    side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
+    radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
+    reach_px = max([*radii, getattr(params, "r", size_wh[1])])
+    return cubes(speeds_px, side_px, shape["frames"], size_wh, reach_px)

@@ -2,20 +2,18 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import Parameters, Spec
 from dlgmd_cli.results.csv import cell
-
-Series = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from dlgmd_cli.results.result import Flags, Series
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # A range ends at TO if a whole number of steps leads there but for this share of one.
@@ -25,16 +23,9 @@ _HINT = "Write KEY=FROM:TO:STEP, such as sigma_e=0.2:2:0.1, or KEY=VALUE,VALUE."
 
 @dataclass(frozen=True)
 class Axis:
-    """A parameter and its values, in the parameter's own type.
+    """A parameter and its values: at least one, in the parameter's own type, numbers in order.
 
-    Attributes
-    ----------
-    key : str
-        The parameter.
-    spec : Spec
-        What it means.
-    values : tuple
-        Different ones, at least one; numbers in order. They may lie out of the key's range.
+    They may lie out of the parameter's range.
     """
 
     key: str
@@ -43,25 +34,10 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str, kind: type[Parameters]) -> "Axis":
-        """The axis that `text` describes.
+        """The axis that `text` describes, for parameters of that kind; raises ParameterError.
 
-        Parameters
-        ----------
-        text : str
-            ``KEY=FROM:TO:STEP``, TO included where the steps lead there, or ``KEY=VALUE,VALUE``.
-        kind : type of Parameters
-            The parameters of the model.
-
-        Raises
-        ------
-        ParameterError
-            If it does not describe one.
-
-        Examples
-        --------
-        >>> from dlgmd_cli.parameters import DlgmdParameters
-        >>> Axis.parse("sigma_e=0.2:0.5:0.1", DlgmdParameters).values
-        (0.2, 0.3, 0.4, 0.5)
+        `text` is ``KEY=FROM:TO:STEP``, TO included where the steps lead there, or
+        ``KEY=VALUE,VALUE``.
         """
         key, equals, rest = (part.strip() for part in text.partition("="))
         if not equals or not key or not rest:
@@ -76,8 +52,7 @@ class Axis:
         if len(set(values)) < len(values):
             twice = next(value for value in values if values.count(value) > 1)
             raise ParameterError("", f"{key} = {twice} appears twice", "Give every value once.")
-        axis = cls(key, spec, tuple(values))
-        return cls(key, spec, tuple(sorted(values))) if axis.is_numeric else axis
+        return cls(key, spec, tuple(values if isinstance(default, bool | str) else sorted(values)))
 
     @property
     def is_numeric(self) -> bool:
@@ -87,21 +62,12 @@ class Axis:
     def __len__(self) -> int:
         return len(self.values)
 
-    def to_record(self) -> dict[str, Any]:
-        """Key and values, as `sweep.yaml` holds them."""
-        return {"key": self.key, "values": list(self.values)}
-
 
 @dataclass(frozen=True)
 class Grid:
-    """Every value of one parameter with every value of another.
+    """Every value of one parameter with every value of another, numbered along x, row after row.
 
-    Its points are numbered along x, row after row of y.
-
-    Raises
-    ------
-    ParameterError
-        If both axes are the same parameter, or there are too many points.
+    Raises ParameterError if both are the same parameter, or there are too many points.
     """
 
     x: Axis
@@ -109,15 +75,11 @@ class Grid:
 
     def __post_init__(self) -> None:
         if self.x.key == self.y.key:
-            raise ParameterError(
-                "", f"--x and --y are both {self.x.key}", "Choose another parameter for one."
-            )
+            why = f"--x and --y are both {self.x.key}"
+            raise ParameterError("", why, "Choose another parameter for one.")
         if len(self) > MAX_POINTS:
-            raise ParameterError(
-                "",
-                f"{len(self.x)} x {len(self.y)} points are more than {MAX_POINTS}",
-                "Take larger steps.",
-            )
+            why = f"{len(self.x)} x {len(self.y)} points are more than {MAX_POINTS}"
+            raise ParameterError("", why, "Take larger steps.")
 
     def __len__(self) -> int:
         return len(self.x) * len(self.y)
@@ -163,11 +125,7 @@ class SweepResult:
 
     @classmethod
     def empty(
-        cls,
-        grid: Grid,
-        speeds_px: tuple[float, ...],
-        names: Iterable[str],
-        possible: Iterable[int],
+        cls, grid: Grid, speeds_px: tuple[float, ...], names: Iterable[str], possible: Iterable[int]
     ) -> "SweepResult":
         """A result without any point; `possible` are the numbers of those that can be computed."""
         shape = (len(speeds_px) or 1, *grid.shape)
@@ -175,9 +133,10 @@ class SweepResult:
         columns = {name: np.full(shape, np.nan) for name in names}
         return cls(grid, speeds_px, columns, is_possible, set())
 
-    def has_infinite(self, column: str) -> bool:
-        """Whether there is a column of that name that is infinite anywhere."""
-        return bool(np.isinf(self.columns.get(column, 0.0)).any())
+    @property
+    def n_clips(self) -> int:
+        """How many clips the models see at every point."""
+        return len(self.speeds_px) or 1
 
     @property
     def header(self) -> list[str]:
@@ -187,15 +146,14 @@ class SweepResult:
 
     def put(self, point: int, values: Sequence[Sequence[float]]) -> None:
         """Take in a point; `values` are those of the columns, for each clip."""
-        for clip, numbers in enumerate(values):
-            for column, number in zip(self.columns.values(), numbers, strict=True):
-                column[clip].flat[point] = number
+        for column, numbers in zip(self.columns.values(), zip(*values, strict=True), strict=True):
+            column.reshape(self.n_clips, -1)[:, point] = numbers
         self.done.add(point)
 
     def rows(self, points: Iterable[int]) -> Iterator[list[str]]:
         """The rows of `sweep.csv`, one per grid point and speed, clip by clip."""
         points = list(points)
-        for clip in range(len(self.speeds_px) or 1):
+        for clip in range(self.n_clips):
             for point in points:
                 values = [column[clip].flat[point] for column in self.columns.values()]
                 yield [*self._key(clip, point), *map(cell, values)]
@@ -210,39 +168,31 @@ class SweepResult:
         rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()]
         if rows[:1] != [self.header]:
             return
-        n_clips, n_keys = len(self.speeds_px) or 1, len(self.header) - len(self.columns)
-        known = {
-            self._key(clip, point): (clip, point)
-            for clip in range(n_clips)
-            for point in np.flatnonzero(self.is_possible).tolist()
-        }
-        found: dict[int, dict[int, list[float]]] = {}
-        for row in rows:
-            place = known.get(tuple(row[:n_keys]))
-            numbers = _numbers(row[n_keys:])
-            if place is not None and len(numbers) == len(self.columns):
-                found.setdefault(place[1], {})[place[0]] = numbers
-        for point, clips in found.items():
-            if len(clips) == n_clips:
-                self.put(point, [clips[clip] for clip in range(n_clips)])
+        n_keys = len(self.header) - len(self.columns)
+        found = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
+        for point in np.flatnonzero(self.is_possible).tolist():
+            with suppress(KeyError, ValueError):  # a row is missing, or not of numbers
+                clips = [found[self._key(clip, point)] for clip in range(self.n_clips)]
+                self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
 
     def extremes(self) -> list[tuple[str, ...]]:
         """The least and the greatest value of every measure, and where: rows of a table."""
         rows = []
         for name, clips in self.columns.items():
             for clip, values in enumerate(clips):
-                title = f"{name}, {self.speeds_px[clip]:g} px/frame" if self.speeds_px else name
-                row = [title]
-                for of in (np.nanargmin, np.nanargmax):
-                    if np.isnan(values).all():
-                        row += ["–", ""]
-                        continue
-                    point = int(of(values))
-                    x, y = map(_parameter, self.grid.values(point))
-                    place = f"{self.grid.x.key} {x}, {self.grid.y.key} {y}"
-                    row += [f"{values.flat[point]:.6g}", place]
+                row = [f"{name}, {self.speeds_px[clip]:g} px/frame" if self.speeds_px else name]
+                if np.isnan(values).all():
+                    row += ["–", ""] * 2
+                else:
+                    row += self._at(values, int(np.nanargmin(values)))
+                    row += self._at(values, int(np.nanargmax(values)))
                 rows.append(tuple(row))
         return rows
+
+    def _at(self, values: Series, point: int) -> tuple[str, str]:
+        """A value, and the parameters of its point."""
+        x, y = map(_parameter, self.grid.values(point))
+        return f"{values.flat[point]:.6g}", f"{self.grid.x.key} {x}, {self.grid.y.key} {y}"
 
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
         """The cells that say which point and clip a row is of."""
@@ -258,14 +208,6 @@ def _parameter(value: Any) -> str:
         return value
     short = cell(value)
     return short if float(short) == value else repr(value)
-
-
-def _numbers(cells: Iterable[str]) -> list[float]:
-    """The numbers in some cells, NaN where one is empty; nothing if one holds something else."""
-    try:
-        return [float(text or "nan") for text in cells]
-    except ValueError:
-        return []
 
 
 def _range(text: str) -> list[str]:
@@ -286,18 +228,16 @@ def _range(text: str) -> list[str]:
 
 
 def _too_many(count: int) -> ParameterError:
-    return ParameterError(
-        "", f"{count} values are more than {MAX_VALUES}", "Take larger steps, or a shorter range."
-    )
+    why = f"{count} values are more than {MAX_VALUES}"
+    return ParameterError("", why, "Take larger steps, or a shorter range.")
 
 
 def _typed(key: str, word: str, default: Any, spec: Spec) -> Any:
     """One value in the key's own type."""
     if isinstance(default, bool | str):
         if word not in (spec.choices or ("true", "false")):
-            raise ParameterError(
-                "", f"{key} = {word[:40]!r} is not one of {spec.allowed}", f"Write {key}=A,B."
-            )
+            why = f"{key} = {word[:40]!r} is not one of {spec.allowed}"
+            raise ParameterError("", why, f"Write {key}=A,B.")
         return word if spec.choices else word == "true"
     try:
         number = float(word)

@@ -6,9 +6,10 @@ appended as points are done. Both are written anew at the end, the record last.
 
 import csv
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,17 @@ import yaml
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
-from dlgmd_cli.models.base import Grey, create_model
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
-from dlgmd_cli.parameters import DlgmdParameters, Parameters
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
-from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.sweep import Grid, Series, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Tell, input_identity, input_record, too_short
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.sweep import Grid, SweepResult
+from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, too_short
+from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
@@ -41,171 +43,137 @@ RESPONSE_COLUMNS = (
 )
 # Cells that a task of a process steps through, some tenth of a second: shorter ones cost more.
 _CELLS_PER_TASK = 20_000_000
+# What is in a record that does not tell one sweep from another.
+_OUTCOME = ("input", "processed", "warnings", "complete", "summary")
 
-# Of each clip, the numbers of the columns that a sweep has.
-Values = tuple[tuple[float, ...], ...]
+# Number and parameters of a point; of each clip, the numbers of the columns that a sweep has.
 Point = tuple[int, Parameters]
+Values = list[tuple[float, ...]]
+# A temporary file of frames, and what one of them is made of.
+Clip = tuple[Path, np.dtype[np.void]]
 # Name, total (None if it is not known) and unit -> what is called with the number that is done.
 Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
+def _nothing(*_: Any) -> None:
+    """For who does not want to be told."""
+
+
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> Clip:
+    """Write frames of one size and type, at least one, into a file that any process can map."""
+    with path.open("wb") as file:
+        for one in frames:
+            cancel.check()
+            picture = ("grey", one.grey.dtype, one.grey.shape)
+            kind = np.dtype([("frame", np.int64), ("time_s", np.float64), picture], align=True)
+            file.write(np.array((one.index, one.time_s, one.grey), kind).tobytes())
+            on_frame(one.index + 1)
+    return path, kind
+
+
+def _mapped(clip: Clip) -> npt.NDArray[np.void]:
+    """Number, time and picture of every frame, read from the file as they are needed."""
+    return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
+
+
 @dataclass(frozen=True)
 class Subject:
-    """What the models of a sweep look at.
+    """What the models of a sweep look at: a video, or cubes, one clip a speed.
 
-    Attributes
-    ----------
-    name : str
-        What results are called.
-    size_wh : (int, int)
-        Width and height of the frames, in px.
-    clips : callable
-        The frames of each clip. Rows farther than so many px from any change may be left out;
-        None asks for all.
-    speeds_px : tuple of float
-        Of each clip, the speed of its cube in px/frame; empty for a video, of which the response
-        is measured instead of attenuation alone.
-    settings : dict
-        What it adds to the record's `sweep`.
-    too_short : callable
-        From the number of frames, the model's label and the number that it needs to the error.
-    options : dict
-        What is read of a video, as the record has it.
-    identity : dict
-        What tells a video from others.
-    facts : callable
-        What the record says of a video of so many frames, once they are read.
+    `settings` is what it adds to the record. Of a video, which was opened as `asked`, the response
+    is measured; of cubes, only attenuation.
     """
 
     name: str
     size_wh: tuple[int, int]
-    clips: Callable[[int | None], Iterable[Iterable[Frame]]]
-    speeds_px: tuple[float, ...]
+    clips: Sequence[Iterable[Frame]]
     settings: dict[str, Any]
-    too_short: Callable[[int, str, int], DlgmdError]
-    n_expected: int | None = None
-    options: dict[str, Any] = field(default_factory=dict)
-    identity: dict[str, Any] = field(default_factory=dict)
-    facts: Callable[[int], dict[str, Any]] = lambda n_frames: {"warnings": []}
+    speeds_px: tuple[float, ...] = ()
+    video: Video | None = None
+    path: str = ""
+    asked: InputOptions = field(default_factory=InputOptions)
 
 
-def video_subject(
-    path: str, video: Video, options: InputOptions, false_positive_frame: int | None = None
+def film(path: str, video: Video, asked: InputOptions, false_positive_frame: int | None) -> Subject:
+    """A video, or pictures; distinguishability needs a frame where a response is a mistake."""
+    settings = {"false_positive_frame": false_positive_frame}
+    name, size_wh = video.info.name, video.size_wh
+    return Subject(name, size_wh, [video], settings, video=video, path=path, asked=asked)
+
+
+def cubes(
+    speeds_px: Sequence[float],
+    side_px: float,
+    n_frames: int | None,
+    size_wh: tuple[int, int],
+    reach_px: int,
 ) -> Subject:
-    """A video, or pictures, that `path` led to.
+    """Black cubes that cross a white picture, without rows farther than `reach_px` from them.
 
-    Parameters
-    ----------
-    path : str
-        As the user gave it.
-    video : Video
-        Open; it may be closed when the sweep is done.
-    options : InputOptions
-        How it was opened.
-    false_positive_frame : int, optional
-        Where a response is a mistake, for distinguishability.
+    Without `n_frames`, all are in sight for as long as the fastest, 75 frames at most.
     """
-    identity = {**input_identity(video.info, path), "decoder": video.info.decoder}
+    scene = Translation("translating-cubes", "", TranslationOptions())
+    (width, height), speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
+    flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
+    flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
+    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
+    if n_frames is None:
+        n_frames = min(map(scene.n_frames, each))
+        # With an odd number, cubes at whole px/frame are at whole pixels.
+        n_frames -= 1 - n_frames % 2
+    above = max(0, int((height - side_px) / 2) - reach_px - 1)
 
-    def frames() -> Iterator[Frame]:
-        with opencv_threads(1), read_ahead(video) as ahead:
-            yield from ahead
+    def frames(options: TranslationOptions) -> Iterator[Frame]:
+        for index, picture in enumerate(scene.frames(options)):
+            yield Frame(index, index / options.fps, picture[above : height - above])
 
-    def facts(n_frames: int) -> dict[str, Any]:
-        known = input_record(video, video.size_wh, n_frames, identity)
-        return {**known, "warnings": list(video.progress.warnings)}
-
-    return Subject(
-        name=video.info.name,
-        size_wh=video.size_wh,
-        clips=lambda reach_px: [frames()],
-        speeds_px=(),
-        settings={"false_positive_frame": false_positive_frame},
-        too_short=lambda n_frames, label, n: too_short(path, video, label, n, options),
-        n_expected=options.n_expected(video.info),
-        options=options.to_record(),
-        identity=identity,
-        facts=facts,
-    )
-
-
-@dataclass(frozen=True)
-class _Clip:
-    """Decoded frames, `shape` (n, H, W), in a temporary file that any process can map."""
-
-    path: Path
-    dtype: str
-    shape: tuple[int, int, int]
-    frame: npt.NDArray[np.int64]
-    time_s: Series
-    is_still: bool
-
-    @classmethod
-    def keep(cls, path: Path, frames: Iterable[Frame], on_frame: OnFrame) -> "_Clip":
-        """Write frames of one size and type, at least one, into a file."""
-        numbers: list[tuple[int, float]] = []
-        first: Grey = np.empty((0, 0))
-        is_still = True
-        with path.open("wb") as file:
-            for one in frames:
-                cancel.check()
-                first = one.grey if not numbers else first
-                is_still = is_still and np.array_equal(one.grey, first)
-                file.write(np.ascontiguousarray(one.grey).data)
-                numbers.append((one.index, one.time_s))
-                on_frame(one.index + 1)
-        frame, time_s = np.array(numbers, dtype=np.float64).T.copy()
-        height, width = first.shape
-        shape = (len(numbers), height, width)
-        return cls(path, first.dtype.name, shape, frame.astype(np.int64), time_s, is_still)
-
-    def open(self) -> Grey:
-        """The frames, read from the file as they are needed."""
-        return np.asarray(np.memmap(self.path, self.dtype, mode="r", shape=self.shape))
+    clips = [frames(replace(options, n_frames=n_frames)) for options in each]
+    record = {"frames": n_frames, "width": width, "height": height}
+    settings = {"cubes": {"speeds_px": list(speeds_px), "side_px": side_px, **record}}
+    return Subject(scene.name, size_wh, clips, settings, speeds_px)
 
 
 @dataclass(frozen=True)
 class _Probe:
     """Computes points of a sweep, in any process."""
 
-    clips: tuple[_Clip, ...]
+    clips: list[Clip]
     engine: str
     columns: tuple[str, ...]
-    by_sequence: bool
+    options: Mapping[str, Any]
     false_positive_frame: int | None
 
-    def __call__(
-        self, batch: Sequence[Point], tell: Tell = lambda message: None
-    ) -> list[tuple[int, Values]]:
+    def __call__(self, batch: Sequence[Point], tell: Tell = _nothing) -> list[tuple[int, Values]]:
         """The numbers of some points, and for each clip the values of the columns."""
-        found = []
         with opencv_threads(1):
-            pictures = [clip.open() for clip in self.clips]
-            for point, params in batch:
-                model = create_model(params, engine=self.engine, tell=tell)
-                values = []
-                for clip, frames in zip(self.clips, pictures, strict=True):
-                    model.reset()
-                    rows = np.empty((4, len(frames)))
-                    for i, (grey, time_s) in enumerate(zip(frames, clip.time_s, strict=True)):
-                        cancel.check()
-                        one = model.step(grey, time_s)
-                        rows[:, i] = one.mp, one.p_sum, one.s_sum, one.attenuation_db
-                    values.append(self._measured(clip, params, rows))
-                found.append((point, tuple(values)))
-        return found
+            return [(point, self._values(params, tell)) for point, params in batch]
 
-    def _measured(self, clip: _Clip, params: Parameters, rows: Series) -> tuple[float, ...]:
+    def _values(self, params: Parameters, tell: Tell) -> Values:
+        """For each clip, the values of the columns."""
+        model = create_model(params, engine=self.engine, tell=tell)
+        values = []
+        for clip in self.clips:
+            model.reset()
+            frames, rows = _mapped(clip), []
+            for grey, time_s in zip(frames["grey"], frames["time_s"], strict=True):
+                cancel.check()
+                one = model.step(grey, time_s)
+                rows.append((one.mp, one.p_sum, one.s_sum, one.attenuation_db))
+            values.append(self._measured(frames, params, np.array(rows).T))
+        return values
+
+    def _measured(
+        self, frames: npt.NDArray[np.void], params: Parameters, rows: Series
+    ) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
         mp, p_sum, s_sum, attenuation_db = rows
         attenuation = _mean_attenuation(attenuation_db)
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
-        _, height, width = clip.shape
-        options = {"normalise": "sequence"} if self.by_sequence else {}
-        record = {"processed": {"width": width, "height": height}, "options": options}
-        sums = (p_sum, s_sum, attenuation_db)
-        result = Result(clip.frame, clip.time_s, mp, *sums, params, record)
+        height, width = frames["grey"].shape[1:]
+        record = {"processed": {"width": width, "height": height}, "options": self.options}
+        clock, sums = (frames["frame"], frames["time_s"]), (p_sum, s_sum, attenuation_db)
+        result = Result(*clock, mp, *sums, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
@@ -230,7 +198,7 @@ def _computed(
         # Compiled in this process first: the others find the code on disk.
         yield from probe(waiting[:1], tell)
         waiting = waiting[1:]
-    n_cells = sum(math.prod(clip.shape) for clip in probe.clips)
+    n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
     if jobs == 1 or len(batches) == 1:
@@ -243,21 +211,6 @@ def _computed(
         yield from outcome.result()
 
 
-def _possible(grid: Grid, base: Parameters) -> tuple[dict[int, Parameters], ParameterError | None]:
-    """The parameters at every point where they are valid; why the first of the others is not."""
-    found: dict[int, Parameters] = {}
-    first_fault = None
-    same = base.to_dict()
-    for point in range(len(grid)):
-        try:
-            found[point] = type(base).from_mapping({**same, **grid.overrides(point)})
-        except ParameterError as error:
-            first_fault = first_fault or error
-    if not found and first_fault is not None:
-        raise ParameterError("--x and --y", first_fault.why, first_fault.mend)
-    return found, first_fault
-
-
 def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
     """The engine that `run` would use on frames of that size; raises what `create_model` does."""
     model = create_model(params, engine=asked)
@@ -267,36 +220,11 @@ def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: T
 
 
 class Sweep:
-    """A sweep and the folder that it is kept in.
+    """A sweep of a model, `setup`, over a grid, and the folder that it is kept in.
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    subject : Subject
-        What the models look at.
-    grid : Grid
-        Parameters that differ.
-    params : Parameters
-        The others.
-    label : str
-        What errors call the model.
-    engine : str
-        What computes it, not `auto`.
-
-    Attributes
-    ----------
-    points : dict of int to Parameters
-        The parameters at all points that are possible.
-    fault : ParameterError or None
-        Why the first of the other points is not.
-    result : SweepResult
-        What is done so far.
-
-    Raises
-    ------
-    ParameterError
-        If no point is possible.
+    `points` holds the parameters at all points that are possible, `fault` why the first of the
+    others is not, `result` what is done so far, and `warnings` what is doubtful about the input.
+    Raises ParameterError if no point is possible. `tell` is called before what takes long.
     """
 
     def __init__(
@@ -304,24 +232,33 @@ class Sweep:
         folder: Path,
         subject: Subject,
         grid: Grid,
-        params: Parameters,
-        label: str,
-        engine: str,
+        setup: Setup,
+        tell: Tell = _nothing,
     ) -> None:
-        self.folder, self.subject, self.grid = folder, subject, grid
-        self.params, self.label, self.engine = params, label, engine
-        self.points, self.fault = _possible(grid, params)
+        self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
+        self.tell, self.engine = tell, engine_for(setup.params, setup.engine, subject.size_wh, tell)
+        self.points: dict[int, Parameters] = {}
+        self.fault: ParameterError | None = None
+        for point in range(len(grid)):
+            try:
+                self.points[point] = replace(setup.params, **grid.overrides(point))  # type: ignore[type-var]
+            except ParameterError as error:
+                self.fault = self.fault or error
+        if self.fault and not self.points:
+            raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
         self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
-        self._facts: dict[str, Any] = {}
+        self._identity: dict[str, Any] = {}
+        if subject.video is not None:
+            info = subject.video.info
+            self._identity = {**input_identity(info, subject.path), "decoder": info.decoder}
+        self.facts: dict[str, Any] = {}
+        self.warnings: list[str] = []
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Take in the points that the folder, which must be there, has of the same sweep.
 
-        Raises
-        ------
-        OutputExistsError
-            If it has other files, or another sweep that may not be replaced.
+        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
         """
         names = {path.name for path in self.folder.iterdir()}
         strays = sorted(name for name in names if not name.startswith(store.PREFIX))
@@ -330,160 +267,138 @@ class Sweep:
             raise OutputExistsError(str(self.folder), why, "Choose another --out.")
         if overwrite or RECORD not in names:
             return
-        before = read_record(self.folder / RECORD)
-        differing = _differing(before, yaml.safe_load(self._text(self._settings())))
-        if self.subject.identity and not store.is_same_input(before, self.subject.identity):
+        before, now = read_record(self.folder / RECORD), yaml.safe_load(self._text(complete=True))
+        swept = before.get("sweep")
+        known = {**before, **(swept if isinstance(swept, dict) else {})}
+        asked = {**now, **now.pop("sweep")}
+        differing = [
+            key for key in asked if key not in (*_OUTCOME, "sweep") and known.get(key) != asked[key]
+        ]
+        if self._identity and not store.is_same_input(before, self._identity):
             differing.append("input")
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             mend = "Add --overwrite to replace it, or choose another --out."
             raise OutputExistsError(str(self.folder), why, mend)
-        self._facts = {k: before[k] for k in ("input", "processed", "warnings") if k in before}
+        self.facts = {key: before[key] for key in ("input", "processed") if key in before}
+        self.warnings = list(before.get("warnings", []))
         self.result.read(self.folder / TABLE)
 
     def compute(
-        self,
-        jobs: int = 1,
-        *,
-        tell: Tell = lambda message: None,
-        progress: Progress = lambda *_: nullcontext(lambda n_done: None),
+        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(_nothing)
     ) -> None:
         """Compute what is not there yet, and append it to the table.
 
-        Raises
-        ------
-        SourceError, ParameterError
-            If there are too few frames for every point.
-        OutputError
-            If something cannot be written.
-        WorkerError
-            If one of several processes dies.
-        Interrupted
-            If the user asks to stop. Points that are done are kept.
+        Points that are done are kept, whatever is raised: SourceError or ParameterError if there
+        are too few frames, OutputError, WorkerError if a process dies, or Interrupted.
         """
-        done = self.result.done
+        done, subject = self.result.done, self.subject
         missing = [one for one in self.points.items() if one[0] not in done]
         if not missing:
             return
         try:
-            clips = self._keep_frames(progress)
-            self._require_an_answer(clips)
-            self._begin()
-            probe = _Probe(
-                clips,
-                self.engine,
-                tuple(self.result.columns),
-                by_sequence=self.subject.options.get("normalise") == "sequence",
-                false_positive_frame=self.subject.settings.get("false_positive_frame"),
-            )
-            with (
-                progress(f"sweep {self.subject.name}", len(self.points), "point") as on_point,
-                (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
-            ):
-                table = csv.writer(file, lineterminator="\n")
-                for point, values in _computed(missing, probe, jobs, tell):
-                    self.result.put(point, values)
-                    table.writerows(self.result.rows([point]))
-                    file.flush()
-                    on_point(len(done))
-        except OSError as error:
-            raise store.unwritable(self.folder, error) from None
+            with store.writing(self.folder):
+                clips = self._keep_frames(progress)
+                for name in () if done else PRODUCTS:
+                    (self.folder / name).unlink(missing_ok=True)
+                self._write_record(complete=False)
+                self._write_table(sorted(done))
+                probe = _Probe(
+                    clips,
+                    self.engine,
+                    tuple(self.result.columns),
+                    subject.asked.to_record(),
+                    subject.settings.get("false_positive_frame"),
+                )
+                with (
+                    progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
+                    (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
+                ):
+                    table = csv.writer(file, lineterminator="\n")
+                    for point, values in _computed(missing, probe, jobs, self.tell):
+                        self.result.put(point, values)
+                        table.writerows(self.result.rows([point]))
+                        file.flush()
+                        on_point(len(done))
         finally:
             with suppress(OSError):
                 store.remove(self.folder, ())
 
     def finish(self, figures: Mapping[str, store.Write]) -> None:
-        """Write the table in order, `figures` by the names of their files, and the record.
-
-        Raises
-        ------
-        OutputError
-            If something cannot be written.
-        """
-        rows = self.result.rows(range(len(self.grid)))
-        text = self._text(self._record(complete=True))
-        files: dict[str, store.Write] = {
-            TABLE: partial(write_rows, header=self.result.header, rows=rows),
-            **figures,
-            RECORD: lambda path: path.write_text(text, encoding="utf-8"),
-        }
-        try:
-            for name, write in files.items():
+        """Write the table in order, `figures` by their files' names, and the record."""
+        with store.writing(self.folder):
+            self._write_table(range(len(self.grid)))
+            for name, write in figures.items():
                 store.write_file(self.folder / name, write)
-        except OSError as error:
-            raise store.unwritable(self.folder, error) from None
+            self._write_record(complete=True)
 
-    @property
-    def warnings(self) -> list[str]:
-        """What is doubtful about the input, a line each."""
-        return list(self._facts.get("warnings", []))
-
-    def _keep_frames(self, progress: Progress) -> tuple[_Clip, ...]:
-        """Write the frames of all clips into files, and note what the record says of them."""
-        subject, clips = self.subject, []
-        radii = [one.r for one in self.points.values() if isinstance(one, DlgmdParameters)]
-        with progress(subject.name, subject.n_expected, "frame") as on_frame:
-            for number, frames in enumerate(subject.clips(max(radii, default=None))):
-                path = self.folder / f"{store.PREFIX}frames-{number}"
-                clips.append(_Clip.keep(path, frames, on_frame))
-        self._facts = subject.facts(len(clips[0].frame))
-        if clips[0].is_still and len(clips[0].frame) > 1:
-            self._facts["warnings"].append("no frame differs from the one before it")
-        return tuple(clips)
-
-    def _require_an_answer(self, clips: Sequence[_Clip]) -> None:
-        """Raise if the shortest clip ends before the model can answer, at every point."""
-        n_frames = min(len(clip.frame) for clip in clips)
-        least = math.inf
+    def _keep_frames(self, progress: Progress) -> list[Clip]:
+        """The frames of all clips in files; raises if they are too few for the model everywhere."""
+        subject, video, clips = self.subject, self.subject.video, []
+        total = None if video is None else subject.asked.n_expected(video.info)
+        with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
+            for number, frames in enumerate(subject.clips):
+                with read_ahead(frames) as ahead:
+                    path = self.folder / f"{store.PREFIX}frames-{number}"
+                    clips.append(keep_frames(path, ahead, on_frame))
+        n_frames = min(len(_mapped(clip)) for clip in clips)
+        n_needed = sys.maxsize
         for params in self.points.values():
-            least = min(least, create_model(params).first_valid_frame + 1)
-            if least <= n_frames:
-                return
-        raise self.subject.too_short(n_frames, self.label, int(least))
+            n_needed = min(n_needed, create_model(params).first_valid_frame + 1)
+            if n_needed <= n_frames:
+                break
+        else:
+            raise self._too_short(n_frames, n_needed)
+        if video is not None:
+            self.facts = input_record(video, video.size_wh, n_frames, self._identity)
+            self.warnings = list(video.progress.warnings)
+        pictures = _mapped(clips[0])["grey"]
+        if all(np.array_equal(one, pictures[0]) for one in pictures):
+            self.warnings.append("no frame differs from the one before it")
+        return clips
 
-    def _begin(self) -> None:
-        """Make the folder that of this sweep, with the points that were taken in."""
-        done = self.result.done
-        for name in () if done else PRODUCTS:
-            (self.folder / name).unlink(missing_ok=True)
-        store.write_text(self.folder / RECORD, self._text(self._record(complete=False)))
-        rows = self.result.rows(sorted(done))
+    def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
+        """The error for fewer frames than the model needs."""
+        subject, label = self.subject, self.setup.label
+        if subject.video is not None:
+            return too_short(subject.path, subject.video, label, n_needed, subject.asked)
+        frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
+        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
+        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
+
+    def _write_table(self, points: Iterable[int]) -> None:
+        """Write the rows of some points in place of the table."""
+        rows = self.result.rows(points)
         write = partial(write_rows, header=self.result.header, rows=rows)
         store.write_file(self.folder / TABLE, write)
 
-    def _settings(self) -> dict[str, Any]:
-        """The part of the record that says what is swept."""
-        axes = {self.grid.x.key, self.grid.y.key}
-        params = self.params.to_dict()
-        swept = {"x": self.grid.x.to_record(), "y": self.grid.y.to_record()}
-        return {
-            "model": self.params.model,
-            "engine": self.engine,
-            **{key: value for key, value in params.items() if key not in axes},
-            "options": self.subject.options,
-            "sweep": {**swept, **self.subject.settings},
-        }
+    def _write_record(self, *, complete: bool) -> None:
+        """Write what is swept, and how far."""
+        store.write_text(self.folder / RECORD, self._text(complete=complete))
 
-    def _record(self, *, complete: bool) -> dict[str, Any]:
+    def _text(self, *, complete: bool) -> str:
         """What `sweep.yaml` says."""
-        summary = {
-            "points": len(self.grid),
-            "computed": len(self.result.done),
-            "impossible": len(self.grid) - len(self.points),
+        axes = {"x": self.grid.x, "y": self.grid.y}
+        swept = [axis.key for axis in axes.values()]
+        params = self.setup.params.to_dict().items()
+        record: dict[str, Any] = {
+            "schema": SCHEMA,
+            **self.facts,
+            "model": self.setup.params.model,
+            "engine": self.engine,
+            **{key: value for key, value in params if key not in swept},
+            "options": self.subject.asked.to_record(),
+            "sweep": {
+                **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
+                **self.subject.settings,
+            },
+            "warnings": self.warnings,
+            "complete": complete,
+            "summary": {
+                "points": len(self.grid),
+                "computed": len(self.result.done),
+                "impossible": len(self.grid) - len(self.points),
+            },
+            "versions": versions(str(self._identity.get("decoder")), self.engine),
         }
-        facts = {key: value for key, value in self._facts.items() if key != "warnings"}
-        outcome = {"warnings": self.warnings, "complete": complete, "summary": summary}
-        return {**facts, **self._settings(), **outcome}
-
-    def _text(self, record: dict[str, Any]) -> str:
-        """A record with the versions, as YAML."""
-        used = versions(str(self.subject.identity.get("decoder")), self.engine)
-        return yaml_text({"schema": SCHEMA, **record, "versions": used}, default_flow_style=None)
-
-
-def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """The keys by which the settings `now` differ from those on record."""
-    swept = before.get("sweep")
-    known = {**before, **(swept if isinstance(swept, dict) else {})}
-    asked = {**now, **now["sweep"]}
-    return [key for key in asked if key != "sweep" and known.get(key) != asked[key]]
+        return yaml_text(record, default_flow_style=None)

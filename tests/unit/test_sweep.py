@@ -11,12 +11,12 @@ from conftest import looming_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.cancel import Interrupted
-from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
+from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
-from dlgmd_cli.runs import sweep as sweeps
+from dlgmd_cli.runs.run import Setup
 from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
 from dlgmd_cli.video.frames import Frame
 
@@ -29,16 +29,12 @@ def axis(text, kind=DlgmdParameters):
     ("text", "values"),
     [
         ("sigma_e=0.2:0.5:0.1", (0.2, 0.3, 0.4, 0.5)),
-        ("sigma_e=0.1:0.35:0.1", (0.1, 0.2, 0.3)),
-        ("sigma_e=0:1:0.333333333", (0.0, 0.333333333, 0.666666666, 0.999999999)),
         ("sigma_e=0:1:0.33333334", (0.0, 0.33333334, 0.66666668, 1.0)),  # not beyond its end
         ("sigma_e = 2 : 2 : 1", (2.0,)),
         ("alpha=-0.2:.2:.2", (-0.2, 0.0, 0.2)),
-        ("alpha=-0.3:0.3:0.3", (-0.3, 0.0, 0.3)),
         ("kappa=1e-4,1E-2, 1e-3", (1e-4, 1e-3, 1e-2)),
         ("r=2:8:3", (2, 5, 8)),
         ("r=2.0:4:1", (2, 3, 4)),
-        ("r=8,2", (2, 8)),
         ("ffi_gd=true,false", (True, False)),
         ("formulation=released,default", ("released", "default")),
     ],
@@ -61,21 +57,17 @@ def test_values_of_a_range_are_what_one_would_write(start, step, count):
     ("text", "why"),
     [
         ("sigma_e", "'sigma_e' is not an axis"),
-        ("=1", "is not an axis"),
         ("r=", "is not an axis"),
         ("sigma_x=1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
         ("r=1:2", "'1:2' is not FROM:TO:STEP in numbers"),
-        ("r=1:2:x", "is not FROM:TO:STEP in numbers"),
         ("r=1:nan:1", "is not FROM:TO:STEP in numbers"),
         ("r=1:1e999999999:1", "is not FROM:TO:STEP in numbers"),
         ("r=1:5:0", "its STEP is not above 0"),
         ("r=5:1:1", "its TO is below its FROM"),
         ("a=0:1:1e-300", "values are more than 1000"),
         (f"a={','.join(map(str, range(MAX_VALUES + 1)))}", "1001 values are more than 1000"),
-        ("a=1,,2", "a = '' is not a number"),
         ("a=1,1.0", "a = 1.0 appears twice"),
         ("a=one", "a = 'one' is not a number"),
-        ("a=inf", "is not a number"),
         ("r=2:3:0.5", "r = 2.5 is not a whole number"),
         ("ffi_gd=0:1:1", "is not one of true, false"),
         ("formulation=printed", "is not one of default, released, equations"),
@@ -106,51 +98,42 @@ def test_grid_counts_along_x():
         Grid(axis("a=0.1:100:0.1"), axis("sigma_e=1:11:0.1"))
 
 
-def table(x="r=2,3", y="ffi_gd=true,false", speeds=(1.0, 2.5), possible=range(4)):
-    return SweepResult.empty(Grid(axis(x), axis(y)), speeds, ("attenuation_db",), possible)
+def table():
+    grid = Grid(axis("a=2,2.0000000001"), axis("ffi_gd=true,false"))
+    return SweepResult.empty(grid, (1.0, 2.5), ("attenuation_db",), range(4))
 
 
-def write(path, result, rows):
-    path.write_text("".join(",".join(row) + "\n" for row in [result.header, *rows]))
+def write(path, result, points):
+    write_rows(path, result.header, result.rows(points))
 
 
 def test_a_table_is_read_back(tmp_path):
     first = table()
     first.put(2, [(1.5,), (-math.inf,)])
     first.put(0, [(math.nan,), (0.25,)])
-    rows = list(first.rows([2, 0]))
-    assert rows == [
+    first.put(1, [(3.0,), (4.0,)])
+    assert list(first.rows([2, 1])) == [
         ["2", "false", "1", "1.5"],
-        ["2", "true", "1", ""],
+        ["2.0000000001", "true", "1", "3"],
         ["2", "false", "2.5", "-inf"],
-        ["2", "true", "2.5", "0.25"],
+        ["2.0000000001", "true", "2.5", "4"],
     ]
-    write(tmp_path / "t.csv", first, rows)
+    write(tmp_path / "t.csv", first, [2, 1, 0])
     again = table()
     again.read(tmp_path / "t.csv")
-    assert again.done == {0, 2}
+    assert again.done == {0, 1, 2}
     found, expected = again.columns["attenuation_db"], first.columns["attenuation_db"]
     assert np.array_equal(found, expected, equal_nan=True)
-
-
-def test_values_of_many_digits_are_told_apart(tmp_path):
-    first = table(x="a=1.0000000001,1.0000000002", y="k=1", speeds=(), possible=range(2))
-    for point in range(2):
-        first.put(point, [(float(point),)])
-    write(tmp_path / "t.csv", first, first.rows(range(2)))
-    again = table(x="a=1.0000000001,1.0000000002", y="k=1", speeds=(), possible=range(2))
-    again.read(tmp_path / "t.csv")
-    assert again.columns["attenuation_db"].tolist() == [[[0.0, 1.0]]]
 
 
 @pytest.mark.parametrize(
     "tail",
     [
-        "3,true,1,5.0\n3,true,2.5,6.",
-        "3,true,1,5\n",
+        "2,false,1,5.0\n2,false,2.5,6.",
+        "2,false,1,5\n",
         "9,true,1,5\n9,true,2.5,5\n",
-        "3,true,1,x\n3,true,2.5,x\n",
-        "3,true,1\n3,true,2.5\n",
+        "2,false,1,x\n2,false,2.5,x\n",
+        "2,false,1\n2,false,2.5\n",
         "\n\n",
         "\udcff,\0\n",
     ],
@@ -158,44 +141,31 @@ def test_values_of_many_digits_are_told_apart(tmp_path):
 def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
     result, path = table(), tmp_path / "t.csv"
     result.put(0, [(1.0,), (2.0,)])
-    write(path, result, result.rows([0]))
+    write(path, result, [0])
     path.write_bytes(path.read_bytes() + tail.encode(errors="surrogateescape"))
     again = table()
     again.read(path)
     assert again.done == {0}
 
 
-def subject(clips, speeds=(), identity=None, **settings):
+def subject(clips, speeds=()):
     """Frames in memory, as a subject."""
-    height, width = clips[0][0].shape
-
-    def frames(reach_px):
-        for clip in clips:
-            yield (Frame(i, i / 25, picture) for i, picture in enumerate(clip))
-
-    return Subject(
-        name="test",
-        size_wh=(width, height),
-        clips=frames,
-        speeds_px=speeds,
-        settings=settings,
-        too_short=lambda n, label, needed: SourceError("test", f"{n} of {needed} for {label}"),
-        identity=identity or {},
-    )
+    frames = [[Frame(i, i / 25, picture) for i, picture in enumerate(clip)] for clip in clips]
+    return Subject("test", clips[0][0].shape[::-1], frames, {}, speeds)
 
 
 def sweep(folder, what, x="sigma_e=1,2", y="a=0.5,1", params=None, engine="opencv"):
     params = params or DlgmdParameters()
     grid = Grid(axis(x, type(params)), axis(y, type(params)))
     folder.mkdir(exist_ok=True)
-    return Sweep(folder, what, grid, params, "set9", engine)
+    return Sweep(folder, what, grid, Setup(params, "set9", engine))
 
 
-def done(folder, *arguments, jobs=1, **options):
+def done(folder, what, **options):
     """A sweep from its beginning to its end."""
-    one = sweep(folder, *arguments, **options)
+    one = sweep(folder, what, **options)
     one.resume()
-    one.compute(jobs)
+    one.compute()
     one.finish({})
     return one
 
@@ -221,40 +191,6 @@ def test_values_are_those_of_the_model(tmp_path, params, x, dtype):
             db = np.array([model.step(frame).attenuation_db for frame in clip])
             assert values.flat[point] == pytest.approx(db[np.isfinite(db)].mean(), rel=1e-12)
     assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
-
-
-def test_an_interrupted_sweep_keeps_its_points_and_goes_on(tmp_path, stop, monkeypatch):
-    what, whole = subject([looming_frames(9)], (1.0,)), tmp_path / "whole"
-    done(whole, what)
-    one = sweep(tmp_path / "s", what)
-    monkeypatch.setattr(
-        sweeps, "_computed", lambda *a: (each for i, each in enumerate(computed(*a)) if i < 2)
-    )
-    one.compute()
-    monkeypatch.undo()
-    half = (tmp_path / "s" / "sweep.csv").read_bytes()
-    assert half.count(b"\n") == 3 and b"complete: false" in record(tmp_path / "s")
-    (tmp_path / "s" / "sweep.csv").write_bytes(half + b"1,1,1,-3.1")
-    (tmp_path / "s" / ".dlgmd-frames-0").write_bytes(b"of a process that was killed")
-    again = sweep(tmp_path / "s", what)
-    again.resume()
-    assert again.result.done == {0, 1}
-    stop()
-    with pytest.raises(Interrupted):
-        again.compute()
-    monkeypatch.undo()
-    again.compute()
-    again.finish({})
-    for name in ("sweep.csv", "sweep.yaml"):
-        assert (tmp_path / "s" / name).read_bytes() == (whole / name).read_bytes()
-    assert sorted(os.listdir(tmp_path / "s")) == ["sweep.csv", "sweep.yaml"]
-
-
-computed = sweeps._computed
-
-
-def record(folder):
-    return (folder / "sweep.yaml").read_bytes()
 
 
 @pytest.mark.parametrize(
