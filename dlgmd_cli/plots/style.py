@@ -130,7 +130,10 @@ def save_figure(figure: Figure, path: Path) -> None:
         if layout is not None:  # once, or savefig would draw the figure twice
             layout.execute(figure)
             figure.set_layout_engine(None)
-        figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=undated.get(suffix, {}))
+        # PNG a few percent larger than by default, in half of the time.
+        options: Any = {"pil_kwargs": {"compress_level": 3}} if suffix == ".png" else {}
+        metadata = undated.get(suffix, {})
+        figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=metadata, **options)
     path.write_bytes(drawn.getvalue())
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]

@@ -19,6 +19,8 @@ _SIZE_PT = 7
 _AXES_SHARE = 0.8
 # Of the time shown, left free on either side, so that nothing at the ends is cut off.
 _MARGIN = 0.015
+# Of the frame axis, so that numbers of five digits do not touch.
+_TICKS_AN_INCH = 2.3
 # Times come from CSVs with nine digits.
 _ROUNDING = 1e-8
 
@@ -83,8 +85,13 @@ class Timeline:
         lowest.set_xlim(self.view)
         lowest.set_xlabel("Time (s)")
         if self.is_shared:
-            top = highest.secondary_xaxis("top", functions=(self.frame_of, self.time_of))
-            top.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
+            first, last = self.frame_of(np.array(self.view))
+            n_ticks = round(_TICKS_AN_INCH * lowest.figure.bbox.width / lowest.figure.dpi)
+            locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
+            frames = locator.tick_values(first, last)
+            frames = frames[(frames >= first) & (frames <= last)]
+            top = highest.secondary_xaxis("top")
+            top.set_xticks(self.time_of(frames), [f"{frame:.0f}" for frame in frames])
             top.set_xlabel("Frame")
 
 

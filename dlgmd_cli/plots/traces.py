@@ -50,6 +50,8 @@ LOOKS: tuple[tuple[str, Any], ...] = (
 # From the seventh line on, looks come again, with marks on the line.
 _MARKERS = ("", "o", "s", "^", "D", "x", "+")
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
+# Around the panels of one result: labels below and on the left, frame numbers above.
+_LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
 # More dots than this touch each other: their black rims would hide the rest.
 _MAX_RINGED = 200
 
@@ -131,7 +133,27 @@ def plot(
         figure.align_ylabels(axes_of)
         figure.set_figheight(sum(above + heights) + _AXES_LABELS_IN)
         add_legend(figure, _entries(found if kind != "spikes" else found[::-1]))
+        is_plain = len(traces) == 1 and not above and column == "level"
+        if is_plain and not traces[0].result.by_sequence:
+            _fix_margins(figure, heights)
     return figure
+
+
+def _fix_margins(figure: Figure, heights: list[float]) -> None:
+    """The layout of what `dlgmd run` and `dlgmd batch` draw for every video.
+
+    Its labels have known widths; to let Matplotlib find it would take as long as to draw it.
+    """
+    figure.set_layout_engine(None)
+    width, height = figure.get_size_inches()
+    legend_in = sum(one.get_window_extent().height for one in figure.legends) / figure.dpi
+    figure.subplots_adjust(
+        left=_LEFT_IN / width,
+        right=1.0 - _RIGHT_IN / width,
+        bottom=_BELOW_IN / height,
+        top=1.0 - (_ABOVE_IN + legend_in) / height,
+        hspace=_BETWEEN_IN * len(heights) / sum(heights),
+    )
 
 
 def _entries(found: list[Entries]) -> Entries:
