@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing import connection, resource_tracker
@@ -22,6 +22,8 @@ TaskT = TypeVar("TaskT")
 
 DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", "timeout"
 
+# How long processes may take to end by themselves.
+_PATIENCE_S = 5.0
 # How often the stop flag is looked at.
 _TICK_S = 0.1
 # So many pools in a row may end before one of their processes begins a task.
@@ -106,6 +108,10 @@ def run_tasks(
                     else:
                         running[future] = chosen.pop(0)
             if not running and not chosen:
+                # Not at once: a process that is only starting would complain of what is gone.
+                pool.close()
+                with suppress(TimeoutError, futures.TimeoutError):
+                    pool.join(timeout=_PATIENCE_S)
                 break
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
             cancel.check()
