@@ -29,13 +29,13 @@ from dlgmd_cli.commands.options import (
     formulation_option,
     input_options,
     no_plots_option,
-    numbered,
     out_option,
     param_option,
     setup_options,
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import ParameterError, SourceError, printable
+from dlgmd_cli.names import numbered
 from dlgmd_cli.parameters import parse_overrides
 
 if TYPE_CHECKING:

@@ -26,11 +26,11 @@ from dlgmd_cli.commands.options import (
     labelled,
     output_options,
     setup_options,
-    told_apart,
     width_option,
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.names import told_apart
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.names import numbered as numbered
-from dlgmd_cli.names import told_apart as told_apart
+from dlgmd_cli.names import numbered
 from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
 from dlgmd_cli.video.base import DECODERS, parse_size
 

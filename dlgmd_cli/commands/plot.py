@@ -11,13 +11,12 @@ import click
 from dlgmd_cli.commands.console import Command, print_path, say, warn
 from dlgmd_cli.commands.options import (
     format_option,
-    numbered,
     option_group,
     overwrite_option,
-    told_apart,
     width_option,
 )
 from dlgmd_cli.errors import ResultError, printable
+from dlgmd_cli.names import numbered, told_apart
 from dlgmd_cli.plots.annotations import Annotations
 
 if TYPE_CHECKING:

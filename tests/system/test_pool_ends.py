@@ -1,5 +1,11 @@
 """The pool of processes, where waiting is part of the test."""
 
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import pytest
 from pooltasks import work
 
@@ -18,3 +24,37 @@ def test_kills_and_timeouts():
     }
     assert isinstance(outcomes["kill"].error, WorkerError)
     assert "not done after 1.5 s" in str(outcomes["hang"].error)
+
+
+def _is_alive(stat):
+    """Whether a process runs, by its file in /proc."""
+    try:
+        return ") Z " not in stat.read_text()
+    except OSError:
+        return False
+
+
+PARENT = """
+from pooltasks import work
+from dlgmd_cli.pool import run_tasks
+if __name__ == "__main__":
+    for task, outcome in run_tasks(work, ["pid", "hang", "hang"], 1):
+        print(outcome.value, flush=True)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
+def test_processes_end_when_their_parent_is_killed(tmp_path):
+    (tmp_path / "parent.py").write_text(PARENT)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        [sys.executable, "parent.py"], cwd=tmp_path, env=environment, stdout=subprocess.PIPE
+    ) as parent:
+        child = Path("/proc", str(int(parent.stdout.readline())), "stat")
+        time.sleep(0.5)  # it is in the midst of the next task by now
+        assert _is_alive(child)
+        parent.kill()
+    deadline = time.monotonic() + 10.0
+    while _is_alive(child) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert time.monotonic() < deadline

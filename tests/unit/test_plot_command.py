@@ -11,7 +11,7 @@ from figures import make_result
 from matplotlib.figure import Figure
 from test_read_results import write_comparison
 
-from dlgmd_cli.commands.options import numbered, told_apart
+from dlgmd_cli.names import numbered, told_apart
 from dlgmd_cli.plots import traces
 
 ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.25,-3")
