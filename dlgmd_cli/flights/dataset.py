@@ -65,7 +65,7 @@ class Fleet:
             facts = read_record(self.paths_of(number)[2])
             if facts and not self._differing(number, facts):
                 video = self.paths_of(number)[0].name
-                labels[number] = Label(video, facts["collision_frame"])
+                labels[number] = Label(video, facts["collision_frame"], facts.get("target", ""))
         return labels
 
     def check(self, missing: Iterable[int], *, overwrite: bool) -> None:

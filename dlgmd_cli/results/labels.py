@@ -9,11 +9,14 @@ from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.csv import text_cell, write_rows
 
 LABELS = "labels.csv"
+COLUMNS = ("video", "collision_frame", "target")
+# What a table must have; the others may be missing, and there may be more.
+_NEEDED = COLUMNS[:2]
 
 
 @dataclass(frozen=True)
 class Label:
-    """What is known of a video.
+    """What is known of a video; one with several collisions has a label for each.
 
     Attributes
     ----------
@@ -21,26 +24,30 @@ class Label:
         Its path, relative to the table; a folder of pictures is one, too.
     collision_frame : int or None
         The first frame at or after the collision; None if there is none.
+    target : str
+        What is hit, or nearly; empty if it is not said.
     """
 
     video: str
     collision_frame: int | None = None
-
-
-COLUMNS = ("video", "collision_frame")
+    target: str = ""
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV; OSError passes through."""
     rows = (
-        [text_cell(one.video), "" if one.collision_frame is None else str(one.collision_frame)]
+        [
+            text_cell(one.video),
+            "" if one.collision_frame is None else str(one.collision_frame),
+            text_cell(one.target),
+        ]
         for one in labels
     )
     write_rows(path, COLUMNS, rows)
 
 
 def read_labels(path: Path) -> list[Label]:
-    """The labels in a CSV, in its order.
+    """The labels in a CSV, in its order; columns of other names are left alone.
 
     Raises
     ------
@@ -48,26 +55,33 @@ def read_labels(path: Path) -> list[Label]:
         If it cannot be read, or holds something else.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        # Spreadsheets may begin a file with a byte order mark.
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"it cannot be read ({reason})") from None
-    if not rows or tuple(rows[0]) != COLUMNS:
+    header = [name.strip() for name in rows[0]] if rows else []
+    if not set(_NEEDED) <= set(header):
         raise ResultError(
-            str(path), "it holds no labels", f"Its first line should be {','.join(COLUMNS)}."
+            str(path), "it holds no labels", f"Its first line should be {','.join(_NEEDED)}."
         )
-    return [_label(path, number, row) for number, row in enumerate(rows[1:], start=2) if row]
+    return [
+        _label(path, number, dict(zip(header, row, strict=False)))
+        for number, row in enumerate(rows[1:], start=2)
+        if row
+    ]
 
 
-def _label(path: Path, number: int, row: list[str]) -> Label:
+def _label(path: Path, number: int, row: dict[str, str]) -> Label:
     """What line `number` of a CSV says."""
-    if len(row) == len(COLUMNS) and row[0]:
-        video, frame = row
+    video, frame = row.get("video", ""), row.get("collision_frame")
+    if video and frame is not None:
+        target = row.get("target", "").strip()
         if not frame:
-            return Label(video)
+            return Label(video, None, target)
         if frame.isascii() and frame.isdigit() and len(frame) <= 9:
-            return Label(video, int(frame))
+            return Label(video, int(frame), target)
     raise ResultError(
         str(path),
         f"line {number} is not a label",

@@ -216,10 +216,14 @@ def test_numbers_read_back_as_float32():
 
 
 def test_labels(tmp_path):
-    labels = [Label("a.mp4", 12), Label("b/c.mp4"), Label("-d.mp4", 0)]
+    labels = [Label("a.mp4", 12, "wall"), Label("b/c.mp4"), Label("-d.mp4", 0), Label("a.mp4", 40)]
     write_labels(tmp_path / "labels.csv", labels)
-    assert (tmp_path / "labels.csv").read_text().splitlines()[0] == "video,collision_frame"
-    assert read_labels(tmp_path / "labels.csv") == [*labels[:2], Label("./-d.mp4", 0)]
+    assert (tmp_path / "labels.csv").read_text().splitlines()[0] == "video,collision_frame,target"
+    assert read_labels(tmp_path / "labels.csv") == [*labels[:2], Label("./-d.mp4", 0), labels[3]]
+    # As a spreadsheet may write it: a byte order mark, other columns, another order.
+    text = "\ufeffnote,collision_frame,video\nat night,7,a.mp4\n,,b.mp4\n"
+    (tmp_path / "labels.csv").write_text(text, encoding="utf-8")
+    assert read_labels(tmp_path / "labels.csv") == [Label("a.mp4", 7), Label("b.mp4")]
     (tmp_path / "labels.csv").write_text("video,collision_frame\na.mp4,soon\n")
     with pytest.raises(ResultError, match="line 2"):
         read_labels(tmp_path / "labels.csv")
