@@ -16,7 +16,7 @@ OUT = Path("flights")
 HEADER = "video,collision_frame,target\n"
 # Seeds 1 and 3 collide, in frames 12 and 13.
 LABELS_OF_4 = HEADER + (
-    "quick-0000.mp4,,\nquick-0001.mp4,12,\nquick-0002.mp4,,\nquick-0003.mp4,13,\n"
+    "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\nquick-0002.mp4,,wall\nquick-0003.mp4,13,wall\n"
 )
 
 
@@ -73,7 +73,7 @@ def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
 
 def test_folders_of_pictures(synth):
     assert synth("--png", "--frames", 2, count=2).exit_code == 0
-    assert labels() == HEADER + "quick-0000,,\nquick-0001,,\n"
+    assert labels() == HEADER + "quick-0000,,wall\nquick-0001,,wall\n"
     assert sorted(path.name for path in (OUT / "quick-0001").iterdir()) == ["0000.png", "0001.png"]
 
 
@@ -87,7 +87,7 @@ def test_every_scene_goes_to_other_processes():
 
 def test_what_is_there_is_not_rendered_again(synth):
     synth(count=2)
-    assert labels() == HEADER + "quick-0000.mp4,,\nquick-0001.mp4,12,\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
     before = identities()
     result = synth()
     assert result.exit_code == 0 and result.stderr == "2 of 4 flights were already there.\n"
@@ -164,7 +164,7 @@ def test_a_damaged_flight_is_none(synth, fault):
     result = synth(count=2)
     assert result.exit_code == 2 and "already exists here (damaged)" in result.stderr
     assert synth("--overwrite", count=2).exit_code == 0
-    assert labels() == HEADER + "quick-0000.mp4,,\nquick-0001.mp4,12,\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_one_that_fails_keeps_the_others(synth):
         f"Error: 1 of 4 flights failed; the other 3 are in {OUT}. "
         "Fix what is named above, then run the same command again.",
     ]
-    assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,\n", "")
+    assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall\n", "")
     assert not list(OUT.glob("quick-0001*"))
     assert synth().exit_code == 0 and labels() == LABELS_OF_4
 
@@ -216,7 +216,7 @@ def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
     assert result.exit_code == 1
     assert result.stderr.startswith("quick-0001: Invalid value for '--frames': the flight ends aft")
-    assert labels() == HEADER + "quick-0000.mp4,,\nquick-0002.mp4,,\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0002.mp4,,wall\n"
 
 
 def test_a_bug_keeps_what_is_there(synth):
@@ -235,7 +235,7 @@ def test_an_interrupt_keeps_what_is_there(synth):
         f"Interrupted. {OUT} holds 2 of 4 flights; run the same command again for the others.\n"
     )
     assert result.stdout == f"{OUT / 'labels.csv'}\n"
-    assert labels() == HEADER + "quick-0000.mp4,,\nquick-0001.mp4,12,\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
     assert len(contents()) == 7
     before = identities()
     again = synth()
