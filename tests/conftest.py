@@ -39,7 +39,7 @@ def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
     y, x = (np.abs(np.arange(n) - (n - 1) / 2) for n in (height, width))
     frames = []
     for t in range(n_frames):
-        half = min(height, width) * 0.45 / (1 + 0.5 * (n_frames - 1 - t))
+        half = min(height, width) * 0.45 / (n_frames - t)
         covered = np.outer(np.clip(half + 0.5 - y, 0, 1), np.clip(half + 0.5 - x, 0, 1))
         frames.append(np.round(texture + covered * (20.0 - texture)).astype(np.uint8))
     return frames

@@ -23,8 +23,8 @@ from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 # its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
 # were frames that cannot be decoded.
 Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
-# Of all frames; the user is told of more repeats.
-_MANY_REPEATS = 0.05
+# So many, and more than this share of all frames, are many repeats.
+_MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 
 
 @dataclass(frozen=True)
@@ -271,12 +271,12 @@ class Video:
     def _repetition(self) -> str:
         """The warning for many repeats."""
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
-        if n_repeats <= _MANY_REPEATS * n_frames:
+        if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
             return ""
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
         return (
             f"{n_repeats} of {n_frames} frames repeat the one before: it shows about "
-            f"{rate_fps:.3g} pictures a second, not {self.info.fps:.4g}; the model does not see "
+            f"{rate_fps:.2g} pictures a second, not {self.info.fps:.4g}; the model does not see "
             "the repeats (--repeats keep shows them to it)"
         )
 
