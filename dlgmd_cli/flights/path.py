@@ -123,6 +123,8 @@ class Stage:
         Time at which the drone hits something.
     duration_s : float
         How much of the flight is filmed.
+    agile : bool
+        Whether the drone follows its orders at once; see `fly`.
     """
 
     world: World
@@ -130,6 +132,7 @@ class Stage:
     target: str
     contact_s: float | None
     duration_s: float
+    agile: bool = False
 
 
 def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:

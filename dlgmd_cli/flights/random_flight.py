@@ -1,6 +1,7 @@
 """A random room, a random flight through it, and whatever comes of that."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,8 @@ _AFTER_S = 0.5
 # With less, there would be no flight to see.
 _EARLIEST_S, _LEAST_WAY_M, _LEAST_M_S = 1.2, 1.8, 0.4
 _MAX_TRIES = 50
+# How many drones are not stabilised.
+_AGILE = 0.25
 # What is planned, and how often: what comes of it may be different.
 _PLANS = {"hit": 0.45, "wall": 0.1, "pass": 0.25, "stop": 0.2}
 _CORRIDOR_M = 2.4
@@ -42,27 +45,31 @@ _OBSTACLES = (
 )
 
 
-def random_flight(seed: int) -> Stage:
+def random_flight(seed: int, agile: bool | None = None) -> Stage:
     """Something is hit in about half of the flights: an obstacle, a wall, or furniture.
 
     In the others the obstacle is passed or the drone stops before it, or there is none in the way.
-    Which it is, when, and what, is found by following the flight, not by what was planned.
+    Which it is, when, and what, is found by following the flight, not by what was planned. A
+    quarter of the drones are agile, unless `agile` says.
     """
+    if agile is None:
+        agile = bool(np.random.default_rng([seed, 0, 1]).random() < _AGILE)
     plan = str(np.random.default_rng([seed, 0]).choice(list(_PLANS), p=list(_PLANS.values())))
     for attempt in range(1, _MAX_TRIES):
-        stage = _drawn(np.random.default_rng([seed, attempt]), seed, plan)
+        stage = _drawn(np.random.default_rng([seed, attempt]), seed, plan, agile)
         if stage is not None:
             return stage
     raise RuntimeError(f"no flight found for the seed {seed}")
 
 
-def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
+def _drawn(rng: Rng, seed: int, plan: str, agile: bool) -> Stage | None:
     """A stage, or None if it would be over before it has begun."""
     name, build, height = _obstacle(rng)
     phases, height = _script(rng, height, stops=plan == "stop")
     start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
     turned = rng.uniform(-6.0, 6.0)
-    free = fly(phases, position_m=start, yaw_deg=turned, seed=seed)
+    flight = partial(fly, phases, position_m=start, yaw_deg=turned, seed=seed, agile=agile)
+    free = flight()
     moving = [end for phase, _, end in free.phases if phase not in ("stand", "take off", "hover")]
     when = rng.uniform(0.55, 0.95) * moving[-1]
     met = free.state(when)
@@ -86,10 +93,10 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     else:
         world, target = _nearest(free, world, when)
     if contact_s is None:
-        return Stage(world, free, target, None, free.duration_s)
-    path = fly(phases, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
+        return Stage(world, free, target, None, free.duration_s, agile)
+    path = flight(contact_s=contact_s)
     duration = min(contact_s + _AFTER_S, path.duration_s)
-    return Stage(world, path, target, contact_s, duration)
+    return Stage(world, path, target, contact_s, duration, agile)
 
 
 def _standing(
