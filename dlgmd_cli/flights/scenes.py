@@ -55,8 +55,8 @@ def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) 
     flight = partial(fly, phases, **start, seed=seed, agile=agile)
     free, obstacle = flight(), spec["obstacle"]
     target, hit_at = obstacle.get("target", obstacle["piece"]), obstacle.get("hit_at")
-    rng = np.random.default_rng([seed, hit_at or 1])
     room = dict(spec["room"])
+    rng = np.random.default_rng([seed, room.pop("number", 1)])
     kind, behind_m = _ROOMS[room.pop("kind")], room.pop("behind_m", 0.0)
     if hit_at is not None:
         contact_s = hit_at * FRAME_S
