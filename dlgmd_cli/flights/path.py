@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import FloatArray, Pose, rotation
-from dlgmd_cli.flights.renderer.solids import World
+from dlgmd_cli.flights.renderer.solids import Solid, World
 
 # Distance from the camera to the drone's hull: what comes that near has been hit.
 REACH_M = 0.1
@@ -119,6 +119,8 @@ class Stage:
     ----------
     target : str
         Name of the bodies that distances and angles refer to; all of that name are one target.
+    wall : Solid or None
+        What they refer to instead, where that is a side of the room.
     contact_s : float or None
         Time at which the drone hits something.
     duration_s : float
@@ -133,6 +135,7 @@ class Stage:
     contact_s: float | None
     duration_s: float
     agile: bool = False
+    wall: Solid | None = None
 
 
 def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """A random room, a random flight through it, and whatever comes of that."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,8 +20,8 @@ from dlgmd_cli.flights.placing import (
     singled_out,
     world_of,
 )
-from dlgmd_cli.flights.renderer.solids import Body, World
-from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
+from dlgmd_cli.flights.renderer.solids import Body, Solid
+from dlgmd_cli.flights.rooms import SIDES, Place, cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.textures import Rng
 
 _AFTER_S = 0.5
@@ -86,17 +87,13 @@ def _drawn(rng: Rng, seed: int, plan: str, agile: bool) -> Stage | None:
     contact_s = first_contact(free, world)
     if contact_s is not None and contact_s < _EARLIEST_S:
         return None
-    if contact_s is not None:
-        world, target = _nearest(free, world, contact_s)
-    elif guests:
-        target = name
-    else:
-        world, target = _nearest(free, world, when)
     if contact_s is None:
-        return Stage(world, free, target, None, free.duration_s, agile)
+        stage = Stage(world, free, name, None, free.duration_s, agile)
+        return stage if guests else _about_the_nearest(stage, when)
     path = flight(contact_s=contact_s)
     duration = min(contact_s + _AFTER_S, path.duration_s)
-    return Stage(world, path, target, contact_s, duration, agile)
+    stage = Stage(world, path, name, contact_s, duration, agile)
+    return _about_the_nearest(stage, contact_s)
 
 
 def _standing(
@@ -147,6 +144,13 @@ def _script(rng: Rng, height: float, *, stops: bool) -> tuple[list[script.Phase]
             script.cruise(seconds),
             script.yaw(seconds, side * rng.uniform(5.0, 20.0)),
             script.roll(0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+            script.weave(
+                seconds,
+                rng.uniform(-10.0, 2.0),
+                -side * rng.uniform(1.0, 6.0),
+                side * rng.uniform(5.0, 30.0),
+                rng.uniform(-0.3, 0.3),
+            ),
         ]
         phases.append(turn[rng.integers(len(turn))])
     if stops:
@@ -172,10 +176,13 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
     return kind(rng, length_m=length, width_m=width, guests=guests)
 
 
-def _nearest(path: Path, world: World, time_s: float) -> tuple[World, str]:
-    """The name of what is nearest at a time, and the world where only that has it."""
-    distances = surroundings(world).distances(path.state(time_s).position_m, time_s)
+def _about_the_nearest(stage: Stage, time_s: float) -> Stage:
+    """A stage whose target is what is nearest at a time: that piece of furniture, or that wall."""
+    world = stage.world
+    distances = surroundings(world).distances(stage.path.state(time_s).position_m, time_s)
     nearest = int(np.argmin(distances))
-    if nearest >= len(world.bodies):
-        return world, world.room.name
-    return singled_out(world, nearest), world.bodies[nearest].name
+    if nearest < len(world.bodies):
+        target = world.bodies[nearest].name
+        return replace(stage, world=singled_out(world, nearest), target=target)
+    side = nearest - len(world.bodies)
+    return replace(stage, target=SIDES[side], wall=Solid(SIDES[side], [world.room.faces[side]]))

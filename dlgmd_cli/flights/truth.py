@@ -9,6 +9,7 @@ from dlgmd_cli.flights.geometry import Extent, Nearest
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.solids import Body
 
 # A frame's time and that of contact may differ in the last digits.
 _SAME_S = 1e-9
@@ -81,7 +82,9 @@ class Target:
 
     def __init__(self, stage: Stage) -> None:
         world, name = stage.world, stage.target
-        bodies = [body for body in world.bodies if body.name == name]
+        bodies: list[Body] = [body for body in world.bodies if body.name == name]
+        if stage.wall is not None:
+            bodies = [stage.wall]
         self._surrounds = not bodies and world.room.name == name
         if not bodies and not self._surrounds:
             raise ParameterError("the flight's target", f"nothing is named '{name}'")
