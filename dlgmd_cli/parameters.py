@@ -284,6 +284,23 @@ class ContrastParameters(DistributedParameters):
 
 
 @dataclass(frozen=True)
+class OnOffParameters(DlgmdParameters):
+    """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
+
+    model: ClassVar[str] = "dlgmd-onoff"
+    preset: ClassVar[str] = "dlgmd-onoff"
+    source: ClassVar[str] = "ON/OFF D-LGMD; set 3 of Zhao et al., IEEE TNNLS 34(5), 2023"
+
+    alpha: float = _other(DistributedParameters, "alpha", 0.0)
+    beta: float = _other(DistributedParameters, "beta", 0.0)
+    lam: float = _other(DistributedParameters, "lam", 0.0)
+    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
+    sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
+    r: int = _other(DistributedParameters, "r", 4)
+    kappa: float = _other(DlgmdParameters, "kappa", 0.015)
+
+
+@dataclass(frozen=True)
 class LgmdParameters(Parameters):
     """Parameters of the LGMD of [Zhao2018], as published in its authors' released code."""
 
@@ -351,6 +368,7 @@ class ModelEntry(NamedTuple):
 MODELS: dict[str, ModelEntry] = {
     "dlgmd": ModelEntry(DlgmdParameters, "dlgmd_cli.models.dlgmd", "DLGMD"),
     "dlgmd-contrast": ModelEntry(ContrastParameters, "dlgmd_cli.models.contrast", "ContrastDLGMD"),
+    "dlgmd-onoff": ModelEntry(OnOffParameters, "dlgmd_cli.models.on_off", "OnOffDLGMD"),
     "lgmd": ModelEntry(LgmdParameters, "dlgmd_cli.models.lgmd", "LGMD"),
     "emd-lgmd": ModelEntry(EmdLgmdParameters, "dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
 }

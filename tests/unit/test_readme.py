@@ -89,6 +89,7 @@ def test_tables_of_parameters(name):
     heading = {
         "dlgmd": "D-LGMD",
         "dlgmd-contrast": "Contrast-relative D-LGMD",
+        "dlgmd-onoff": "ON/OFF D-LGMD",
         "lgmd": "LGMD",
         "emd-lgmd": "EMD-LGMD",
     }[name]

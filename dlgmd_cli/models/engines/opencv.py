@@ -73,7 +73,7 @@ class OpencvEngine:
                 cv2.threshold(s[tile.core], above, 1.0, cv2.THRESH_BINARY, dst=g[tile.core])
             else:
                 sum_4x4(s, out=part)
-                _group(s[tile.core], part[tile.core], readout, g[tile.core])
+                group(s[tile.core], part[tile.core], readout, g[tile.core])
             g_sum += cv2.sumElems(g[tile.core])[0]
             if layers is not None:
                 layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
@@ -150,7 +150,7 @@ def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: Fl
     return spare
 
 
-def _group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
+def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
     """G = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)."""
     cv2.multiply(s, around, dst=g, scale=grouping.gain)
     if grouping.t_de > 0.0:
