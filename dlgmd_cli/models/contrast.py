@@ -78,6 +78,7 @@ class ContrastReceptors(Photoreceptors):
         Smoothed standard deviation of the luminance, σ(t); from frame 1 on.
     """
 
+    sigma: float
     _stack_type = np.float32  # P' is no whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
@@ -86,10 +87,14 @@ class ContrastReceptors(Photoreceptors):
 
     def _see(self, out: Grey) -> float:
         """Write P' of the newest frame into `out`; the sum of |L(t) - L(t-1)|."""
-        if self.frame == 1:
-            self.sigma = self._deviation(self.previous)
-        weight = self._params.w_sigma
-        self.sigma = (1.0 - weight) * self.sigma + weight * self._deviation(self.current)
+        before = self.sigma if self.frame > 1 else self._deviation(self.previous)
+        newest, weight = self._deviation(self.current), self._params.w_sigma
+        # A frame with a NaN says nothing of the contrast, and must not spoil all that come after.
+        before, newest = (
+            newest if math.isnan(before) else before,
+            before if math.isnan(newest) else newest,
+        )
+        self.sigma = (1.0 - weight) * before + weight * newest
         change = cv2.absdiff(self.current, self.previous)
         np.subtract(change, np.float32(self._floor() / self.unit), out=out)
         cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)

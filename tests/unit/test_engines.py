@@ -88,14 +88,16 @@ def test_tiles_cover_every_pixel_once_with_what_it_depends_on():
         assert np.all(count == 1)
 
 
+@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-contrast", "dlgmd-onoff"])
 @pytest.mark.parametrize("engine", engines.ENGINES)
-def test_what_is_no_number_is_not_hidden(loops, engine):
-    frames = scene(20, 30, n_frames=9, dtype=np.float32)
-    frames[4][5, 5] = np.nan
-    model = DLGMD(engine=engine)
+def test_what_is_no_number_is_not_hidden(loops, engine, name):
+    frames = scene(20, 30, n_frames=10, dtype=np.float32)
+    frames[0][5, 5] = frames[5][5, 5] = np.nan
+    model = create(engine, name)
     responses = [model.step(frame) for frame in frames]
-    assert math.isnan(responses[4].s_sum) and math.isfinite(responses[3].s_sum)
-    assert math.isfinite(responses[8].s_sum)  # it has left the history
+    assert math.isnan(responses[5].s_sum)
+    for t in (4, 9):  # it has left the history
+        assert math.isfinite(responses[t].s_sum) and math.isfinite(responses[t].t_de)
 
 
 @pytest.mark.parametrize("threshold", [1e-30, 0.1, 0.25, 1 / 3, 0.3, 1.0, 7.25])
