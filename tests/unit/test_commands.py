@@ -95,7 +95,7 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, number):
     assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
 
 
-@pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
+@pytest.mark.parametrize("model", [name for name in MODELS if name != "dlgmd"])
 def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
     result = dlgmd("sets", "show", model)
     assert result.exit_code == 0

@@ -86,7 +86,13 @@ def test_python_runs_as_written(reader, monkeypatch, capsys):
 @pytest.mark.parametrize("name", list(MODELS))
 def test_tables_of_parameters(name):
     page = (ROOT / "configs/README.md").read_text(encoding="utf-8")
-    heading = {"dlgmd": "D-LGMD", "lgmd": "LGMD", "emd-lgmd": "EMD-LGMD"}[name]
+    heading = {
+        "dlgmd": "D-LGMD",
+        "dlgmd-contrast": "Contrast-relative D-LGMD",
+        "dlgmd-onoff": "ON/OFF D-LGMD",
+        "lgmd": "LGMD",
+        "emd-lgmd": "EMD-LGMD",
+    }[name]
     (section,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE)
     rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", section, flags=re.MULTILINE))
     kind = MODELS[name].parameters
