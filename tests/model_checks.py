@@ -91,7 +91,6 @@ def check_contrast(frames, demand=insist, **changes):
     model = ContrastDLGMD(ContrastParameters(**params))
     for t, (frame, answer) in enumerate(zip(frames, answers, strict=True)):
         response = model.step(frame, layers=True)
-        assert math.isnan(response.ffi)
         for name in ("p_sum", "s_sum", "t_de"):
             expected = math.nan if getattr(answer, name) is None else getattr(answer, name)
             close = pytest.approx(expected, rel=1e-5, abs=1e-6, nan_ok=True)
@@ -105,8 +104,9 @@ def check_contrast(frames, demand=insist, **changes):
             np.testing.assert_allclose(response.layers.s, answer.s, rtol=0, atol=error)
             clear = np.abs(answer.s - answer.t_de) > 1e-6
             demand(clear.mean() > 0.9)
-            assert response.mp == response.layers.g.sum(dtype=float)
-            np.testing.assert_array_equal(response.layers.g[clear], answer.g[clear])
+            assert response.ffi == pytest.approx(answer.ffi, rel=1e-3)
+            assert response.mp == pytest.approx(response.layers.g.sum(dtype=float), rel=1e-5)
+            np.testing.assert_allclose(response.layers.g[clear], answer.g[clear], rtol=3e-3)
     return answers
 
 

@@ -17,9 +17,13 @@ DEFAULTS = {
     "a": 1.5,
     "c_p": 0.08,
     "p_min": 0.01,
+    "c_n": 3.0,
     "c_s": 0.12,
     "s_min": 0.005,
     "w_sigma": 0.2,
+    "growth": 1.5,
+    "w_m": 0.3,
+    "sigma_c": 0.6,
 }
 
 
@@ -32,6 +36,9 @@ class Answer:
     p: np.ndarray | None = None
     s: np.ndarray | None = None
     g: np.ndarray | None = None
+    noise: float | None = None
+    usual: float | None = None
+    ffi: float | None = None
     p_sum: float | None = None
     s_sum: float | None = None
     mp: float | None = None
@@ -52,8 +59,24 @@ def above(layer, floor):
     return result
 
 
-def run(frames, *, c_p, p_min, c_s, s_min, w_sigma, **connections):
+def weights_of(shape, sigma_c):
+    """How much cells count: less the farther they are from the centre, 1 on average."""
+    (height, width), weights = shape, np.zeros(shape)
+    for i, j in np.ndindex(shape):
+        half = max(height, width) / 2
+        y, x = (i - (height - 1) / 2) / half, (j - (width - 1) / 2) / half
+        weights[i, j] = math.exp(-(x**2 + y**2) / (2 * sigma_c**2))
+    return weights * (weights.size / total(weights))
+
+
+def passed(ffi, growth):
+    """What feed-forward inhibition leaves."""
+    return min(1.0, growth / ffi) ** 2 if ffi else 1.0
+
+
+def run(frames, *, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
     """One `Answer` for every frame."""
+    weights = weights_of(frames[0].shape, sigma_c)
     excite, inhibit = kernels(**connections, formulation="default")
     answers, history = [], []
     for t, change in enumerate(photoreceptors(frames)):
@@ -62,8 +85,19 @@ def run(frames, *, c_p, p_min, c_s, s_min, w_sigma, **connections):
         answer = Answer(sigma)
         answers.append(answer)
         if change is not None:
-            answer.p_sum, answer.floor = total(change), max(p_min, c_p * sigma)
+            quartile = sorted(change.flat)[change.size // 4]
+            noise = answers[-2].noise
+            answer.noise = quartile if noise is None else (1 - w_sigma) * noise + w_sigma * quartile
+            answer.p_sum = total(change)
+            answer.floor = max(p_min, c_p * sigma, c_n * answer.noise)
             answer.p = above(change, answer.floor)
+            m = total(answer.p) / answer.p.size
+            before = answers[-2].usual
+            if before is None:
+                answer.usual = m
+            else:
+                answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
+                answer.usual = (1 - w_m) * before + w_m * m
         history.append(answer.p)
         if t < 1 + max(inhibit, default=0):
             continue
@@ -71,6 +105,7 @@ def run(frames, *, c_p, p_min, c_s, s_min, w_sigma, **connections):
         answer.s_sum = total(answer.s)
         answer.g = np.zeros(answer.s.shape)
         for i, j in np.ndindex(answer.s.shape):
-            answer.g[i, j] = 1.0 if answer.s[i, j] > answer.t_de else 0.0
+            if answer.s[i, j] > answer.t_de:
+                answer.g[i, j] = weights[i, j] * passed(answer.ffi, growth)
         answer.mp = total(answer.g)
     return answers
