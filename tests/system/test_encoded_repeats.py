@@ -1,0 +1,40 @@
+"""Repeats that FFmpeg encodes anew: the sample flight at higher rates gives the same alarms."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from dlgmd_cli import run
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed"),
+]
+FLIGHT = Path(__file__).parents[2] / "sample_videos/group2.mp4"
+
+
+def alarms(path, **options):
+    result = run(path, **options)
+    return result.time_s[result.alarm_onsets].tolist(), result
+
+
+@pytest.mark.parametrize("fps", [60, 120])
+@pytest.mark.parametrize("options", [{}, {"set": 9}], ids=["flight", "set9"])
+@pytest.mark.parametrize("decoder", ["opencv", "pyav"])
+def test_frames_repeated_by_ffmpeg(tmp_path, fps, options, decoder):
+    if decoder == "pyav":
+        pytest.importorskip("av", reason="PyAV is not installed")
+    path = tmp_path / "dup.mp4"
+    command = ["ffmpeg", "-v", "error", "-i", str(FLIGHT), "-vf", f"fps={fps}", str(path)]
+    subprocess.run(command, check=True)
+    expected, once = alarms(FLIGHT, decoder=decoder, **options)
+    found, result = alarms(path, decoder=decoder, **options)
+    assert len(found) == len(expected) >= 1
+    assert found == pytest.approx(expected, abs=1.01 / 30)
+    n_repeated = result.record["input"]["repeats"]
+    assert n_repeated > 0.8 * (fps / 30 - 1) * len(once)
+    assert any("frames repeat the one before" in line for line in result.warnings)
+    # Those who ask see what it would be without.
+    assert alarms(path, decoder=decoder, repeats="keep", fps="all", **options)[0] != found
