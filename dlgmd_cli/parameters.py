@@ -27,7 +27,7 @@ MAX_DEPTH = 20
 RECORD_KEYS = frozenset(
     [
         *("schema", "preset", "input", "processed", "frames", "sweep"),
-        *("versions", "warnings", "complete", "summary", "wall_s"),
+        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame"),
     ]
 )
 
