@@ -26,6 +26,7 @@ COMMANDS = (
     "kernels",
     "sets",
     "synth",
+    "evaluate",
     "bench",
 )
 

@@ -64,7 +64,7 @@ def _setups(
     for path, label in zip(
         files, told_apart([path.with_suffix("") for path in files]), strict=True
     ):
-        found.append(replace(_sized(choose(config=path)), label=text_cell(label)))
+        found.append(replace(sized(choose(config=path)), label=text_cell(label)))
     found += [choose(model=name) for name in dict.fromkeys(models)]
     if not any(isinstance(one.params, DlgmdParameters) for one in found):
         for option, is_given in (
@@ -83,7 +83,7 @@ def _setups(
     return labelled(list(every.values()))
 
 
-def _sized(setup: "Setup") -> "Setup":
+def sized(setup: "Setup") -> "Setup":
     """A setup with the processed size that its file records, if it does."""
     from dlgmd_cli.runs.run import input_options as recorded
 

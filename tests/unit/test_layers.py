@@ -16,6 +16,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
+    {"evaluation"},
     {"commands"},
     {"__main__"},
 ]
