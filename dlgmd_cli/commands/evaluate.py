@@ -131,6 +131,8 @@ def evaluate(
     from dlgmd_cli.evaluation.report import evaluated
     from dlgmd_cli.results import store
 
+    if results is not None:
+        _refuse_models()
     cases = read_cases(labels_path)
     for name in _names(output):
         store.refuse_existing(output.out / name, overwrite=output.overwrite)
@@ -138,7 +140,6 @@ def evaluate(
     if results is None:
         failed = run_over(field, cases, *_asked(setups, given, baselines), jobs)
     else:
-        _refuse_models()
         failed = _read_over(field, cases, results)
     require_some(field, labels_path)
     report = evaluated(field, rules["horizon_s"], rules["max_false_per_min"])

@@ -19,7 +19,7 @@ from dlgmd_cli.evaluation.measures import (
     score,
     thresholds,
 )
-from dlgmd_cli.evaluation.scoring import EARLY, FALSE, IGNORED, KINDS, alarms
+from dlgmd_cli.evaluation.scoring import HIT, IGNORED, KINDS, alarms
 from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 
@@ -58,6 +58,8 @@ class Row:
     @property
     def threshold(self) -> float:
         """The threshold of the normalised potential."""
+        if self.at == DEFAULT and self.candidate.params is not None:
+            return self.candidate.params.t_mp
         return self.candidate.level(self.excitation)
 
 
@@ -169,11 +171,10 @@ def write_alarms(path: Path, report: Report, field: Field, horizon_s: float) -> 
                     time_s = float(course.time_s[number])
                     to_come = [one for one in course.contacts_s if one > time_s]
                     lead_s = to_come[0] - time_s if to_come else math.nan
-                    if KINDS[kind] == "hit":
+                    if kind == HIT:
                         announced.add(to_come[0])
                     if kind != IGNORED:
-                        is_before = kind not in (FALSE, EARLY) and KINDS[kind] == "hit"
-                        found.append((time_s, KINDS[kind], lead_s if is_before else math.nan))
+                        found.append((time_s, KINDS[kind], lead_s if kind == HIT else math.nan))
                 missed = set(course.contacts_s) - announced
                 found += [(contact_s, "missed", math.nan) for contact_s in missed]
                 for time_s, word, lead_s in sorted(found):

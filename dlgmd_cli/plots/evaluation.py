@@ -7,15 +7,25 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from dlgmd_cli.plots.style import Entries, Width, add_legend, house_style, new_figure
+from dlgmd_cli.plots.style import GREY, Entries, Width, add_legend, house_style, new_figure
 from dlgmd_cli.plots.traces import LOOKS
 from dlgmd_cli.results.result import Series
 
 _HEIGHT_IN = 2.2
-_MARKERS = ("", "o", "s", "^", "D")
+# Dots stand for models' own thresholds.
+_MARKERS = ("", "s", "^", "D")
 # The trade-off is shown up to this rate, or as far as a model's own threshold needs.
 _FALSE_PER_MIN, _MOST_PER_MIN = 5.0, 30.0
+_DOT: Any = {
+    "marker": "o",
+    "markersize": 5,
+    "markeredgecolor": "white",
+    "markeredgewidth": 0.6,
+    "clip_on": False,
+    "zorder": 3,
+}
 
 
 def trade_off(
@@ -51,8 +61,9 @@ def trade_off(
             (line,) = axes.plot(x, y, drawstyle="steps-post", **look)
             entries.append((line, label))
             if label in points:
-                style: Any = {"marker": "o", "markersize": 4, "clip_on": False, "zorder": 3}
-                axes.plot(*points[label], color=look["color"], **style)
+                axes.plot(*points[label], color=look["color"], **_DOT)
+        if points:
+            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
         axes.axvline(max_false_per_min, color="0.8", linewidth=0.6, zorder=0.5)
         axes.set_xlim(0.0, right)
         axes.set_ylim(0.0, 1.02)

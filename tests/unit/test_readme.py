@@ -53,6 +53,7 @@ QUICKER = {
     "sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25": "sigma_e=1,2 --y sigma_i=2,5 --frames 15",
     "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
     "batch sample_videos": "batch flight.mp4",
+    "synth random --count 20": "synth random --count 1 --size 64x36 --frames 30",
     "bench --radius 6 --scale 0.25": "bench flight.mp4 --radius 6 --scale 0.25",
 }
 
