@@ -7,26 +7,27 @@ a module in `models/`, and a YAML file in `configs/`.
 
 import math
 import numbers
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from difflib import SequenceMatcher
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.plain_yaml import SHOW_HINT, parse, read
 
 ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
-MAX_CONFIG_BYTES = 100_000
-# Of lists and mappings within each other; run.yaml has four.
-MAX_DEPTH = 20
+# The configurations that `--config` takes by name; the first is what is used if nothing is named.
+PRESETS = ("flight",)
+# What a model is made for unless its file says otherwise: width in px, frames a second.
+DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
+_MOST = {"width_px": 8192, "model_fps": 1000.0}
 # What run.yaml records beside the parameters; it takes no part when the file is read back.
 RECORD_KEYS = frozenset(
     [
-        *("schema", "preset", "input", "processed", "frames", "sweep"),
+        *("schema", "input", "processed", "frames", "sweep"),
         *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame"),
     ]
 )
@@ -343,12 +344,15 @@ class Config:
     """What a file says: the model, its parameters, and the options of the run that wrote it.
 
     `name` is what errors call the file; `values` holds the parameters that it sets, not checked;
-    `named` is the set that it names, as records have it.
+    `named` is the set or the preset that it names, as records have it. `width_px` and `model_fps`
+    are what its parameters are made for: the width of the processed frame, and frames a second.
     """
 
     name: str
     model: str | None = None
     engine: str | None = None
+    width_px: int = DEFAULT_WIDTH_PX
+    model_fps: float = DEFAULT_MODEL_FPS
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     named: dict[str, Any] = field(default_factory=dict)
@@ -399,123 +403,88 @@ def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
     return DlgmdParameters.from_mapping({**load_preset(name).values, **overrides})
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: str | Path) -> Config:
     """Read a YAML file of parameters; a `run.yaml` is one too.
 
-    The key `set` stands for the values of that set, which the file's other keys override.
+    The name of a shipped preset, `flight`, stands for its file; a file of that very name, without
+    a suffix, needs its absolute path. In a file the key `set` or `preset` stands for the values of
+    that set or preset, which the file's other keys override.
 
     Raises
     ------
     ParameterError
         If the file cannot be read, is not plain YAML, or is not a mapping.
     """
-    name = str(path)
-    document = _parse(name, _read(path))
+    name, path = str(path), Path(path)
+    if name in PRESETS:
+        return replace(load_config(presets_dir() / f"{name}.yaml"), named={"preset": name})
+    document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "it is empty", "Give at least one 'key: value'.")
     if not isinstance(document, dict):
         kinds: dict[type, str] = {list: "a list", str: "plain text"}
         kind = kinds.get(type(document), "one value")
-        raise ParameterError(name, f"it holds {kind}, not 'key: value' lines", _SHOW_HINT)
+        raise ParameterError(name, f"it holds {kind}, not 'key: value' lines", SHOW_HINT)
     for key in document:
         if not isinstance(key, str):
-            raise ParameterError(name, f"unknown parameter {shown(key)!r}", _SHOW_HINT)
+            raise ParameterError(name, f"unknown parameter {shown(key)!r}", SHOW_HINT)
     own = {key: document.pop(key, None) for key in ("model", "engine", "options")}
     for key, value in own.items():
         right, what = (dict, "a mapping") if key == "options" else (str, "a name")
         if not isinstance(value, right | None):
-            raise ParameterError(name, f"{key} is not {what}", _SHOW_HINT)
+            raise ParameterError(name, f"{key} is not {what}", SHOW_HINT)
+    made_for = {key: _made_for(name, key, document.pop(key)) for key in _MOST if key in document}
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
-    named = {"set": values.pop("set")} if "set" in values else {}
-    if named:
-        try:
-            values = {**load_preset(shown(named["set"]).strip("'")).values, **values}
-        except ParameterError as error:
-            raise ParameterError(name, error.why, error.mend) from None
     own["options"] = own["options"] or {}
-    return Config(name, **own, values=values, named=named)
+    named = {key: values.pop(key) for key in ("set", "preset") if key in values}
+    base = Config(name)
+    if named and "schema" not in document:  # a record has all values itself
+        base = _named(name, named)
+        own["model"] = own["model"] or base.model
+    made_for = {key: getattr(base, key) for key in _MOST} | made_for
+    return Config(name, **own, **made_for, values={**base.values, **values}, named=named)
 
 
-_PLAIN = "Only plain numbers, true, false and names are read."
-_SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
-_PARAM = "Invalid value for '--param'"
-
-
-def _read(path: Path) -> str:
-    """The text of a file that is small enough to be a configuration."""
-    name = str(path)
-    try:
-        if not path.is_file():
-            why = "it is not a file" if path.exists() else "there is no such file"
-            raise ParameterError(name, why, "Check the path given to --config.")
-        with path.open("rb") as file:  # some are longer than they say
-            data = file.read(MAX_CONFIG_BYTES + 1)
-        size = max(path.stat().st_size, len(data))
-        if size > MAX_CONFIG_BYTES:
-            why = f"{size / 1e6:.1f} MB is too large for a configuration"
-            raise ParameterError(name, why, _SHOW_HINT)
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise ParameterError(name, "it is not UTF-8 text", _SHOW_HINT) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ParameterError(name, f"it cannot be read ({reason})") from None
-
-
-def _parse(name: str, text: str) -> Any:
-    """The document in `text`; tags and references, which no configuration needs, are refused."""
-    import yaml
-
-    loader, depth = _loader(), 0
-    try:
-        for event in yaml.parse(text, Loader=loader):
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > MAX_DEPTH:  # the parser's time grows with its square
-                raise ParameterError(name, "its values are nested too deeply", _SHOW_HINT)
-            tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None)
-            if tag is not None or anchor is not None:
-                what = f"the tag {tag!r}" if tag is not None else f"the reference {anchor!r}"
-                raise ParameterError(name, f"{what[:200]} is not allowed", _PLAIN)
-        return yaml.load(text, Loader=loader)
-    except yaml.MarkedYAMLError as error:
-        where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        if isinstance(error, yaml.constructor.ConstructorError):  # a key twice, or of no use as one
-            raise ParameterError(name, f"{str(error.problem)[:200]}{where}", _PLAIN) from None
-        raise ParameterError(name, f"it is not valid YAML{where}", _SHOW_HINT) from None
-    except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
-        raise ParameterError(name, "it is not valid YAML", _SHOW_HINT) from None
-
-
-@lru_cache(maxsize=1)
-def _loader() -> Any:
-    """Safe YAML in which a number is what it looks like: 1e-3 is one, 010 is ten, 1:30 is text."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's own way
-            first: [pair for pair in pairs if pair[0].rpartition(":")[2] in ("bool", "null")]
-            for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
-        }
-
-        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            """A dict; a key that appears twice is an error."""
-            seen = set()
-            for key, _ in node.value:
-                if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"key {key.value!r} appears twice", key.start_mark
-                    )
-                seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-            return super().construct_mapping(node, deep)
-
-    whole = r"[-+]?(0|[1-9]\d*|0x[0-9a-fA-F]+)"
-    real = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
-    for tag, pattern, first in (("int", whole, "-+0123456789"), ("float", real, "-+.0123456789")):
-        Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
-            f"tag:yaml.org,2002:{tag}", re.compile(f"^(?:{pattern})$"), list(first)
+def parameters_of(config: Config, **overrides: Any) -> Parameters:
+    """What a configuration says, with single keys overridden; raises ParameterError."""
+    name = config.model or DlgmdParameters.model
+    if name not in MODELS:
+        known = ", ".join(MODELS)
+        raise ParameterError(
+            config.name, f"there is no model {name[:40]!r}", f"Choose from {known}."
         )
-    return Loader
+    return merge(MODELS[name].parameters, config, overrides)
+
+
+def _named(name: str, named: dict[str, Any]) -> Config:
+    """The set or the preset that the file `name` builds on."""
+    if len(named) > 1:
+        raise ParameterError(name, "set and preset exclude each other", "Give one of them.")
+    (key,) = named
+    text = shown(named[key]).strip("'")
+    if key == "preset":
+        if text not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise ParameterError(name, f"there is no preset {text}", f"Choose from {known}.")
+        return load_config(text)
+    try:
+        return load_preset(text)
+    except ParameterError as error:
+        raise ParameterError(name, error.why, error.mend) from None
+
+
+def _made_for(name: str, key: str, value: Any) -> Any:
+    """A width in px or a rate in frames a second, checked."""
+    is_whole = key == "width_px"
+    kind = numbers.Integral if is_whole else numbers.Real
+    if isinstance(value, bool) or not isinstance(value, kind) or not 1 <= value <= _MOST[key]:  # type: ignore[operator]
+        what = "a whole number" if is_whole else "a number"
+        why = f"{key} = {shown(value)} is not {what} from 1 to {_MOST[key]:g}"
+        raise ParameterError(name, why)
+    return value if is_whole else float(value)  # type: ignore[arg-type]
+
+
+_PARAM = "Invalid value for '--param'"
 
 
 def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
@@ -525,7 +494,7 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
             raise ParameterError(_PARAM, f"{pair[:60]!r} is not KEY=VALUE", "Write r=4.")
-        values[key.strip()] = _parse(_PARAM, text) if len(text) < 1000 else text
+        values[key.strip()] = parse(_PARAM, text) if len(text) < 1000 else text
     return values
 
 

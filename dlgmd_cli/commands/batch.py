@@ -59,10 +59,10 @@ def model_setups(
     engine: str | None,
 ) -> "list[Setup]":
     """Every model that the options ask for, each once, under labels that are names of folders."""
-    from dlgmd_cli.runs.run import DEFAULT_MODEL, choose
+    from dlgmd_cli.runs.run import DLGMD, choose
 
     if set_names or configs:  # which are of the D-LGMD unless a file says otherwise
-        models = tuple(name for name in models if name != DEFAULT_MODEL)
+        models = tuple(name for name in models if name != DLGMD)
     chosen = partial(
         choose, overrides=parse_overrides(pairs), formulation=formulation, engine=engine
     )
@@ -125,7 +125,7 @@ class _Pool:
     epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True)
-@setup_options(model_setups, "dlgmd", param_option, formulation_option, engine_option)
+@setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
 @out_option
 @format_option

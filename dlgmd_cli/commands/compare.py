@@ -31,7 +31,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.names import told_apart
-from dlgmd_cli.parameters import FORMULATIONS, MODELS, DlgmdParameters
+from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup
 
+# What the default is compared with.
+BESIDE = ("lgmd", "emd-lgmd")
 _INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
 
 
@@ -52,19 +54,18 @@ def _setups(
 ) -> "list[Setup]":
     """Every model that the options ask for, each once, under labels that differ."""
     from dlgmd_cli.results.csv import text_cell
-    from dlgmd_cli.runs.run import DEFAULT_SET, choose
+    from dlgmd_cli.runs.run import choose
 
-    derives = bool(formulations) or no_ffi_gd
-    if not (set_names or configs or models):
-        set_names = (DEFAULT_SET,)
-        # To what a bare comparison would be with, if there is nothing else.
-        models = () if derives else tuple(MODELS)
     found = [choose(set=name) for name in dict.fromkeys(set_names)]
     files = list(dict.fromkeys(configs))
     for path, label in zip(
         files, told_apart([path.with_suffix("") for path in files]), strict=True
     ):
-        found.append(replace(sized(choose(config=path)), label=text_cell(label)))
+        found.append(replace(choose(config=path), label=text_cell(label)))
+    if not (set_names or configs or models):
+        found.append(choose())
+        # To what a bare comparison would be with, if there is nothing else.
+        models = () if formulations or no_ffi_gd else BESIDE
     found += [choose(model=name) for name in dict.fromkeys(models)]
     if not any(isinstance(one.params, DlgmdParameters) for one in found):
         for option, is_given in (
@@ -73,23 +74,15 @@ def _setups(
             ("--engine", engine),
         ):
             if is_given:
-                raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set.")
+                raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
     every: dict[tuple[Any, ...], Setup] = {}
     for one in found:
         for each in _derived(one, formulations, no_ffi_gd):
             if engine and isinstance(each.params, DlgmdParameters):
                 each = replace(each, engine=engine)
-            every.setdefault((each.params, each.size, each.label), each)
+            size = each.width_px, each.options.scale, each.options.size
+            every.setdefault((each.params, size, each.label), each)
     return labelled(list(every.values()))
-
-
-def sized(setup: "Setup") -> "Setup":
-    """A setup with the processed size that its file records, if it does."""
-    from dlgmd_cli.runs.run import input_options as recorded
-
-    options = recorded(setup, {})
-    size = type(options)(scale=options.scale, size=options.size)
-    return replace(setup, size=size)
 
 
 def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
@@ -115,7 +108,6 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
 @click.argument("input_path", metavar="INPUT")
 @setup_options(
     _setups,
-    "all three",
     click.option(
         "--formulation",
         "formulations",
@@ -142,8 +134,8 @@ def compare(
 ) -> None:
     """Run many models over one video, which is decoded once.
 
-    INPUT is as in 'dlgmd run'. Without --set, --config and --model, set 9 is compared with the
-    other models.
+    INPUT is as in 'dlgmd run'. Without --set, --config and --model, the preset flight is compared
+    with LGMD and EMD-LGMD.
 
     Writes OUT/NAME/compare.csv, a figure of the membrane potentials, each normalised by its own
     sequence unless --normalise says otherwise, one of the attenuations, and compare.yaml. Spikes
@@ -154,7 +146,7 @@ def compare(
     from dlgmd_cli.video.frames import InputOptions
 
     options = InputOptions(**given)
-    with options.open(input_path) as video:
+    with runs.open_input(input_path, setups, options) as video:
         folder = store.result_folder(output.out, video.info.name)
         identity = runs.input_identity(video.info, input_path)
         is_new = store.check(folder, store.COMPARISON, identity, overwrite=output.overwrite)
@@ -182,7 +174,7 @@ def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> lis
     """What is doubtful, a line each; with the label where it is not so of every result."""
     lines = []
     for one in setups:
-        left_out = [key for key in one.options if key not in ("scale", "size")]
+        left_out = [key for key in one.options.to_record() if key not in ("scale", "size")]
         if left_out:
             lines.append(
                 f"{one.origin}: its recorded options ({', '.join(left_out)}) are not used; give "

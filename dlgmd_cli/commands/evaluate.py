@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands.batch import model_setups
-from dlgmd_cli.commands.compare import sized
 from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
@@ -77,7 +76,7 @@ rule_options = option_group(
     epilog="Example: dlgmd evaluate flights/labels.csv --set 3 --set 9 --model lgmd --out results",
 )
 @click.argument("labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path))
-@setup_options(model_setups, "dlgmd", param_option, formulation_option, engine_option)
+@setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
 @click.option(
     "--results",
@@ -186,10 +185,7 @@ def _asked(
 
     for one in setups:
         create_model(one.params, engine=one.engine)  # or its engine is missing
-    if len(setups) == 1:
-        options = recorded(setups[0], given)
-    else:
-        setups, options = [sized(one) for one in setups], InputOptions(**given)
+    options = recorded(setups[0], given) if len(setups) == 1 else InputOptions(**given)
     return with_flow(setups) if baselines else setups, options
 
 

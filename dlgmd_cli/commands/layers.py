@@ -102,7 +102,7 @@ def layers(
     from dlgmd_cli.runs.layers import absent, run_layers
 
     options = runs.input_options(setup, given)
-    with options.open(input_path) as video:
+    with runs.open_input(input_path, [setup], options) as video:
         folder = store.result_folder(output.out, video.info.name) if frames else None
         if film_path is not None:
             _check_film(film_path, folder, video.info.path, overwrite=output.overwrite)
@@ -150,7 +150,7 @@ def layers(
     scales = Scale.over(*ranges["s"]), Scale.over(*ranges["g"])
     label = f"{video.info.name} · {setup.label}"
     film = Film(result, (height, width), scales, model.layer_units[1:], label)
-    with options.open(input_path) as again:
+    with runs.open_input(input_path, [setup], options) as again:
         fps = min(options.fps or math.inf, again.info.fps)
         _render(film, again, model, fps, len(result), film_path)
 

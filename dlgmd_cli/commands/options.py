@@ -12,7 +12,7 @@ import click
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.names import numbered
-from dlgmd_cli.parameters import FORMULATIONS, MODELS, parse_overrides
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, FORMULATIONS, MODELS, PRESETS, parse_overrides
 from dlgmd_cli.video.base import DECODERS, parse_size
 
 if TYPE_CHECKING:
@@ -128,17 +128,18 @@ engine_option = click.option(
     "[default: numba for large frames if installed, else opencv]",
 )
 ONE_MODEL = (
-    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9.  [default: 9]"),
+    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9."),
     click.option(
         "--config",
         type=click.Path(path_type=Path),
-        help="YAML file of parameters in place of a set; a run.yaml repeats its run.",
+        help="A preset's name, or a YAML file of parameters; a run.yaml repeats its run.  "
+        f"[default: {PRESETS[0]}]",
     ),
     param_option,
     click.option(
         "--model",
         type=click.Choice(list(MODELS)),
-        help="The model, with its published values.  [default: dlgmd]",
+        help="A model with its published values; dlgmd stands for set 9.",
     ),
     formulation_option,
 )
@@ -162,9 +163,7 @@ model_options = option_group("setup", _setup, *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", _setup, *ONE_MODEL)
 
 
-def setup_options(
-    collect: Callable[..., Any], default_model: str, *more: Option, argument: str = "setups"
-) -> Option:
+def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "setups") -> Option:
     """Options for several models: --set, --config and --model are repeatable.
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
@@ -184,14 +183,15 @@ def setup_options(
             "configs",
             multiple=True,
             type=click.Path(path_type=Path),
-            help="A YAML file of parameters; repeatable.",
+            help="A preset's name, or a YAML file of parameters; repeatable.  "
+            f"[default: {PRESETS[0]}]",
         ),
         click.option(
             "--model",
             "models",
             multiple=True,
             type=click.Choice(list(MODELS)),
-            help=f"A model with its published values; repeatable.  [default: {default_model}]",
+            help="A model with its published values; dlgmd stands for set 9; repeatable.",
         ),
         *more,
     )
@@ -218,7 +218,8 @@ input_options = option_group(
         "--scale",
         type=FiniteRange(min=0, min_open=True, max=1),
         metavar="S",
-        help="Linear scale of the processed frame.  [default: fits the width to 480 px]",
+        help="Linear scale of the processed frame.  [default: fits the width to the preset's, "
+        f"{DEFAULT_WIDTH_PX} px for the paper's sets]",
     ),
     click.option("--size", type=Size(), help="An exact processed size instead."),
     click.option(

@@ -51,7 +51,7 @@ def run(
     from dlgmd_cli.runs import run as runs
 
     options = runs.input_options(setup, given)
-    with options.open(input_path) as video:
+    with runs.open_input(input_path, [setup], options) as video:
         folder = store.result_folder(output.out, video.info.name)
         identity = runs.input_identity(video.info, input_path)
         is_new = store.check(folder, store.RUN, identity, overwrite=output.overwrite)

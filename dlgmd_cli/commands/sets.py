@@ -3,7 +3,7 @@
 import click
 
 from dlgmd_cli.commands.console import Command, print_table
-from dlgmd_cli.parameters import MODELS, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import MODELS, PRESETS, DlgmdParameters
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -11,7 +11,7 @@ _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 @click.group(invoke_without_command=True, epilog="Example: dlgmd sets show 9 > my.yaml")
 @click.pass_context
 def sets(ctx: click.Context) -> None:
-    """List the paper's parameter sets (Table II)."""
+    """List the paper's parameter sets (Table II), the other models and the presets."""
     if ctx.invoked_subcommand is not None:
         return
     from dlgmd_cli.parameters import load_set, preset_names
@@ -27,6 +27,8 @@ def sets(ctx: click.Context) -> None:
     click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
     others = [name for name in MODELS if name != DlgmdParameters.model]
     click.echo(f"Other models: {', '.join(others)}; 'dlgmd sets show {others[0]}' has its values.")
+    for name in PRESETS:
+        click.echo(f"Preset: {name}, the default; 'dlgmd sets show {name}' has its values.")
 
 
 @sets.command(
@@ -35,20 +37,30 @@ def sets(ctx: click.Context) -> None:
 )
 @click.argument("name", metavar="NAME")
 def show(name: str) -> None:
-    """Print set NAME, 1 to 9, or another model's values, as YAML that --config takes."""
+    """Print set NAME, 1 to 9, the preset flight, or another model's values, as YAML.
+
+    --config takes the YAML.
+    """
     import yaml
 
-    from dlgmd_cli.parameters import load_model_preset, load_set, merge
+    from dlgmd_cli.parameters import load_config, load_model_preset, load_preset, parameters_of
 
-    params: Parameters
-    if name in MODELS and name != DlgmdParameters.model:
-        kind = MODELS[name].parameters
-        params = merge(kind, load_model_preset(name), {})
-        click.echo(f"# {kind.source}, and defaults.")
-        click.echo(f"model: {name}")
+    if name in PRESETS:
+        config, origin = load_config(name), f"The preset {name}, the default."
+    elif name in MODELS and name != DlgmdParameters.model:
+        config = load_model_preset(name)
+        origin = f"{MODELS[name].parameters.source}, and defaults."
     else:
-        params = load_set(name)
-        click.echo(f"# Set {name}; Table II of {params.source}, and defaults.")
+        config = load_preset(name)
+        origin = f"Set {name}; Table II of {DlgmdParameters.source}, and defaults."
+    params = parameters_of(config)
+    click.echo(f"# {origin}")
+    click.echo(f"model: {params.model}")
+    for key, meaning in (
+        ("width_px", "width of the processed frame (px)"),
+        ("model_fps", "frames a second at most, of a video"),
+    ):
+        click.echo(f"{f'{key}: {getattr(config, key):g}':<22} # {meaning}")
     for key, value in params.to_dict().items():
         spec = params.specs()[key]
         line = yaml.safe_dump({key: value}).strip()

@@ -111,7 +111,7 @@ def sweep(
 
     With INPUT, as in 'dlgmd run', the peak membrane potential, the sharpness (the mean of the
     potential scaled to its peak), the distinguishability and the first alarm are measured. The
-    other parameters are those of set 9, unless --set or --config names others.
+    other parameters are those of the preset flight, unless --set or --config names others.
 
     Writes OUT/sweep-NAME/ with sweep.csv, one row per grid point and speed, a figure, and
     sweep.yaml. Points are kept as they are done: after an interruption, the same command continues.
@@ -120,6 +120,7 @@ def sweep(
 
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as options_of
+    from dlgmd_cli.runs.run import open_input
     from dlgmd_cli.runs.sweep import FIGURE, Sweep, film
     from dlgmd_cli.threads import n_processors
 
@@ -131,7 +132,7 @@ def sweep(
             subject = _cubes(shape, given["size"] or DEFAULT_SIZE, grid, setup.params)
         else:
             options = options_of(setup, given)
-            video = opened.enter_context(options.open(input_path))
+            video = opened.enter_context(open_input(input_path, [setup], options))
             subject = film(input_path, video, options, false_positive_frame)
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
         swept = Sweep(folder, subject, grid, setup, say)
@@ -177,14 +178,15 @@ def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict
 
 def _setup(asked: dict[str, Any], *, of_cubes: bool) -> "Setup":
     """The model that the options ask for; for cubes the paper's, if none is named."""
-    from dlgmd_cli.runs.run import DEFAULT_MODEL, choose
+    from dlgmd_cli.runs.run import DLGMD, choose
 
     overrides = parse_overrides(asked["pairs"])
     origin = asked["set_name"], asked["config"]
-    is_paper_s = of_cubes and origin == (None, None) and asked["model"] in (None, DEFAULT_MODEL)
+    model = asked["model"]
+    is_paper_s = of_cubes and origin == (None, None) and model in (None, DLGMD)
     if is_paper_s:
-        overrides = {**FIG_11, **overrides}
-    setup = choose(*origin, asked["model"], overrides, asked["formulation"], asked["engine"])
+        model, overrides = DLGMD, {**FIG_11, **overrides}
+    setup = choose(*origin, model, overrides, asked["formulation"], asked["engine"])
     return replace(setup, label="fig11") if is_paper_s else setup
 
 

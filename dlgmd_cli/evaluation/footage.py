@@ -1,7 +1,7 @@
 """Labelled videos, and what models say about them: computed here, or read from a batch."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -152,7 +152,7 @@ def with_flow(setups: Sequence[Setup]) -> list[Setup]:
     """The setups and the divergence of optical flow, which sees what the first of them does."""
     first = setups[0]
     params = FlowDivergenceParameters(n_sp=first.params.n_sp)
-    return [*setups, Setup(params, FLOW, size=first.size)]
+    return [*setups, replace(first, params=params, label=FLOW, engine="auto")]
 
 
 def stored(

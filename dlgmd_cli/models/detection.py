@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import Grey, Model, Response, create_model
-from dlgmd_cli.parameters import DlgmdParameters, Parameters
+from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -162,7 +162,8 @@ class Alarm:
     Parameters
     ----------
     params : Parameters, optional
-        Of any model; set 9 of the D-LGMD unless given.
+        Of any model; those of the preset `flight` unless given, which is made for frames 240 px
+        wide.
     engine : str
         See `DLGMD`.
     tell : callable, optional
@@ -188,7 +189,7 @@ class Alarm:
         engine: str = "auto",
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.params = params if params is not None else DlgmdParameters()
+        self.params = params if params is not None else parameters_of(load_config(PRESETS[0]))
         self.model: Model = create_model(self.params, engine=engine, tell=tell)
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
 

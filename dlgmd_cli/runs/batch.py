@@ -14,7 +14,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
-from dlgmd_cli.runs.run import Setup, require_an_answer, run_models
+from dlgmd_cli.runs.run import Setup, open_input, require_an_answer, run_models
 from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
 
 def _differing(record: Mapping[str, Any], setup: Setup, options: InputOptions) -> list[str]:
     """Which settings of a result are not those that are asked for."""
-    asked: dict[str, Any] = {"model": setup.params.model, **setup.params.to_dict()}
+    asked = setup.settings()
     if setup.engine != "auto":
         asked["engine"] = setup.engine
     wanted, found = options.to_record(), record.get("options")
@@ -272,7 +272,10 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
         for number in task.wanted:  # before it takes the time to compute
             _check(job, number, video)
         setups = [job.setups[number] for number in task.wanted]
-        with local_copy(video.path, job.scratch) as path, job.options.open(path) as opened:
+        with (
+            local_copy(video.path, job.scratch) as path,
+            open_input(path, setups, job.options) as opened,
+        ):
             identity = {"path": video.path, **video.identity}
             results = run_models(opened, setups, job.options, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):

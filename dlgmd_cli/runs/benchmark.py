@@ -133,7 +133,7 @@ def _model_ms(
         model.step(frame)
         times_s.append(time.perf_counter() - start)
     setup = Setup(params, "bench", model.engine_name)
-    whole = partial(run_models, video, [setup], InputOptions(), identity={})
+    whole = partial(run_models, video, [setup], InputOptions(size=video.size_wh), identity={})
     return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
 
 

@@ -14,7 +14,11 @@ from dlgmd_cli import cancel
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.models.base import Model, create_model
 from dlgmd_cli.parameters import (
+    DEFAULT_MODEL_FPS,
+    DEFAULT_WIDTH_PX,
     MODELS,
+    PRESETS,
+    DlgmdParameters,
     Parameters,
     load_config,
     load_model_preset,
@@ -32,7 +36,7 @@ from dlgmd_cli.video.frames import (
 )
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
-DEFAULT_SET, DEFAULT_MODEL = "9", "dlgmd"
+DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
 ENGINES = ("opencv", "numba")
 
 Tell = Callable[[str], None]
@@ -54,17 +58,19 @@ class Setup:
     params : Parameters
         The model's.
     label : str
-        What messages and figures call it: `set9`, `lgmd`, or a file's stem.
+        What messages and figures call it: `set9`, `lgmd`, `flight`, or a file's stem.
     engine : str
         `opencv`, `numba` or `auto`.
     named : dict
-        What the record says of its origin: ``{"set": 9}``, if a set was named.
+        What the record says of its origin: ``{"set": 9}`` or ``{"preset": "flight"}``, if such a
+        one was named.
     origin : str
         The file that the parameters are from, as errors name it.
-    options : dict
+    options : InputOptions
         Options of the run that wrote that file, if a run did.
-    size : InputOptions
-        Only its `scale` and `size` count: the processed size of this model, where it has its own.
+    width_px, model_fps : int, float
+        What the parameters are made for: the width of the processed frame in px, and frames a
+        second. Used where no option says otherwise.
     """
 
     params: Parameters
@@ -72,16 +78,24 @@ class Setup:
     engine: str = "auto"
     named: dict[str, Any] = field(default_factory=dict)
     origin: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    size: InputOptions = field(default_factory=InputOptions)
+    options: InputOptions = field(default_factory=InputOptions)
+    width_px: int = DEFAULT_WIDTH_PX
+    model_fps: float = DEFAULT_MODEL_FPS
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
         """Width and height in px at which it sees a video: as asked for, else its own."""
-        is_asked = options.scale is not None or options.size is not None
-        if is_asked or (self.size.scale is None and self.size.size is None):
-            return video.size_wh
-        width, height = video.info.width, video.info.height
-        return processed_size(width, height, scale=self.size.scale, size_wh=self.size.size)
+        asked = self.options if options.scale is None and options.size is None else options
+        return processed_size(
+            *(video.info.width, video.info.height),
+            scale=asked.scale,
+            size_wh=asked.size,
+            width_px=self.width_px,
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """What a record says of the model, less the engine and the options."""
+        made_for = {"width_px": self.width_px, "model_fps": self.model_fps}
+        return {"model": self.params.model, **made_for, **self.params.to_dict()}
 
 
 def choose(
@@ -94,7 +108,8 @@ def choose(
 ) -> Setup:
     """The model that a set, a file or a name stands for, with single parameters overridden.
 
-    Parameters merge as defaults, set or file, `overrides` and `formulation`.
+    Parameters merge as defaults, set or file, `overrides` and `formulation`. If nothing is named,
+    the file is the preset `flight`; `dlgmd` alone is set 9.
 
     Raises
     ------
@@ -103,13 +118,14 @@ def choose(
     """
     if set is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
-    if set is not None and model not in (DEFAULT_MODEL, None):
+    if set is not None and model not in (DLGMD, None):
         raise ParameterError(
             "", "--set works only with the D-LGMD model", f"Leave out --set or --model {model}."
         )
-    if config is not None:
-        file = load_config(Path(config))
-    elif model not in (DEFAULT_MODEL, None) and model in MODELS:
+    is_default = set is None and config is None and model is None
+    if config is not None or is_default:
+        file = load_config(DEFAULT_PRESET if config is None else os.fspath(config))
+    elif model not in (DLGMD, None) and model in MODELS:
         file = load_model_preset(str(model))
     else:
         try:
@@ -117,7 +133,7 @@ def choose(
         except ParameterError as error:
             mend = f"{error.mend.rstrip('.')}, or give a file with --config."
             raise ParameterError("Invalid value for '--set'", error.why, mend) from None
-    name = model or file.model or DEFAULT_MODEL
+    name = model or file.model or DLGMD
     if name not in MODELS:
         known = ", ".join(MODELS)
         raise ParameterError(
@@ -137,16 +153,24 @@ def choose(
     values = dict(overrides or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
-            raise ParameterError("", "--formulation works only with the D-LGMD model")
+            mend = "Add --set 9." if is_default else ""
+            raise ParameterError("", "--formulation works only with the D-LGMD model", mend)
         values["formulation"] = formulation
-    if config is not None:
-        label = Path(config).stem
+    if config is not None or is_default:
+        label = DEFAULT_PRESET if config is None else Path(config).stem
     else:
         number = str(DEFAULT_SET if set is None else set).removeprefix("set")
-        label = name if name != DEFAULT_MODEL else f"set{number}"
-    named = file.named if set is None else {"set": int(str(set).removeprefix("set"))}
-    params = merge(kind, file, values)
-    return Setup(params, label, chosen, named, file.name, dict(file.options))
+        label = name if name != DLGMD else f"set{number}"
+    return Setup(
+        merge(kind, file, values),
+        label,
+        chosen,
+        file.named if set is None else {"set": int(str(set).removeprefix("set"))},
+        file.name,
+        InputOptions.from_record(file.options, file.name),
+        file.width_px,
+        file.model_fps,
+    )
 
 
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
@@ -158,7 +182,7 @@ def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
         If options exclude each other or are not valid.
     """
     explicit = {key: value for key, value in given.items() if value is not None}
-    recorded = InputOptions.from_record(setup.options, setup.origin)
+    recorded = setup.options
     if explicit.keys() & {"scale", "size"}:
         recorded = replace(recorded, scale=None, size=None)
     return replace(recorded, **explicit)
@@ -194,11 +218,12 @@ def run(
     video : str or path
         A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``.
     models : sequence, optional
-        What to run: parameters, or names of sets (``9``) and models (``"lgmd"``). Without it, one
-        model is run, as `set`, `config` and `model` say; set 9 unless given.
+        What to run: parameters, or names of sets (``9``), models (``"lgmd"``) and presets
+        (``"flight"``). Without it, one model is run, as `set`, `config` and `model` say; the preset
+        `flight` unless given.
     set, config, model, formulation : optional
-        One of the paper's sets, a YAML file, the name of a model; how delays that are not whole
-        frames are rounded.
+        One of the paper's sets; a YAML file, or the name of a preset; the name of a model; how
+        delays that are not whole frames are rounded.
     param : mapping, optional
         Single parameters to override, such as ``{"r": 4}``.
     engine : str, optional
@@ -240,8 +265,10 @@ def _setup(model: Parameters | str | int, engine: str | None) -> Setup:
     """What an entry of `models` stands for."""
     if isinstance(model, Parameters):
         return Setup(model, model.model, engine or "auto")
-    if model in MODELS and model != DEFAULT_MODEL:
+    if model in MODELS:
         return choose(model=str(model), engine=engine)
+    if model in PRESETS:
+        return choose(config=str(model), engine=engine)
     return choose(set=str(model).removeprefix("set"), engine=engine)
 
 
@@ -254,12 +281,22 @@ def run_input(
     tell: Tell = _nothing,
 ) -> list[Result]:
     """Open an input, run every model over it and close it; raises what `run` raises."""
-    with options.open(path) as video:
+    with open_input(path, setups, options) as video:
         results = run_models(
             video, setups, options, identity=fingerprint(path), on_frame=on_frame, tell=tell
         )
         require_an_answer(os.fspath(path), video, setups, results, options)
     return results
+
+
+def open_input(
+    path: str | os.PathLike[str], setups: Sequence[Setup], options: InputOptions
+) -> Video:
+    """Open an input for models; its own size is that of the first. Raises what `open_video` does.
+
+    What no option says, the models do: the frames a second are those of the fastest of them.
+    """
+    return options.open(path, width_px=setups[0].width_px)
 
 
 def run_models(
@@ -341,9 +378,8 @@ def gathered_result(
     record = {
         **input_record(video, size_wh, len(frame), identity, n_read),
         **setup.named,
-        "model": setup.params.model,
+        **setup.settings(),
         "engine": model.engine_name,
-        **setup.params.to_dict(),
         "options": options.to_record(),
         **facts,
         "warnings": list(video.progress.warnings),

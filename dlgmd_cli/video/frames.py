@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.parameters import shown
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -35,8 +35,6 @@ __all__ = [
     "processed_size",
 ]
 
-# The paper's best size: a quarter of 1080p.
-DEFAULT_WIDTH = 480
 MAX_SIDE = 8192
 
 _ABOVE_0 = math.ulp(0.0)
@@ -112,12 +110,13 @@ class InputOptions:
         values = {key: value for key, value in vars(self).items() if value is not None}
         return values | ({} if self.size is None else {"size": "{}x{}".format(*self.size)})
 
-    def open(self, path: str | os.PathLike[str]) -> Video:
+    def open(self, path: str | os.PathLike[str], *, width_px: int = DEFAULT_WIDTH_PX) -> Video:
         """Open an input with these options; raises what `open_video` raises."""
         return open_video(
             path,
             scale=self.scale,
             size_wh=self.size,
+            width_px=width_px,
             start_s=self.start or 0.0,
             end_s=math.inf if self.end is None else self.end,
             max_fps=self.fps,
@@ -141,6 +140,7 @@ def open_video(
     *,
     scale: float | None = None,
     size_wh: tuple[int, int] | None = None,
+    width_px: int = DEFAULT_WIDTH_PX,
     start_s: float = 0.0,
     end_s: float = math.inf,
     max_fps: float | None = None,
@@ -156,9 +156,12 @@ def open_video(
         A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``. An existing
         file or folder of this name comes before a pattern.
     scale : float, optional
-        Linear scale of the frames; without it the width is reduced to 480 px at most.
+        Linear scale of the frames; without it the width is reduced to `width_px` at most.
     size_wh : (int, int), optional
         An exact size instead, in px.
+    width_px : int
+        The greatest width without `scale` and `size_wh`; 480, a quarter of 1080p, is the paper's
+        best, and the preset `flight` is made for 240.
     start_s, end_s : float
         Span of time to read, in seconds, the end excluded.
     max_fps : float, optional
@@ -206,7 +209,7 @@ def open_video(
         width, height, fps, n_frames, _ = opened.facts
         fps = fps or input_fps or FALLBACK_FPS
         info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
-        size = processed_size(width, height, scale=scale, size_wh=size_wh)
+        size = processed_size(width, height, scale=scale, size_wh=size_wh, width_px=width_px)
     except BaseException:
         opened.close()
         raise
@@ -256,11 +259,12 @@ def processed_size(
     *,
     scale: float | None = None,
     size_wh: tuple[int, int] | None = None,
+    width_px: int = DEFAULT_WIDTH_PX,
 ) -> tuple[int, int]:
     """Width and height in px at which an input is processed; raises ParameterError.
 
-    Without `scale`, 0 < scale <= 1, and an exact `size_wh` in px the width is reduced to 480 px,
-    the paper's best size, and never enlarged.
+    Without `scale`, 0 < scale <= 1, and an exact `size_wh` in px the width is reduced to
+    `width_px`, and never enlarged.
     """
     if size_wh is not None:
         if scale is not None:
@@ -271,7 +275,7 @@ def processed_size(
             )
         return size_wh
     if scale is None:
-        scale = min(1.0, DEFAULT_WIDTH / width)
+        scale = min(1.0, width_px / width)
     if not 0.0 < scale <= 1.0:
         raise ParameterError("", f"scale {scale:g} is not above 0 and up to 1")
     return max(1, round(width * scale)), max(1, round(height * scale))

@@ -11,7 +11,7 @@ import yaml
 
 from dlgmd_cli import __version__, load_set
 from dlgmd_cli.commands.app import COMMANDS, cli
-from dlgmd_cli.parameters import MODELS, load_config
+from dlgmd_cli.parameters import MODELS, load_config, parameters_of
 
 
 def test_every_command_has_help_with_an_example(dlgmd):
@@ -91,8 +91,19 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, number):
     result = dlgmd("sets", "show", number)
     assert result.exit_code == 0
     (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
-    assert yaml.safe_load(result.stdout) == load_set(number).to_dict()
+    made_for = {"width_px": 480, "model_fps": 30}
+    expected = {"model": "dlgmd", **made_for, **load_set(number).to_dict()}
+    assert yaml.safe_load(result.stdout) == expected
     assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
+
+
+def test_sets_show_of_the_preset_is_the_preset(dlgmd, tmp_path):
+    result = dlgmd("sets", "show", "flight")
+    (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
+    shown, preset = load_config(tmp_path / "my.yaml"), load_config("flight")
+    assert parameters_of(shown) == parameters_of(preset) and preset.named == {"preset": "flight"}
+    assert (shown.model, shown.width_px, shown.model_fps) == (preset.model, 240, 30.0)
+    assert "flight" in dlgmd("sets").stdout
 
 
 @pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
@@ -123,7 +134,7 @@ def test_tables_fit_80_columns():
         check=True,
     )
     table = [line for line in done.stdout.splitlines() if not line.startswith("Keys")]
-    assert "lgmd" in table[-1]
+    assert "flight" in table[-1]
     assert max(map(len, table)) <= 80
 
 

@@ -53,7 +53,7 @@ def test_files_and_summary(dlgmd, clips, tmp_path):
     folder = tmp_path / "dlgmd-out" / "loom"
     assert sorted(os.listdir(folder)) == [*PLOTS[:1], PLOTS[1], "compare.csv", "compare.yaml"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
-    assert list(rows(folder)) == ["set9", "lgmd", "emd-lgmd"]
+    assert list(rows(folder)) == ["flight", "lgmd", "emd-lgmd"]
     shown = [line.split() for line in result.stdout.splitlines() if line.strip()]
     assert [line[0] for line in shown[1:-1] if line[0] in rows(folder)] == list(rows(folder))
     written = record(folder)
@@ -113,10 +113,11 @@ def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
 
 
 def test_labels(tmp_path):
-    assert labels() == ["set9", "lgmd", "emd-lgmd"]
+    assert labels() == ["flight", "lgmd", "emd-lgmd"]
+    assert labels(configs=(Path("flight"),), sets=("3",)) == ["set3", "flight"]
     assert labels(sets=("3", "9", "3"), models=("lgmd", "dlgmd")) == ["set3", "set9", "lgmd"]
-    assert labels(formulations=("released", "default")) == ["set9", "set9/released"]
-    assert labels(no_ffi_gd=True) == ["set9", "set9/no-ffi-gd"]
+    assert labels(("9",), formulations=("released", "default")) == ["set9", "set9/released"]
+    assert labels(("9",), no_ffi_gd=True) == ["set9", "set9/no-ffi-gd"]
     assert labels(sets=("1",), formulations=("equations",), no_ffi_gd=True) == [
         "set1",
         "set1/equations",
@@ -377,4 +378,4 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
 def test_an_engine_that_no_model_has(dlgmd, clips):
     result = dlgmd("compare", clips / "loom.avi", "--model", "lgmd", "--engine", "opencv")
     assert result.exit_code == 2
-    assert "--engine works only with the D-LGMD model. Add --set." in result.stderr
+    assert "--engine works only with the D-LGMD model. Add --set 9." in result.stderr

@@ -13,7 +13,12 @@ from reference import clips
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import Alarm, absolute, detect, onsets, sequence
-from dlgmd_cli.parameters import MODELS, DlgmdParameters, load_set
+from dlgmd_cli.parameters import (
+    MODELS,
+    load_config,
+    load_set,
+    parameters_of,
+)
 
 NAN = np.nan
 potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))
@@ -109,9 +114,12 @@ def test_an_alarm_says_frame_by_frame_what_a_whole_run_does(params, dtype):
     assert [one.is_valid for one in found] == [one.is_valid for one in responses]
 
 
-def test_the_default_alarm_is_set_9_and_goes_off_as_a_disc_looms():
-    alarm = Alarm()
-    assert alarm.params == DlgmdParameters() == load_set(9)
+def test_the_default_alarm_is_the_preset():
+    assert Alarm().params == parameters_of(load_config("flight"))
+
+
+def test_the_alarm_goes_off_as_a_disc_looms():
+    alarm = Alarm(load_set(9))
     found = [alarm.step(frame).alarm for frame in clips.looming(60, 80, 12, seed=4)]
     assert not any(found[:4]) and any(found)
     with pytest.raises(FrameError):

@@ -11,6 +11,7 @@ import dlgmd_cli
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
     {"errors", "cancel", "names", "threads"},
+    {"plain_yaml"},
     {"parameters", "pool"},
     {"models", "video"},
     {"results"},

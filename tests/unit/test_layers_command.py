@@ -38,7 +38,7 @@ def stop_at(monkeypatch, stop):
 
 
 def test_a_sheet_and_its_record(dlgmd, clips):
-    result = dlgmd("layers", clips / "loom.avi", "--frames", "18, 10,1,10")
+    result = dlgmd("layers", clips / "loom.avi", "--frames", "18, 10,1,10", "--set", 9)
     assert result.exit_code == 0, result.output
     assert result.stdout == os.path.join("dlgmd-out", "loom") + "\n" and result.stderr == ""
     assert set(os.listdir("dlgmd-out/loom")) == FILES
@@ -208,7 +208,7 @@ def test_what_is_doubtful_about_a_film_is_said(dlgmd, tmp_path):
 
 
 def test_sheet_and_film_come_from_one_command(dlgmd, clips):
-    arguments = ("--frames", "1,30", "--video", "new/film.mp4", "--no-plots")
+    arguments = ("--frames", "1,30", "--video", "new/film.mp4", "--no-plots", "--set", 9)
     result = dlgmd("layers", clips / "loom.avi", *arguments, "--end", 0.3)
     assert result.exit_code == 0, result.output
     folder, film = result.stdout.splitlines()

@@ -18,6 +18,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     FORMULATIONS,
     MODELS,
+    PRESETS,
     DlgmdParameters,
     load_config,
     load_model_preset,
@@ -25,6 +26,7 @@ from dlgmd_cli.parameters import (
     load_set,
     merge,
     nearest,
+    parameters_of,
     parse_overrides,
     preset_names,
     presets_dir,
@@ -270,7 +272,7 @@ def test_sets_are_table_two(number):
 def test_every_config_loads_and_is_listed():
     assert preset_names() == [str(n) for n in range(1, 10)]
     others = [name for name in MODELS if name != "dlgmd"]
-    stems = [*(f"set{name}" for name in preset_names()), *others]
+    stems = [*(f"set{name}" for name in preset_names()), *others, *PRESETS]
     assert sorted(path.stem for path in presets_dir().glob("*.yaml")) == sorted(stems)
     assert load_set(9) == DlgmdParameters()
     for model in others:
@@ -319,6 +321,19 @@ def test_a_file_may_build_on_a_set(file):
         load_config(file)
 
 
+def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
+    file.write_text("preset: flight\nt_mp: 0.5\n")
+    flight, own = load_config("flight"), load_config(file)
+    assert parameters_of(own) == parameters_of(flight, t_mp=0.5)
+    assert (own.model, own.width_px, own.model_fps) == (flight.model, 240, 30.0)
+    file.write_text("width_px: 320\nmodel_fps: 25\nr: 3\n")
+    own = load_config(file)
+    assert (own.values, own.width_px, own.model_fps) == ({"r": 3}, 320, 25.0)
+    # A record holds all values itself, whatever has become of its preset.
+    file.write_text("schema: 1\npreset: gone\nmodel: lgmd\nw_i: 0.5\n")
+    assert parameters_of(load_config(file)) == MODELS["lgmd"].parameters(w_i=0.5)
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -345,6 +360,12 @@ def test_a_file_may_build_on_a_set(file):
         ("r: 010", "r = 10.0 is not a whole number"),
         ("model: 3", "model is not a name"),
         ("options: 3", "options is not a mapping"),
+        ("preset: fly", "there is no preset fly. Choose from flight."),
+        ("preset: flight\nset: 3", "set and preset exclude each other"),
+        ("width_px: 0", "width_px = 0 is not a whole number from 1 to 8192"),
+        ("width_px: 240.5", "width_px = 240.5 is not a whole number"),
+        ("model_fps: fast", "model_fps = 'fast' is not a number from 1 to 1000"),
+        ("model_fps: .inf", "model_fps = inf is not a number from 1 to 1000"),
         ("set: 12", "there is no set 12. Choose 1 to 9"),
         ("\0", "it is not valid YAML"),
     ],

@@ -8,13 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from conftest import FPS, N_FRAMES, looming_frames, write_video
 
-from dlgmd_cli import DLGMD, load_set, open_video
+from dlgmd_cli import DLGMD, load_config, load_set, open_video
 from dlgmd_cli.errors import ParameterError
 
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
@@ -424,7 +425,7 @@ def test_too_short(dlgmd, clips):
 
 
 def test_a_span_without_frames(dlgmd, clips):
-    result = dlgmd("run", clips / "loom.avi", "--start", 100)
+    result = dlgmd("run", clips / "loom.avi", "--set", 9, "--start", 100)
     assert result.exit_code == 1
     assert (
         "--start, --end and --fps leave fewer than the 4 frames that set9 needs. "
@@ -434,7 +435,7 @@ def test_a_span_without_frames(dlgmd, clips):
 
 @pytest.mark.parametrize("options", [["--start", 0.7], ["--end", 0.05], ["--fps", 2]])
 def test_a_span_with_few_frames(dlgmd, clips, options):
-    result = dlgmd("run", clips / "loom.avi", *options)
+    result = dlgmd("run", clips / "loom.avi", "--set", 9, *options)
     assert result.exit_code == 1
     assert "leave fewer than the 4 frames" in result.stderr and os.listdir(".") == []
 
@@ -597,3 +598,37 @@ def test_other_models(dlgmd, clips, tmp_path):
 def test_options_that_another_model_does_not_have(dlgmd, clips, options, message):
     result = dlgmd("run", clips / "loom.avi", "--model", "lgmd", *options)
     assert result.exit_code == 2 and message in result.stderr
+
+
+def test_the_default_is_the_preset_which_a_record_repeats(dlgmd, tmp_path):
+    write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
+    for out, options in (("a", []), ("b", ["--config", "flight"]), ("s", ["--set", 3])):
+        assert dlgmd("run", "wide.avi", *options, "--no-plots", "--out", out).exit_code == 0
+    record = yaml.safe_load(open_text("a/wide/run.yaml"))
+    assert (record["preset"], record["width_px"], record["model_fps"]) == ("flight", 240, 30.0)
+    assert record["processed"] == {"width": 240, "height": 135, "frames": 12}
+    assert open_text("a/wide/run.yaml") == open_text("b/wide/run.yaml")
+    other = yaml.safe_load(open_text("s/wide/run.yaml"))
+    assert other["processed"]["width"] == other["width_px"] == 480 and "preset" not in other
+    again = ["--config", "a/wide/run.yaml", "--no-plots", "--out", "again"]
+    assert dlgmd("run", "wide.avi", *again).exit_code == 0
+    for name in FILES:
+        assert open_text(f"again/wide/{name}") == open_text(f"a/wide/{name}")
+    assert dlgmd("run", "wide.avi", *again, "--size", "64x36", "--overwrite").exit_code == 0
+    assert yaml.safe_load(open_text("again/wide/run.yaml"))["processed"]["width"] == 64
+
+
+def test_models_of_several_widths_share_a_decoding(dlgmd, tmp_path):
+    write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
+    result = dlgmd("compare", "wide.avi", "--config", "flight", "--set", 3, "--no-plots")
+    assert result.exit_code == 0, result.output
+    models = yaml.safe_load(open_text("dlgmd-out/wide/compare.yaml"))["models"]
+    assert [(one["label"], one["width"]) for one in models] == [("set3", 480), ("flight", 240)]
+
+
+def test_a_formulation_of_a_default_without_any(dlgmd, clips, monkeypatch):
+    lgmd = replace(load_config("flight"), model="lgmd", values={})
+    monkeypatch.setattr("dlgmd_cli.runs.run.load_config", lambda path: lgmd)
+    result = dlgmd("run", clips / "loom.avi", "--formulation", "released")
+    assert result.exit_code == 2
+    assert "--formulation works only with the D-LGMD model. Add --set 9." in result.stderr

@@ -112,7 +112,7 @@ def test_a_video_is_what_run_says(dlgmd, clips, options):
 def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
     frames = looming_frames(24, 96, 72)
     write_video(tmp_path / "late.avi", frames[:1] * 14 + frames, fourcc="FFV1")
-    grid = ["--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
+    grid = ["--set", 9, "--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
     result = succeed(dlgmd, "sweep", "late.avi", *grid, "--no-plots", "--false-positive-frame", 5)
     assert "inf: no membrane potential within 5 frames of the false positive" in result.stdout
     found = [row["distinguishability"] for row in rows("dlgmd-out/sweep-late/sweep.csv")]
@@ -267,7 +267,7 @@ def test_bad_input_is_exit_1(dlgmd, tmp_path, name, why):
     (tmp_path / "text.mp4").write_bytes(b"hello")
     write_video(tmp_path / "short.avi", looming_frames(3))
     before = sorted(os.listdir("."))
-    result = dlgmd("sweep", name, "--x", "sigma_e=1,2", "--y", "a=1,2")
+    result = dlgmd("sweep", name, "--set", 9, "--x", "sigma_e=1,2", "--y", "a=1,2")
     assert result.exit_code == 1 and result.stdout == ""
     assert why in result.stderr and result.stderr.count("\n") == 1
     assert sorted(os.listdir(".")) == before
