@@ -27,6 +27,7 @@ COMMANDS = (
     "sets",
     "synth",
     "evaluate",
+    "calibrate",
     "bench",
 )
 

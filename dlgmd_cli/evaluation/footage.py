@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
 from dlgmd_cli.evaluation.scoring import CONTACT_FRAMES, Course
 from dlgmd_cli.models.detection import Flags, Series, absolute
@@ -136,6 +137,7 @@ def computed(
                 yield case, _run(tuple(setups), options, case)
             except DlgmdError as error:
                 yield case, error
+            cancel.check()
         return
     for case, outcome in run_tasks(partial(_run, tuple(setups), options), cases, jobs):
         if outcome.error is not None and not isinstance(outcome.error, DlgmdError):

@@ -69,20 +69,21 @@ class Curve:
     false_alarms_per_min: Series
     lead_s: Series
 
-    def best(self, max_false_per_min: float) -> float:
-        """The threshold of the greatest recall with at most so many false alarms a minute.
+    def rank(self, i: int) -> tuple[float, float, float]:
+        """How good threshold number i is: recall, then few false alarms, then a long lead."""
+        lead_s = 0.0 if np.isnan(self.lead_s[i]) else float(self.lead_s[i])
+        return float(self.recall[i]), -float(self.false_alarms_per_min[i]), lead_s
 
-        Of equal recall, the one of fewer false alarms, then that of the longer lead, then the
-        middle one. The highest raises no alarm, so that there always is one.
+    def best(self, max_false_per_min: float) -> int:
+        """Number of the threshold of the best rank with at most so many false alarms a minute.
+
+        Of equal ranks, the middle one. The highest raises no alarm, so that there always is one.
         """
-        allowed = self.false_alarms_per_min <= max_false_per_min
-        lead_s = np.nan_to_num(self.lead_s)
-        rank = [
-            (self.recall[i], -self.false_alarms_per_min[i], lead_s[i]) if allowed[i] else (-1.0,)
-            for i in range(len(self.threshold))
-        ]
-        best = [i for i in range(len(rank)) if rank[i] == max(rank)]
-        return float(self.threshold[best[len(best) // 2]])
+        allowed = np.flatnonzero(~(self.false_alarms_per_min > max_false_per_min))
+        ranks = [self.rank(int(i)) for i in allowed]
+        top = max(ranks)
+        equal = [i for i, rank in zip(allowed, ranks, strict=True) if rank == top]
+        return int(equal[len(equal) // 2])
 
 
 def thresholds(courses: Sequence[Course], n_sp: int, horizon_s: float = HORIZON_S) -> Series:

@@ -114,7 +114,8 @@ def evaluated(field: Field, horizon_s: float, max_false_per_min: float) -> Repor
         courses = [candidate.courses[case.name] for case in field.cases]
         n_sp = candidate.n_sp
         curves[label] = curve(courses, n_sp, thresholds(courses, n_sp, horizon_s), horizon_s)
-        at = {BEST: curves[label].best(max_false_per_min)}
+        best = curves[label].best(max_false_per_min)
+        at = {BEST: float(curves[label].threshold[best])}
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
         for name, strength in at.items():
@@ -188,16 +189,11 @@ def as_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, An
     """The measures of every candidate over all videos, by label; None where undefined."""
 
     def facts(row: Row) -> dict[str, Any]:
-        measures = row.scores.measures
         return {
             "at": row.at,
             "threshold": defined(row.threshold),
             "n_sp": row.candidate.n_sp,
-            **{name: defined(one.value) for name, one in measures.items()},
-            "intervals": {
-                name: [defined(one.low), defined(one.high)] for name, one in measures.items()
-            },
-            **{name: getattr(row.scores, name) for name in COUNTS},
+            **scores_json(row.scores),
         }
 
     found = {}
@@ -212,6 +208,18 @@ def as_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, An
             for target in sorted(targets)
         }
     return found
+
+
+def scores_json(scores: Scores) -> dict[str, Any]:
+    """Measures with their intervals, and counts."""
+    measures = scores.measures
+    return {
+        **{name: defined(one.value) for name, one in measures.items()},
+        "intervals": {
+            name: [defined(one.low), defined(one.high)] for name, one in measures.items()
+        },
+        **{name: getattr(scores, name) for name in COUNTS},
+    }
 
 
 def defined(value: float) -> float | None:

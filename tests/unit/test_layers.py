@@ -33,6 +33,7 @@ ONLY_IN = {
     "distributed": {"runs"},
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
+    "optuna": {"evaluation"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
 EXCEPTIONS = {
