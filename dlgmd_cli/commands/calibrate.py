@@ -32,14 +32,15 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import DlgmdError, printable
+from dlgmd_cli.errors import printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.evaluation.calibration import Calibration, Choice, Rules
+    from dlgmd_cli.evaluation.calibration import Rules
     from dlgmd_cli.evaluation.footage import Case
     from dlgmd_cli.evaluation.measures import Scores
     from dlgmd_cli.evaluation.scoring import Course
-    from dlgmd_cli.evaluation.search import Range, Search, Trial
+    from dlgmd_cli.evaluation.search import Range, Search
+    from dlgmd_cli.evaluation.work import Calibrated, Work
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import InputOptions
 
@@ -120,11 +121,13 @@ def calibrate(
 
     Writes OUT/NAME.yaml, which --config takes, and which says what it was calibrated on.
     """
-    from dlgmd_cli.evaluation.calibration import Rules, fold_of
+    from dlgmd_cli.evaluation.calibration import Rules
     from dlgmd_cli.evaluation.footage import Field, read_cases
     from dlgmd_cli.evaluation.search import parse_ranges
+    from dlgmd_cli.evaluation.work import Work, of_courses
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as recorded
+    from dlgmd_cli.threads import n_processors
 
     if given.get("normalise") == "sequence":
         raise click.UsageError("--normalise sequence leaves no threshold to calibrate.")
@@ -137,17 +140,20 @@ def calibrate(
     store.refuse_existing(path, overwrite=overwrite)
     cases = read_cases(labels_path)
     with store.locked(Path(out)):
-        work = _Work(setup, options, wanted, jobs, labels_path)
-        search = _opened(work, ranges, Path(out), cases, overwrite) if ranges else None
+        search = None
+        if ranges:
+            search = _opened(setup, options, wanted, ranges, cases, Path(out), overwrite)
         field = Field(baselines=False)
         failed = run_over(field, cases, [setup], options, jobs)
         require_some(field, labels_path)
-        work.cases = field.cases
-        work.folds = fold_of([bool(case.collisions) for case in field.cases], wanted)
         _require_collisions(field.cases, labels_path)
+        work = Work(setup, options, wanted, tuple(field.cases), jobs or n_processors())
         courses = [field.candidates[setup.label].courses[case.name] for case in field.cases]
-        found = work.found(courses, search, n_trials)
-        text = _preset(found, work, ranges, n_trials)
+        if search is None:
+            found = of_courses(work, courses)
+        else:
+            found = _done(work, courses, search, n_trials)
+        text = _preset(found, work, labels_path.name, ranges, n_trials)
         with store.appearing(path) as (file,):
             file.write_text(text, encoding="utf-8")
     if as_json:
@@ -158,111 +164,35 @@ def calibrate(
     raise_failed(failed, len(cases))
 
 
-class _Found:
-    """What came of it: the setup with its choice, and scores of it and of what was before."""
+def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int) -> "Calibrated":
+    """The best of a search, after as many trials as are missing."""
+    from dlgmd_cli.evaluation.work import of_trials, tried
 
-    def __init__(
-        self, setup: "Setup", choices: "Sequence[Choice]", scores: "dict[str, Scores]"
-    ) -> None:
-        self.setup, self.choices, self.scores = setup, choices, scores
-
-
-class _Work:
-    """What is the same for every trial."""
-
-    def __init__(
-        self,
-        setup: "Setup",
-        options: "InputOptions",
-        rules: "Rules",
-        jobs: int | None,
-        labels_path: Path,
-    ) -> None:
-        self.setup, self.options, self.rules = setup, options, rules
-        self.jobs, self.labels_path = jobs, labels_path
-        self.cases: list[Case] = []
-        self.folds: list[int] = []
-
-    def courses(self, setup: "Setup") -> "list[Course]":
-        """What is thresholded of every video, with the parameters of a setup."""
-        from dlgmd_cli.evaluation.footage import computed, course_of
-        from dlgmd_cli.threads import n_processors
-
-        jobs = max(1, min(self.jobs or n_processors(), len(self.cases)))
-        by_name = {}
-        for case, results in computed(self.cases, [setup], self.options, jobs):
-            if isinstance(results, DlgmdError):
-                raise results
-            by_name[case.name] = course_of(results[0], case)
-        return [by_name[case.name] for case in self.cases]
-
-    def found(self, courses: "list[Course]", search: "Search | None", n_trials: int) -> _Found:
-        """Calibrate what was given, or the best of a search."""
-        from dataclasses import replace
-
-        from dlgmd_cli.evaluation.calibration import calibrated, held_out, on_the_same, with_choice
-        from dlgmd_cli.evaluation.measures import count, score
-        from dlgmd_cli.evaluation.search import best_trial, with_values
-
-        folds, rules = self.folds, self.rules
-        n_folds = max(folds) + 1
-        if search is None:
-            found = calibrated(courses, folds, rules)
-            setup, choices, of_folds = self.setup, found.of_folds, [courses] * n_folds
-            overall, same = found.overall, courses
-        else:
-            trials = self._searched(search, n_trials)
-            best = best_trial(trials)
-            winners = [best_trial(trials, fold) for fold in range(n_folds)]
-            ran: dict[str, list[Course]] = {}
-            for one in (best, *winners):
-                if str(one.values) not in ran:
-                    ran[str(one.values)] = self.courses(with_values(self.setup, one.values))
-            setup = with_values(self.setup, best.values)
-            choices = tuple(one.found.of_folds[i] for i, one in enumerate(winners))
-            of_folds = [ran[str(one.values)] for one in winners]
-            overall, same = best.found.overall, ran[str(best.values)]
-        params, before = with_choice(setup.params, overall), self.setup.params
-        from dlgmd_cli.evaluation.footage import strength_at
-
-        at = strength_at(before.t_mp, before.kappa)
-        scores = {
-            "held_out": held_out(of_folds, folds, choices, rules),
-            "same_videos": on_the_same(same, overall, rules),
-            "before": score([count(one, before.n_sp, at, rules.horizon_s) for one in courses]),
-        }
-        return _Found(replace(setup, params=params), choices, scores)
-
-    def _searched(self, search: "Search", n_trials: int) -> "list[Trial]":
-        """All trials, after as many as are missing were made."""
-        from dlgmd_cli.evaluation.calibration import calibrated
-
-        def measure(setup: "Setup") -> "Calibration":
-            return calibrated(self.courses(setup), self.folds, self.rules)
-
-        n_done = len(search)
-        if n_done:
-            say(f"{n_done} trials are done already.")
-        try:
-            with progress("calibrate", n_trials, "trial") as advance:
-                for n_done in search.run(n_trials, self.setup, measure):
-                    advance(n_done)
-        except (cancel.Interrupted, KeyboardInterrupt):
-            say(f"{n_done} of {n_trials} trials are done; the same command continues from there.")
-            raise
-        finally:
-            trials = search.trials()
-            search.close()
-        if not trials:
-            raise Failed("no trial had parameters that go together.", EXIT_FAILED)
-        return trials
+    n_done = len(search)
+    if n_done:
+        say(f"{n_done} trials are done already.")
+    try:
+        with progress("calibrate", n_trials, "trial") as advance:
+            for n_done in tried(work, search, n_trials):
+                advance(n_done)
+        trials = search.trials()
+    except (cancel.Interrupted, KeyboardInterrupt):
+        say(f"{n_done} of {n_trials} trials are done; the same command continues from there.")
+        raise
+    finally:
+        search.close()
+    if not trials:
+        raise Failed("no trial had parameters that go together.", EXIT_FAILED)
+    return of_trials(work, courses, trials)
 
 
 def _opened(
-    work: _Work,
+    setup: "Setup",
+    options: "InputOptions",
+    rules: "Rules",
     ranges: "Mapping[str, Range]",
-    out: Path,
     cases: "Sequence[Case]",
+    out: Path,
     overwrite: bool,
 ) -> "Search":
     """The search in the folder, which is made if need be."""
@@ -272,10 +202,10 @@ def _opened(
 
     asked = {
         "cases": [[case.name, *case.collisions] for case in cases],
-        "rules": asdict(work.rules),
+        "rules": asdict(rules),
         "ranges": {key: one.text() for key, one in ranges.items()},
-        "model": work.setup.settings(),
-        "options": work.options.to_record(),
+        "model": setup.settings(),
+        "options": options.to_record(),
     }
     return Search(out, ranges, asked, overwrite=overwrite)
 
@@ -293,7 +223,13 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
         warn(f"{n_with} videos with a collision are few: what is found may not hold for others")
 
 
-def _preset(found: _Found, work: _Work, ranges: "Mapping[str, Range]", n_trials: int) -> str:
+def _preset(
+    found: "Calibrated",
+    work: "Work",
+    labels: str,
+    ranges: "Mapping[str, Range]",
+    n_trials: int,
+) -> str:
     """The YAML of the preset; comments say what it was calibrated on."""
     from dlgmd_cli.results.record import yaml_text
 
@@ -302,7 +238,7 @@ def _preset(found: _Found, work: _Work, ranges: "Mapping[str, Range]", n_trials:
     trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
     n_folds = max(work.folds) + 1
     lines = [
-        f"Calibrated by dlgmd {__version__} on {printable(work.labels_path.name)}: {held.videos} "
+        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held.videos} "
         f"videos, {held.collisions} collisions, {held.minutes:.2f} minutes.",
         f"Best recall with at most {work.rules.max_false_per_min:g} false alarms per minute; an "
         f"alarm counts up to {work.rules.horizon_s:g} s before contact.",
@@ -324,7 +260,7 @@ def _sentence(scores: "Scores") -> str:
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
 
 
-def _facts(found: _Found, failed: Mapping[str, str]) -> dict[str, Any]:
+def _facts(found: "Calibrated", failed: Mapping[str, str]) -> dict[str, Any]:
     """What --json prints."""
     from dlgmd_cli.evaluation.report import scores_json
 
@@ -336,7 +272,7 @@ def _facts(found: _Found, failed: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _show(found: _Found, work: _Work) -> None:
+def _show(found: "Calibrated", work: "Work") -> None:
     """The table on stdout, and what was found."""
     from dlgmd_cli.evaluation.report import interval_text
 
