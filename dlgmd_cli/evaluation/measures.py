@@ -94,7 +94,7 @@ def thresholds(courses: Sequence[Course], n_sp: int, horizon_s: float = HORIZON_
     """
     found = []
     for course in courses:
-        low, high = onset_thresholds(course.strength, course.time_s, n_sp)
+        low, high = onset_thresholds(course, n_sp)
         counts = (low < high) & (kinds(course, horizon_s)[0] != IGNORED)
         found += [low[counts], high[counts]]
     edges = np.unique(np.concatenate(found)) if found else np.empty(0)

@@ -38,12 +38,27 @@ class Course:
         Times of the collisions, in seconds, increasing.
     frame_s : float
         How long a frame of the video lasts.
+    repeated : ndarray, shape (n,), bool, optional
+        Frames that repeat the one before: they hold its strength, and count no spike.
     """
 
     time_s: Series
     strength: Series
     contacts_s: tuple[float, ...]
     frame_s: float
+    repeated: Flags | None = None
+
+    def held(self, n_sp: int) -> Series:
+        """The strength that the last n_sp frames reach, shape (n,); -inf before there are so many.
+
+        Frames that repeat another are not among them.
+        """
+        filled = np.where(np.isnan(self.strength), -np.inf, self.strength)
+        seen = np.ones(len(filled), np.bool_) if self.repeated is None else ~self.repeated
+        seen[:1] = True
+        padded = np.concatenate((np.full(n_sp - 1, -np.inf), filled[seen]))
+        least = np.lib.stride_tricks.sliding_window_view(padded, n_sp).min(axis=-1)
+        return np.asarray(least[np.cumsum(seen) - 1])
 
     @property
     def minutes(self) -> float:
@@ -80,14 +95,7 @@ class Tally:
         return ~np.isnan(self.lead_s)
 
 
-def held(strength: Series, n_sp: int) -> Series:
-    """The strength that the last n_sp frames reach, shape (n,); -inf before there are so many."""
-    filled = np.where(np.isnan(strength), -np.inf, strength)
-    padded = np.concatenate((np.full(n_sp - 1, -np.inf), filled))
-    return np.lib.stride_tricks.sliding_window_view(padded, n_sp).min(axis=-1)
-
-
-def onset_thresholds(strength: Series, time_s: Series, n_sp: int) -> tuple[Series, Series]:
+def onset_thresholds(course: Course, n_sp: int) -> tuple[Series, Series]:
     """Thresholds at which an alarm begins at each row: above `low` and up to `high`.
 
     The alarm is on where the strength held reaches the threshold. It begins at a row unless it is
@@ -99,7 +107,7 @@ def onset_thresholds(strength: Series, time_s: Series, n_sp: int) -> tuple[Serie
     low, high : ndarray, shape (n,)
         No threshold lies between them where `low` is not less than `high`.
     """
-    high = held(strength, n_sp)
+    time_s, high = course.time_s, course.held(n_sp)
     low = np.concatenate(([-np.inf], high[:-1]))
     # The first row that is too near for a pause between them.
     first = np.searchsorted(time_s, time_s - (MERGE_S - ROUNDING_S), side="right")
@@ -143,7 +151,7 @@ def tally(
 ) -> Tally:
     """Count what the alarms of a video are, at each of T thresholds, shape (T,)."""
     at = np.atleast_1d(np.asarray(thresholds, np.float64))
-    low, high = onset_thresholds(course.strength, course.time_s, n_sp)
+    low, high = onset_thresholds(course, n_sp)
     kind, collision = kinds(course, horizon_s)
     may_begin = low < high
 
@@ -170,7 +178,7 @@ def alarms(
     course: Course, n_sp: int, threshold: float, horizon_s: float = HORIZON_S
 ) -> list[tuple[int, int]]:
     """Row and kind of every alarm at one threshold, in order."""
-    low, high = onset_thresholds(course.strength, course.time_s, n_sp)
+    low, high = onset_thresholds(course, n_sp)
     kind, _ = kinds(course, horizon_s)
     return [
         (int(row), int(kind[row]))
@@ -189,7 +197,7 @@ def peaks(course: Course, n_sp: int, horizon_s: float = HORIZON_S) -> tuple[Seri
         Stretches as long as the horizon, backwards from the first horizon or, without a
         collision, from the end of the video; a rest of at least half of that counts, too.
     """
-    strongest = held(course.strength, n_sp)
+    strongest = course.held(n_sp)
     kind, collision = kinds(course, horizon_s)
     inside = [
         np.max(strongest[(kind == HIT) & (collision == number)], initial=-np.inf)

@@ -78,7 +78,9 @@ def test_a_longer_horizon_leaves_less_that_is_false():
 
 def plain(one, n_sp, threshold, horizon_s):
     """Rows of the onsets and what they are, by the plain rules and one threshold."""
-    rows = onsets(detect(one.strength, threshold, n_sp)[1], one.time_s)
+    seen = ~one.repeated
+    alarms = detect(one.strength[seen], threshold, n_sp)[1][np.cumsum(seen) - 1]
+    rows = onsets(alarms, one.time_s)
     found = []
     for row in rows:
         t, kind, over = one.time_s[row], "false", -np.inf
@@ -110,7 +112,11 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
     time_s = np.cumsum(rng.choice([1 / 30, 1 / 60, 0.1, 0.5], n, p=[0.8, 0.15, 0.04, 0.01]))
     last = float(time_s[-1])
     contacts = tuple(sorted(rng.uniform(0.0, last + 0.1, n_contacts)))
-    one = Course(time_s, strength, contacts, 1 / 30)
+    repeated = rng.random(n) < rng.choice([0.0, 0.3])
+    repeated[0] = False
+    for row in np.flatnonzero(repeated):
+        strength[row] = strength[row - 1]
+    one = Course(time_s, strength, contacts, 1 / 30, repeated)
     at = np.array([0.1, 0.25, 0.5, 0.6, 1.0, 1.1])
     counted = scoring.tally(one, n_sp, at)
     for number, threshold in enumerate(at):
