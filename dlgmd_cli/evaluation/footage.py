@@ -216,7 +216,7 @@ def course_of(result: Result, case: Case, strength: Series | None = None) -> Cou
     ]
     if strength is None:
         strength = result.mp_seq if result.by_sequence else result.mp / result.n_cells
-    return Course(time_s, strength, tuple(contacts_s), frame_s)
+    return Course(time_s, strength, tuple(contacts_s), frame_s, frame=frame)
 
 
 class Field:

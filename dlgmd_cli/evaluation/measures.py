@@ -120,12 +120,18 @@ def curve_of(tallies: Sequence[Tally], at: Series) -> Curve:
     leads_s = np.concatenate([one.lead_s for one in tallies])
     n_false = np.sum([one.n_false for one in tallies], axis=0)
     recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
-    lead_s = [
-        np.median(column[~np.isnan(column)]) if (~np.isnan(column)).any() else np.nan
-        for column in leads_s.T
-    ]
     minutes = sum(one.minutes for one in tallies)
-    return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), np.array(lead_s))
+    return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), _medians(leads_s))
+
+
+def _medians(columns: Series) -> Series:
+    """The median of every column of (n, T), without its NaN; NaN where there is nothing else."""
+    n = (~np.isnan(columns)).sum(axis=0)
+    if not len(columns):
+        return np.full(len(n), np.nan)
+    ordered = np.sort(columns, axis=0)  # NaN at last
+    middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, len(columns) - 1)])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
 @dataclass(frozen=True)

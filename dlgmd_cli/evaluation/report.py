@@ -31,7 +31,7 @@ COLUMNS = (
     *(f"{name}{end}" for name in MEASURES for end in ("", "_low", "_high")),
 )
 CURVE_COLUMNS = ("model", "threshold", "excitation", "recall", "false_alarms_per_min", "lead_s")
-ALARM_COLUMNS = ("video", "model", "at", "time_s", "kind", "lead_s")
+ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 
 
 @dataclass(frozen=True)
@@ -166,21 +166,23 @@ def write_alarms(path: Path, report: Report, field: Field, horizon_s: float) -> 
         for case in field.cases:
             for label, candidate in field.candidates.items():
                 row, course = report.main(label), candidate.courses[case.name]
-                found: list[tuple[float, str, float]] = []
+                found: list[tuple[int, float, str, float]] = []
                 announced = set()
                 for number, kind in alarms(course, candidate.n_sp, row.excitation, horizon_s):
-                    time_s = float(course.time_s[number])
-                    to_come = [one for one in course.contacts_s if one > time_s]
-                    lead_s = to_come[0] - time_s if to_come else math.nan
+                    time_s, lead_s = float(course.time_s[number]), math.nan
                     if kind == HIT:
-                        announced.add(to_come[0])
+                        contact_s = min(one for one in course.contacts_s if one > time_s)
+                        announced.add(contact_s)
+                        lead_s = contact_s - time_s
                     if kind != IGNORED:
-                        found.append((time_s, KINDS[kind], lead_s if kind == HIT else math.nan))
-                missed = set(course.contacts_s) - announced
-                found += [(contact_s, "missed", math.nan) for contact_s in missed]
-                for time_s, word, lead_s in sorted(found):
+                        frame = number if course.frame is None else int(course.frame[number])
+                        found.append((frame, time_s, KINDS[kind], lead_s))
+                for frame, contact_s in zip(case.collisions, course.contacts_s, strict=True):
+                    if contact_s not in announced:
+                        found.append((frame, contact_s, "missed", math.nan))
+                for frame, time_s, word, lead_s in sorted(found):
                     words = (text_cell(case.name), text_cell(label), row.at)
-                    yield [*words, cell(time_s), word, cell(lead_s)]
+                    yield [*words, str(frame), cell(time_s), word, cell(lead_s)]
 
     write_rows(path, ALARM_COLUMNS, rows())
 

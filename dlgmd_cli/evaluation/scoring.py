@@ -40,6 +40,8 @@ class Course:
         How long a frame of the video lasts.
     repeated : ndarray, shape (n,), bool, optional
         Frames that repeat the one before: they hold its strength, and count no spike.
+    frame : int ndarray, shape (n,), optional
+        Numbers of the frames in the video; from 0 unless given.
     """
 
     time_s: Series
@@ -47,6 +49,7 @@ class Course:
     contacts_s: tuple[float, ...]
     frame_s: float
     repeated: Flags | None = None
+    frame: npt.NDArray[np.int64] | None = None
 
     def held(self, n_sp: int) -> Series:
         """The strength that the last n_sp frames reach, shape (n,); -inf before there are so many.

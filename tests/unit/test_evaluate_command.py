@@ -64,6 +64,8 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
         (r["video"], r["kind"]) for r in table(tmp_path / "ev/alarms.csv") if r["model"] == "set3"
     ]
     assert ("twice.avi", "early") in alarms and not any("still" in name for name, _ in alarms)
+    frames = [int(r["frame"]) for r in table(tmp_path / "ev/alarms.csv") if r["kind"] == "missed"]
+    assert set(frames) == {19, 51}
     hits = sum(kind == "hit" for _, kind in alarms)
     assert hits == int(by_target["all"]["hits"]) > 0
     assert sum(kind == "missed" for _, kind in alarms) == 2 - hits
