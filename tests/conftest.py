@@ -31,16 +31,17 @@ WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
 
 
 def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
-    """A dark square that grows faster and faster on a bright, faintly textured ground."""
+    """A dark square that grows faster and faster on a bright, faintly textured ground.
+
+    Its edges move by parts of a pixel, so that no frame repeats another.
+    """
     texture = np.random.default_rng(7).integers(200, 230, (height, width), dtype=np.uint8)
+    y, x = (np.abs(np.arange(n) - (n - 1) / 2) for n in (height, width))
     frames = []
     for t in range(n_frames):
-        half = min(height, width) * 0.45 / (1 + 0.5 * (n_frames - 1 - t))
-        image = texture.copy()
-        rows = slice(max(0, round(height / 2 - half)), round(height / 2 + half))
-        columns = slice(max(0, round(width / 2 - half)), round(width / 2 + half))
-        image[rows, columns] = 20
-        frames.append(image)
+        half = min(height, width) * 0.45 / (n_frames - t)
+        covered = np.outer(np.clip(half + 0.5 - y, 0, 1), np.clip(half + 0.5 - x, 0, 1))
+        frames.append(np.round(texture + covered * (20.0 - texture)).astype(np.uint8))
     return frames
 
 

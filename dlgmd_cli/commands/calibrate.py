@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Of the options, those that a preset keeps: what the model sees, not of which part of a video.
-_KEPT = ("scale", "size", "fps")
+_KEPT = ("scale", "size", "fps", "repeats")
 
 
 @click.command(

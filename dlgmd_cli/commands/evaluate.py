@@ -194,7 +194,7 @@ def _refuse_models() -> None:
     context = click.get_current_context()
     asked = {
         *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size"),
-        *("fps", "input_fps", "decoder", "start", "end", "normalise", "jobs"),
+        *("fps", "repeats", "input_fps", "decoder", "start", "end", "normalise", "jobs"),
     }
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))

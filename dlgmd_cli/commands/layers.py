@@ -1,6 +1,5 @@
 """`dlgmd layers`: what a model's layers hold, as a contact sheet, as arrays, or as a film."""
 
-import math
 import re
 from contextlib import nullcontext
 from functools import partial
@@ -151,8 +150,7 @@ def layers(
     label = f"{video.info.name} · {setup.label}"
     film = Film(result, (height, width), scales, model.layer_units[1:], label)
     with runs.open_input(input_path, [setup], options) as again:
-        fps = min(options.fps or math.inf, again.info.fps)
-        _render(film, again, model, fps, len(result), film_path)
+        _render(film, again, model, again.rate_fps, len(result), film_path)
 
 
 def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: bool) -> None:
@@ -212,7 +210,10 @@ def _render(
         ) as write,
     ):
         for n_rendered, frame in zip(range(1, n_frames + 1), frames, strict=False):
-            layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
+            if not frame.is_repeat:
+                if frame.after_gap:
+                    model.reset()
+                layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
             write(film.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
             on_frame(n_rendered)
             if cancel.requested():

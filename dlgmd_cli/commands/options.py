@@ -12,8 +12,15 @@ import click
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.names import numbered
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, FORMULATIONS, MODELS, PRESETS, parse_overrides
-from dlgmd_cli.video.base import DECODERS, parse_size
+from dlgmd_cli.parameters import (
+    DEFAULT_MODEL_FPS,
+    DEFAULT_WIDTH_PX,
+    FORMULATIONS,
+    MODELS,
+    PRESETS,
+    parse_overrides,
+)
+from dlgmd_cli.video.base import DECODERS, REPEATS, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
@@ -205,6 +212,17 @@ def labelled(setups: "list[Setup]") -> "list[Setup]":
 
 # What is read of an input.
 
+
+class RateOrAll(FiniteRange):
+    """A frame rate above 0, or all."""
+
+    name = "rate"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """`25` -> 25.0, `all` -> all."""
+        return value if value == "all" else super().convert(value, param, ctx)
+
+
 _RATE = FiniteRange(min=0, min_open=True, max=100_000)
 decoder_option = click.option(
     "--decoder",
@@ -223,7 +241,17 @@ input_options = option_group(
     ),
     click.option("--size", type=Size(), help="An exact processed size instead."),
     click.option(
-        "--fps", type=_RATE, metavar="F", help="Process at most F frames a second; times stay true."
+        "--fps",
+        type=RateOrAll(min=0, min_open=True, max=100_000),
+        metavar="F|all",
+        help="Process at most F frames a second, every k-th; times stay true.  [default: "
+        f"{DEFAULT_MODEL_FPS:g}, the preset's, in videos; all of pictures]",
+    ),
+    click.option(
+        "--repeats",
+        type=click.Choice(REPEATS),
+        help="Frames that merely repeat the one before: skip them, or show them to the model.  "
+        "[default: skip in videos, keep in pictures]",
     ),
     click.option(
         "--input-fps",

@@ -202,7 +202,8 @@ def course_of(result: Result, case: Case, strength: Series | None = None) -> Cou
         raise SourceError(case.name, "its result was interrupted", "Run again.")
     frame, time_s = result.frame, result.time_s
     frame_s = 1.0 / float(result.record["input"]["fps"])
-    first, last = int(frame[0]), int(frame[-1])
+    # The last ones may have been dropped to keep to the model's frame rate.
+    first, last = int(frame[0]), max(int(frame[-1]), result.record["input"]["frames"] - 1)
     for collision in case.collisions:
         if not first <= collision <= last + CONTACT_FRAMES:
             raise SourceError(
@@ -211,12 +212,12 @@ def course_of(result: Result, case: Case, strength: Series | None = None) -> Cou
                 "Check the label, --start and --end.",
             )
     contacts_s = [
-        float(np.interp(one, frame, time_s)) + max(one - last, 0) * frame_s
+        float(np.interp(one, frame, time_s)) + max(one - int(frame[-1]), 0) * frame_s
         for one in case.collisions
     ]
     if strength is None:
         strength = result.mp_seq if result.by_sequence else result.mp / result.n_cells
-    return Course(time_s, strength, tuple(contacts_s), frame_s, frame=frame)
+    return Course(time_s, strength, tuple(contacts_s), frame_s, result.repeated, frame)
 
 
 class Field:

@@ -8,8 +8,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.base import Grey, Model, Response, create_model
-from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.models.base import Grey, Model, Response, create_model, undefined
+from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of, shown
+from dlgmd_cli.repeats import GapDetector, RepeatDetector
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -164,6 +166,9 @@ class Alarm:
     params : Parameters, optional
         Of any model; those of the preset `flight` unless given, which is made for frames 240 px
         wide.
+    repeats : {"skip", "keep"}
+        What to do with frames that merely repeat the one before: no answer to them but the last
+        one, or show them to the model.
     engine : str
         See `DLGMD`.
     tell : callable, optional
@@ -186,27 +191,42 @@ class Alarm:
         self,
         params: Parameters | None = None,
         *,
+        repeats: str = "skip",
         engine: str = "auto",
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
+        if repeats not in ("skip", "keep"):
+            raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
         self.params = params if params is not None else parameters_of(load_config(PRESETS[0]))
         self.model: Model = create_model(self.params, engine=engine, tell=tell)
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
+        self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
+        self._last = Detection(**vars(undefined()))
 
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
+        self._begin_anew()
+        self._gaps.reset()
+        if self._repeats is not None:
+            self._repeats.reset()
+
+    def _begin_anew(self) -> None:
+        """Forget what the model saw."""
         self.model.reset()
         self._spikes.reset()
 
     def step(self, frame: Grey, time_s: float | None = None) -> Detection:
         """Take the next frame and say whether the alarm is on.
 
+        After a gap in time, which frames were lost in, the model begins anew: it has no answer
+        until its history is full again.
+
         Parameters
         ----------
         frame : ndarray, shape (H, W), float32 or uint8
             Luminance in 0..1, or grey levels in 0..255.
         time_s : float, optional
-            When the frame was taken.
+            When the frame was taken; without it gaps go unnoticed.
 
         Raises
         ------
@@ -215,7 +235,13 @@ class Alarm:
         MissingExtraError
             If the engine asked for needs a package that is not installed.
         """
+        is_gap = time_s is not None and self._gaps.step(time_s)
+        if self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame):
+            return self._last
+        if is_gap:
+            self._begin_anew()
         response = self.model.step(frame, time_s)
         mp_abs = float(absolute(response.mp, frame.size, self.params.kappa))
         spike, alarm = self._spikes.step(mp_abs)
-        return Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)
+        self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)
+        return self._last

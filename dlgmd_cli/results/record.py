@@ -1,11 +1,15 @@
 """run.yaml and its kin: everything that it takes to repeat a run, and what came of it."""
 
+import base64
 import platform
 import re
+import zlib
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 import yaml
 
 from dlgmd_cli import __version__
@@ -29,7 +33,6 @@ _PACKAGES = {"pyav": "av", "numba": "numba"}
 def versions(*used: str) -> dict[str, str]:
     """Versions of what the numbers depend on, given the decoder and the engines."""
     import cv2
-    import numpy as np
 
     found = {
         "dlgmd": __version__,
@@ -40,6 +43,25 @@ def versions(*used: str) -> dict[str, str]:
     for package in (_PACKAGES[name] for name in used if name in _PACKAGES):
         found[package] = import_module(package).__version__
     return found
+
+
+def packed_flags(flags: bytes | bytearray) -> str:
+    """Flags, one a byte, as a short text: bits, compressed by zlib, in base64."""
+    bits = np.packbits(np.frombuffer(flags, np.bool_))
+    return base64.b64encode(zlib.compress(bits.tobytes(), 9)).decode("ascii")
+
+
+def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
+    """What `packed_flags` has packed, shape (n_flags,); ValueError if it is something else."""
+    reader = zlib.decompressobj()
+    try:
+        data = reader.decompress(base64.b64decode(text, validate=True), n_flags // 8 + 1)
+    except zlib.error as error:
+        raise ValueError(str(error)) from None
+    flags = np.unpackbits(np.frombuffer(data, np.uint8))[:n_flags]
+    if len(flags) < n_flags:
+        raise ValueError("too few flags")
+    return flags.astype(np.bool_)
 
 
 def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:

@@ -14,7 +14,7 @@ from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
 from dlgmd_cli.models.detection import absolute, detect, onsets, sequence
 from dlgmd_cli.parameters import MODELS, Parameters
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import read_record, record_text
+from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -139,8 +139,19 @@ class Result:
         return self.params.t_mp
 
     @cached_property
+    def repeated(self) -> Flags:
+        """Rows of frames that repeat the one before: no model saw them, they hold its numbers."""
+        text = self.record.get("input", {}).get("repeated_rows")
+        return np.zeros(len(self), np.bool_) if text is None else unpacked_flags(text, len(self))
+
+    @cached_property
     def _detected(self) -> tuple[Flags, Flags]:
-        return detect(self.level, self.params.t_mp, self.params.n_sp)
+        """Spikes and alarms over the frames that the model saw; repeats hold those before."""
+        seen = ~self.repeated
+        seen[:1] = True
+        flags = detect(self.level[seen], self.params.t_mp, self.params.n_sp)
+        row_seen = np.cumsum(seen) - 1
+        return flags[0][row_seen], flags[1][row_seen]
 
     @property
     def spikes(self) -> Flags:
@@ -167,7 +178,7 @@ class Result:
         `mean_attenuation_db` over the frames where something passes.
         """
         peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
-        passing = self.attenuation_db[np.isfinite(self.attenuation_db)]
+        passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.repeated]
         first_alarm = int(onsets[0]) if onsets.size else None
         return {
             "mp_max": None if peak is None else float(self.mp[peak]),
@@ -189,7 +200,7 @@ class Result:
         that every model's is of the same frames. NaN where none is valid, or the membrane
         potential is 0 throughout.
         """
-        common = self._mp_before[FIRST_COMMON_ROW:]
+        common = self._mp_before[~self.repeated][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
         return float((valid / peak).mean()) if peak > 0.0 else math.nan
@@ -376,7 +387,7 @@ def _result(
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):
         raise ResultError(str(path), "it does not say the processed size", "Run again.") from None
-    return Result(
+    result = Result(
         columns["frame"].astype(np.int64),
         columns["time_s"],
         columns["mp"],
@@ -386,3 +397,8 @@ def _result(
         params,
         record,
     )
+    try:
+        result.repeated  # noqa: B018, a damaged text shows here
+    except (AttributeError, TypeError, ValueError):
+        raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
+    return result

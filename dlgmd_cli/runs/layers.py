@@ -11,7 +11,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, Setup, gathered_result
+from dlgmd_cli.runs.run import OnFrame, Setup, gathered_result, numbers_of
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
@@ -40,14 +40,18 @@ def run_layers(
     rows: array[float] = array("d")
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
+    repeated = bytearray()
     stops_early = False
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), read_ahead(video) as ahead:
         for frame in ahead:
-            is_kept = frame.index in frames
-            response = model.step(frame.grey, frame.time_s, layers=whole or is_kept)
-            sums = (response.p_sum, response.s_sum, response.attenuation_db, response.mp)
-            rows.extend((frame.index, frame.time_s, *sums))
+            is_kept = frame.index in frames and not frame.is_repeat
+            if not frame.is_repeat:
+                if frame.after_gap:
+                    model.reset()
+                response = model.step(frame.grey, frame.time_s, layers=whole or is_kept)
+            rows.extend((frame.index, frame.time_s, *numbers_of(response)))
+            repeated.append(frame.is_repeat)
             if is_kept:
                 kept.append((frame, response))
             if whole:
@@ -60,7 +64,7 @@ def run_layers(
     if cancel.requested() and not kept:
         raise cancel.Interrupted
     result = gathered_result(
-        *(rows, video, video.size_wh, setup, model, options, identity),
+        *(rows, repeated, video, video.size_wh, setup, model, options, identity),
         was_read=not stops_early,
         frames=[one.index for one, _ in kept],
         complete=not cancel.requested() or len(kept) == len(frames),
@@ -79,7 +83,7 @@ def absent(missing: list[int], video: Video, end_s: float | None) -> str:
     if beyond:
         lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
     if dropped:
-        lines.append(f"{_named(dropped)} left out by --start, --end or --fps")
+        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or repeated")
     return "; ".join(lines)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.models.base import Model, create_model
+from dlgmd_cli.models.base import Model, Response, create_model
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
@@ -25,6 +25,7 @@ from dlgmd_cli.parameters import (
     load_preset,
     merge,
 )
+from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.video.frames import (
     Frame,
@@ -231,8 +232,8 @@ def run(
     on_frame : callable, optional
         Called after each frame with the number of frames of the input that are done.
     options
-        `scale`, `size`, `fps`, `input_fps`, `decoder`, `start`, `end` (seconds) and `normalise`,
-        as `dlgmd run --help` explains them.
+        `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds) and
+        `normalise`, as `dlgmd run --help` explains them.
 
     Returns
     -------
@@ -294,9 +295,12 @@ def open_input(
 ) -> Video:
     """Open an input for models; its own size is that of the first. Raises what `open_video` does.
 
-    What no option says, the models do: the frames a second are those of the fastest of them.
+    What no option says, the models do: the frames a second are those of the fastest of them. If
+    one of them is the released code, every frame is taken, repeats too.
     """
-    return options.open(path, width_px=setups[0].width_px)
+    is_released = any(one.params.to_dict().get("formulation") == "released" for one in setups)
+    model_fps = None if is_released else max(one.model_fps for one in setups)
+    return options.open(path, width_px=setups[0].width_px, model_fps=model_fps)
 
 
 def run_models(
@@ -338,14 +342,14 @@ def run_models(
     """
     models = [create_model(one.params, engine=one.engine, tell=tell) for one in setups]
     sizes = [one.size_on(video, options) for one in setups]
-    rows = [array("d") for _ in setups]
-    complete = _feed(video, models, sizes, rows, on_frame)
+    rows, repeated = [array("d") for _ in setups], bytearray()
+    complete = _feed(video, models, sizes, rows, repeated, on_frame)
     if not complete and not rows[0]:
         raise cancel.Interrupted
     results = []
     for setup, model, size_wh, values in zip(setups, models, sizes, rows, strict=True):
         result = gathered_result(
-            *(values, video, size_wh, setup, model, options, identity),
+            *(values, repeated, video, size_wh, setup, model, options, identity),
             was_read=complete,
             complete=complete,
         )
@@ -356,6 +360,7 @@ def run_models(
 
 def gathered_result(
     rows: "array[float]",
+    repeated: bytearray,
     video: Video,
     size_wh: tuple[int, int],
     setup: Setup,
@@ -367,7 +372,8 @@ def gathered_result(
     complete: bool,
     **facts: Any,
 ) -> Result:
-    """The result of a model that saw `video`: `rows` holds six numbers of each of its frames.
+    """The result of a model that saw `video`: `rows` holds six numbers of each of its frames,
+    `repeated` whether it repeats the one before.
 
     `was_read` says whether that was all that is to be read of the video, `complete` and `facts`
     stand in the record.
@@ -376,7 +382,7 @@ def gathered_result(
     frame, time_s, p_sum, s_sum, attenuation_db, mp = columns
     n_read = None if was_read else (int(frame[-1]) + 1, float(time_s[-1]))
     record = {
-        **input_record(video, size_wh, len(frame), identity, n_read),
+        **input_record(video, size_wh, len(frame), identity, n_read, repeated),
         **setup.named,
         **setup.settings(),
         "engine": model.engine_name,
@@ -394,9 +400,14 @@ def _feed(
     models: Sequence[Model],
     sizes: Sequence[tuple[int, int]],
     rows: Sequence["array[float]"],
+    repeated: bytearray,
     on_frame: OnFrame,
 ) -> bool:
-    """Step every model with every frame and keep the numbers; False if the stop flag ended it."""
+    """Step every model with every frame and keep the numbers; False if the stop flag ended it.
+
+    The row of a repeat, which no model sees, holds the numbers of the row before. After a gap in
+    time the models begin anew.
+    """
     distinct = list(dict.fromkeys(sizes))
 
     def frames() -> Iterator[dict[tuple[int, int], Frame]]:
@@ -408,13 +419,23 @@ def _feed(
         for by_size in ahead:
             for model, size_wh, values in zip(models, sizes, rows, strict=True):
                 frame = by_size[size_wh]
-                answer = model.step(frame.grey, frame.time_s)
-                sums = (answer.p_sum, answer.s_sum, answer.attenuation_db, answer.mp)
+                if frame.is_repeat:
+                    sums = tuple(values[2 - _N_COLUMNS :])
+                else:
+                    if frame.after_gap:
+                        model.reset()
+                    sums = numbers_of(model.step(frame.grey, frame.time_s))
                 values.extend((frame.index, frame.time_s, *sums))
+            repeated.append(frame.is_repeat)
             on_frame(frame.index + 1)
             if cancel.requested():
                 return False
     return True
+
+
+def numbers_of(answer: Response) -> tuple[float, ...]:
+    """What a row holds of an answer beside the frame and its time."""
+    return answer.p_sum, answer.s_sum, answer.attenuation_db, answer.mp
 
 
 def input_record(
@@ -423,14 +444,21 @@ def input_record(
     n_processed: int,
     identity: Mapping[str, Any],
     n_read: tuple[int, float] | None = None,
+    repeated: bytes | bytearray = b"",
 ) -> dict[str, Any]:
     """What a record says of the input and of what was made of it.
 
     `n_read` is the count of the frames read and the time of the last one, where the reading was
-    stopped: decoding may be ahead of it.
+    stopped: decoding may be ahead of it. `repeated` says of each frame processed whether it
+    repeats the one before.
     """
     info, progress = video.info, video.progress
     frames, last_s = n_read or (progress.n_decoded, progress.last_time_s)
+    repeats: dict[str, Any] = {}
+    if progress.n_repeats is not None:
+        repeats["repeats"] = sum(repeated) if n_read else progress.n_repeats
+    if any(repeated):
+        repeats["repeated_rows"] = packed_flags(repeated)
     return {
         "input": {
             "path": info.path,
@@ -440,6 +468,7 @@ def input_record(
             "frames": frames,
             "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
+            **repeats,
             **identity,
         },
         "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n_processed},
@@ -470,13 +499,16 @@ def too_short(
     name: str, video: Video, label: str, n_needed: int, options: InputOptions
 ) -> SourceError:
     """The error for an input of fewer than the `n_needed` frames that a model needs."""
-    n_read = video.progress.n_decoded
-    if options.start or options.end is not None or options.fps is not None:
+    n_read, n_new = video.progress.n_decoded, video.progress.n_new
+    if options.start or options.end is not None or options.fps not in (None, "all"):
         last_s = video.progress.last_time_s
         end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."
         why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
     frames = f"{n_read} frame{'s' * (n_read > 1)}"
+    if n_new < n_needed <= n_read:
+        why = f"{frames}, of which the model sees {n_new}, but {label} needs at least {n_needed}"
+        return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")
     return SourceError(
         name, f"{frames}, but {label} needs at least {n_needed}", "Use a longer clip."
     )

@@ -60,13 +60,20 @@ def _nothing(*_: Any) -> None:
 
 
 def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> Clip:
-    """Write frames of one size and type, at least one, into a file that any process can map."""
+    """Write frames of one size and type, at least one, into a file that any process can map.
+
+    Repeats are left out.
+    """
     with path.open("wb") as file:
         for one in frames:
             cancel.check()
+            if one.is_repeat:
+                continue
             picture = ("grey", one.grey.dtype, one.grey.shape)
-            kind = np.dtype([("frame", np.int64), ("time_s", np.float64), picture], align=True)
-            file.write(np.array((one.index, one.time_s, one.grey), kind).tobytes())
+            facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
+            kind = np.dtype([*facts, picture], align=True)
+            row = one.index, one.time_s, one.after_gap, one.grey
+            file.write(np.array(row, kind).tobytes())
             on_frame(one.index + 1)
     return path, kind
 
@@ -155,8 +162,12 @@ class _Probe:
         for clip in self.clips:
             model.reset()
             frames, rows = _mapped(clip), []
-            for grey, time_s in zip(frames["grey"], frames["time_s"], strict=True):
+            for grey, time_s, after_gap in zip(
+                frames["grey"], frames["time_s"], frames["after_gap"], strict=True
+            ):
                 cancel.check()
+                if after_gap:
+                    model.reset()
                 one = model.step(grey, time_s)
                 rows.append((one.mp, one.p_sum, one.s_sum, one.attenuation_db))
             values.append(self._measured(frames, params, np.array(rows).T))

@@ -13,6 +13,7 @@ from dlgmd_cli.threads import n_processors, thread_limit
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
+REPEATS = ("skip", "keep")
 FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16

@@ -16,6 +16,7 @@ from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
     FALLBACK_FPS,
+    REPEATS,
     Unreadable,
     openable,
     parse_size,
@@ -23,7 +24,7 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
-from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo
+from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo, least_gap
 
 __all__ = [
     "Frame",
@@ -41,12 +42,18 @@ _ABOVE_0 = math.ulp(0.0)
 # Least and greatest value of the options that are numbers, in words.
 _RANGES = {
     "scale": (_ABOVE_0, 1.0, "above 0 and up to 1"),
-    "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
+    "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0, or all"),
     "input_fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
     "start": (0.0, 1e9, "a time in seconds"),
     "end": (0.0, 1e9, "a time in seconds"),
 }
-_CHOICES = {"decoder": DECODERS, "normalise": ("absolute", "sequence")}
+_CHOICES = {
+    "decoder": DECODERS,
+    "normalise": ("absolute", "sequence"),
+    "repeats": REPEATS,
+}
+# What a default rate may be exceeded by: videos of 30 frames a second have up to 30.3.
+_SLACK = 1.1
 # FFmpeg is kept from reading lists of files anyway; this gives a better reason than "damaged".
 _LISTS = (b"#EXTM3U", b"ffconcat")
 
@@ -56,7 +63,7 @@ class InputOptions:
     """What is read of an input, and which normalised membrane potential is thresholded.
 
     None stands for the default everywhere. `scale`, `size` and so on are those of `open_video`;
-    `normalise` is `absolute` or `sequence`.
+    `fps` may be `all`, `normalise` is `absolute` or `sequence`.
 
     Raises
     ------
@@ -66,7 +73,8 @@ class InputOptions:
 
     scale: float | None = None
     size: tuple[int, int] | None = None
-    fps: float | None = None
+    fps: float | str | None = None
+    repeats: str | None = None
     input_fps: float | None = None
     decoder: str | None = None
     start: float | None = None
@@ -110,8 +118,18 @@ class InputOptions:
         values = {key: value for key, value in vars(self).items() if value is not None}
         return values | ({} if self.size is None else {"size": "{}x{}".format(*self.size)})
 
-    def open(self, path: str | os.PathLike[str], *, width_px: int = DEFAULT_WIDTH_PX) -> Video:
-        """Open an input with these options; raises what `open_video` raises."""
+    def open(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        width_px: int = DEFAULT_WIDTH_PX,
+        model_fps: float | None = None,
+    ) -> Video:
+        """Open an input with these options; raises what `open_video` raises.
+
+        `width_px` and `model_fps` stand for what no option says; without `model_fps` every frame
+        is taken then, repeats too.
+        """
         return open_video(
             path,
             scale=self.scale,
@@ -119,7 +137,9 @@ class InputOptions:
             width_px=width_px,
             start_s=self.start or 0.0,
             end_s=math.inf if self.end is None else self.end,
-            max_fps=self.fps,
+            max_fps=math.inf if self.fps == "all" else self.fps,  # type: ignore[arg-type]
+            model_fps=model_fps,
+            repeats=self.repeats or (None if model_fps else "keep"),
             input_fps=self.input_fps,
             decoder=self.decoder or DEFAULT_DECODER,
         )
@@ -127,6 +147,8 @@ class InputOptions:
 
 def _why_wrong(name: str, value: Any) -> str:
     """What the value of an option should be; empty if it is that."""
+    if name == "fps" and value == "all":
+        return ""
     if name in _RANGES:
         low, high, words = _RANGES[name]
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
@@ -144,6 +166,8 @@ def open_video(
     start_s: float = 0.0,
     end_s: float = math.inf,
     max_fps: float | None = None,
+    model_fps: float | None = None,
+    repeats: str | None = "keep",
     max_frames: int | None = None,
     input_fps: float | None = None,
     decoder: str = DEFAULT_DECODER,
@@ -165,7 +189,12 @@ def open_video(
     start_s, end_s : float
         Span of time to read, in seconds, the end excluded.
     max_fps : float, optional
-        Frames a second at most; the others are dropped, and times stay true.
+        Frames a second at most: only every k-th is taken, and times stay true.
+    model_fps : float, optional
+        The same for videos if `max_fps` is None, where a tenth more is let pass.
+    repeats : {"keep", "skip"}, optional
+        With `skip`, frames that repeat the one before are marked as such, and do not count as
+        frames for `max_fps`. None skips them in videos, not in pictures.
     max_frames : int, optional
         Frames in all at most.
     input_fps : float, optional
@@ -187,7 +216,9 @@ def open_video(
     MissingExtraError
         If the decoder's package is not installed.
     """
-    selection = Selection(start_s, end_s, max_fps, max_frames)
+    Selection(start_s, end_s)  # complains before the input is opened
+    if max_fps is not None and not max_fps > 0.0:
+        raise ParameterError("", f"fps {max_fps:g} is not above 0")
     if decoder not in DECODERS:
         raise ParameterError(
             "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
@@ -208,12 +239,20 @@ def open_video(
     try:
         width, height, fps, n_frames, _ = opened.facts
         fps = fps or input_fps or FALLBACK_FPS
+        if max_fps is None:
+            is_capped = model_fps is not None and pictures is None
+            max_fps = _SLACK * model_fps if is_capped else math.inf  # type: ignore[operator]
+        every, least_gap_s = least_gap(fps, max_fps)
         info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
         size = processed_size(width, height, scale=scale, size_wh=size_wh, width_px=width_px)
     except BaseException:
         opened.close()
         raise
-    video = Video(opened, reopen, info, size, selection)
+    video = Video(
+        *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, least_gap_s)),
+        rate_fps=fps / every,
+        skips_repeats=repeats == "skip" or (repeats is None and pictures is None),
+    )
     if pictures is not None and input_fps is None:
         line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
         video.progress.warnings.append(line)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.repeats import GapDetector, RepeatDetector
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.images import ImageDecoder
 from dlgmd_cli.video.luma import to_grey
@@ -22,6 +23,8 @@ from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 # its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
 # were frames that cannot be decoded.
 Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
+# So many, and more than this share of all frames, are many repeats.
+_MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 
 
 @dataclass(frozen=True)
@@ -58,21 +61,29 @@ class Picture:
     """A decoded picture: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
 
     `levels` are the levels of black and white, if they are not the least and the greatest that
-    the data type holds.
+    the data type holds. `is_repeat` and `after_gap` are those of `Frame`.
     """
 
     index: int
     time_s: float
     image: npt.NDArray[Any]
     levels: tuple[int, int] | None = None
+    is_repeat: bool = False
+    after_gap: bool = False
 
 
 @dataclass
 class Progress:
-    """How far the reading has come, and what went wrong."""
+    """How far the reading has come, and what went wrong.
+
+    `n_new` counts the frames that were handed on as new pictures, `n_repeats` all that repeat the
+    frame before; None if nobody looked.
+    """
 
     n_decoded: int = 0
     last_time_s: float = math.nan
+    n_new: int = 0
+    n_repeats: int | None = None
     warnings: list[str] = field(default_factory=list)
 
 
@@ -80,12 +91,16 @@ class Progress:
 class Frame:
     """A frame as models take it.
 
-    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1.
+    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1. A frame
+    that `is_repeat` shows what the one before it showed; `after_gap` says that frames are missing
+    before it, see `GapDetector`.
     """
 
     index: int
     time_s: float
     grey: npt.NDArray[Any]
+    is_repeat: bool = False
+    after_gap: bool = False
 
     @property
     def luminance(self) -> npt.NDArray[np.float32]:
@@ -96,42 +111,72 @@ class Frame:
 
 
 class Selection:
-    """Which frames to take, asked once for each in turn; see `open_video` for the parameters."""
+    """Which frames to take, asked once for each in turn.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        Span of time to take, in seconds, the end excluded.
+    max_frames : int, optional
+        Frames in all at most.
+    least_gap_s : float
+        Least time from one frame taken to the next, in seconds, see `least_gap`.
+    """
 
     def __init__(
         self,
         start_s: float = 0.0,
         end_s: float = math.inf,
-        max_fps: float | None = None,
         max_frames: int | None = None,
+        least_gap_s: float = 0.0,
     ) -> None:
         if not end_s > start_s:
             raise ParameterError("", f"end {end_s:g} s is not after start {start_s:g} s")
-        if max_fps is not None and not (math.isfinite(max_fps) and max_fps > 0.0):
-            raise ParameterError("", f"fps {max_fps:g} is not above 0")
-        self._start_s, self._end_s, self._max_fps = start_s, end_s, max_fps
-        self._max_frames = max_frames
-        self._origin_s, self._last_slot, self._n_taken = math.nan, -1, 0
+        self._start_s, self._end_s, self._max_frames = start_s, end_s, max_frames
+        self._least_gap_s = least_gap_s
+        self._last_s = self._last_new_s = math.nan
+        self._is_unseen, self._n_taken = False, 0
+
+    def has_begun(self, time_s: float) -> bool:
+        """Whether this time is not before the start."""
+        # Without a start, frames before zero (edit lists make them) belong to the video too.
+        return not (self._start_s > 0.0 and time_s < self._start_s)
 
     def is_over(self, time_s: float) -> bool:
         """Whether neither a frame at this time nor a later one is taken."""
         return time_s >= self._end_s or self._n_taken == self._max_frames
 
-    def takes(self, time_s: float) -> bool:
-        """Whether the frame at this time is taken."""
-        # Without a start, frames before zero (edit lists make them) belong to the video too.
-        if self._start_s > 0.0 and time_s < self._start_s:
-            return False
-        if self._max_fps is not None:
-            if math.isnan(self._origin_s):
-                self._origin_s = time_s
-            # Timestamps are rounded, in Matroska to 1 ms: a frame may be that much early.
-            slot = math.floor((time_s - self._origin_s + 1e-3) * self._max_fps)
-            if slot <= self._last_slot:
-                return False
-            self._last_slot = slot
+    def is_due(self, time_s: float) -> bool:
+        """Whether a new picture at this time would be taken."""
+        return not time_s - self._last_new_s < self._least_gap_s
+
+    def take(self, time_s: float, *, is_repeat: bool = False) -> tuple[bool, bool]:
+        """Whether the frame at this time is taken, and if so, whether it shows nothing new.
+
+        A frame that repeats one which was not taken is new.
+        """
+        self._is_unseen = self._is_unseen or not is_repeat
+        if self._is_unseen:
+            is_taken = self.is_due(time_s)
+        else:
+            is_taken = not time_s - self._last_s < self._least_gap_s
+        if not is_taken:
+            return False, False
+        is_new, self._is_unseen, self._last_s = self._is_unseen, False, time_s
         self._n_taken += 1
-        return True
+        if is_new:
+            self._last_new_s = time_s
+        return True, not is_new
+
+
+def least_gap(fps: float, max_fps: float) -> tuple[int, float]:
+    """Which frames to take of `fps` a second, so that `max_fps` are left: every k-th.
+
+    Returns k, and the least time between two such frames in seconds, half a frame less than
+    nominal: times jitter.
+    """
+    every = max(1, math.ceil(fps / max_fps - 1e-3))
+    return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
 
 
 class Video:
@@ -145,6 +190,8 @@ class Video:
         Facts about the input.
     size_wh : (int, int)
         Width and height of the frames, in px.
+    rate_fps : float
+        Nominal frames per second of those that are taken.
     progress : Progress
         How many frames were decoded so far, the time of the last one, and warnings.
     """
@@ -156,10 +203,13 @@ class Video:
         info: VideoInfo,
         size_wh: tuple[int, int],
         selection: Selection,
+        *,
+        rate_fps: float,
+        skips_repeats: bool = False,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
-        self._selection = selection
-        self.info, self.size_wh = info, size_wh
+        self._selection, self._skips_repeats = selection, skips_repeats
+        self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = Progress()
 
     def pictures(self) -> Iterator[Picture]:
@@ -174,8 +224,10 @@ class Video:
         self._is_read = True
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
-        progress.n_decoded, progress.last_time_s = 0, math.nan
-        fault = ""
+        repeats, gaps = RepeatDetector() if self._skips_repeats else None, GapDetector()
+        progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
+        progress.n_repeats = None if repeats is None else 0
+        fault, after_gap = "", False
         for index, stamp_s in enumerate(decoder.stamps()):
             if decoder.is_damaged:
                 fault = "the file is damaged"
@@ -185,21 +237,48 @@ class Video:
             times.append(time_s)
             if selection.is_over(time_s):
                 break
-            is_taken = selection.takes(time_s)
-            if is_taken:
+            has_begun, is_taken, is_repeat = selection.has_begun(time_s), False, False
+            is_gap = has_begun and gaps.step(time_s)
+            if has_begun and (repeats is not None or selection.is_due(time_s)):
                 try:
                     image, levels = decoder.picture()
                 except Unreadable as error:
                     fault = str(error)
                     break
+                is_repeat = repeats is not None and repeats.step(image)
             progress.n_decoded, progress.last_time_s = index + 1, time_s
-            if is_taken:
-                yield Picture(index, time_s, image, levels)
+            if not has_begun:
+                continue
+            if is_repeat:
+                progress.n_repeats = (progress.n_repeats or 0) + 1
+            after_gap = after_gap or (is_gap and not is_repeat)
+            is_taken, is_old = selection.take(time_s, is_repeat=is_repeat)
+            if is_taken and is_old:
+                yield Picture(index, time_s, image, levels, is_repeat=True)
+            elif is_taken:
+                progress.n_new += 1
+                yield Picture(index, time_s, image, levels, after_gap=after_gap)
+                after_gap = False
         else:
             fault = fault or self._shortfall()
-        reports = (clock.report(), missing_frames(times, fps), fault and self._ending(fault))
+        reports = (
+            *(clock.report(), missing_frames(times, fps), self._repetition()),
+            fault and self._ending(fault),
+        )
         progress.warnings += [line for line in reports if line]
         decoder.close()
+
+    def _repetition(self) -> str:
+        """The warning for many repeats."""
+        n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
+        if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
+            return ""
+        rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
+        return (
+            f"{n_repeats} of {n_frames} frames repeat the one before: it shows about "
+            f"{rate_fps:.2g} pictures a second, not {self.info.fps:.4g}; the model does not see "
+            "the repeats (--repeats keep shows them to it)"
+        )
 
     def _shortfall(self) -> str:
         """What is missing at the end of the stream, if anything."""
@@ -220,7 +299,7 @@ class Video:
     def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
         """What models take of a picture, at the video's `size_wh` unless another is given."""
         grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
-        return Frame(picture.index, picture.time_s, grey)
+        return Frame(picture.index, picture.time_s, grey, picture.is_repeat, picture.after_gap)
 
     def __iter__(self) -> Iterator[Frame]:
         return map(self.frame, self.pictures())

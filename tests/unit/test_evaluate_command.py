@@ -2,15 +2,19 @@
 
 import csv
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from conftest import looming_frames, write_video
 
+import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.evaluation.footage import Case, read_cases
+from dlgmd_cli.evaluation.footage import Case, Field, read_cases
 from dlgmd_cli.evaluation.report import groups
+from dlgmd_cli.evaluation.scoring import alarms
 
 STILL = [looming_frames(1)[0]] * 12
 
@@ -33,7 +37,7 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-COMMON = ("--param", "kappa=1e-4", "--jobs", 1)
+COMMON = ("--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
 
 
 def test_files_and_tables(dlgmd, footage, tmp_path):
@@ -105,6 +109,21 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     refused = dlgmd("evaluate", footage / "labels.csv", "--results", "ba", "--set", 3)
     assert refused.exit_code == 2 and "--set does not work with --results" in refused.stderr
     assert read_result("ba/set9/near").params.kappa == 1e-4
+
+
+@pytest.mark.parametrize("options", [{"set": 3}, {"model": "lgmd"}, {"normalise": "sequence"}])
+@pytest.mark.parametrize("repeats", ["skip", "keep"])
+def test_alarms_are_those_of_a_run(footage, options, repeats):
+    """With repeats, of which the still scene and the slow beginning have many, and without."""
+    found = dlgmd_cli.run(footage / "twice.avi", repeats=repeats, **options)
+    level = np.sort(found.level[np.isfinite(found.level)])[-4]
+    found = replace(found, params=replace(found.params, t_mp=float(level) - 1e-9, n_sp=1))
+    field = Field(baselines=False)
+    field.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
+    one = field.candidates["x"]
+    rows = [row for row, _ in alarms(one.courses["twice.avi"], one.n_sp, one.threshold)]
+    assert rows == found.alarm_onsets.tolist() and rows
+    assert found.repeated.any() == (repeats == "skip")
 
 
 def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, tmp_path):

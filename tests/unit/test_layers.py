@@ -11,7 +11,7 @@ import dlgmd_cli
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
     {"errors", "cancel", "names", "threads"},
-    {"plain_yaml"},
+    {"plain_yaml", "repeats"},
     {"parameters", "pool"},
     {"models", "video"},
     {"results"},

@@ -188,6 +188,7 @@ def test_run_yaml(dlgmd, clips):
         "frames": N_FRAMES,
         "duration_s": pytest.approx(N_FRAMES / FPS),
         "decoder": "opencv",
+        "repeats": 0,
         "bytes": (clips / "loom.avi").stat().st_size,
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
     }

@@ -19,7 +19,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.frames import Frame, open_video, processed_size
 from dlgmd_cli.video.luma import resized, to_grey
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.reading import Selection
+from dlgmd_cli.video.reading import Selection, least_gap
 from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan
@@ -99,19 +99,47 @@ def test_contract_selection(any_input, decoder):
     assert indices(max_fps=fps * 2) == every
 
 
-def test_a_rate_that_does_not_divide():
-    selection = Selection(max_fps=10.0)
-    taken = [i for i in range(30) if selection.takes(i / 25.0)]
-    assert taken == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23, 25, 28]
+def taken(times, rate, max_fps):
+    every, least_gap_s = least_gap(rate, max_fps)
+    selection = Selection(least_gap_s=least_gap_s)
+    return every, [i for i, time_s in enumerate(times) if selection.take(time_s)[0]]
 
 
-@given(st.lists(st.floats(0.001, 5), min_size=1, max_size=60), st.floats(0.1, 200))
-def test_no_more_frames_than_asked_for(intervals, rate):
-    times = np.cumsum(intervals)
-    selection = Selection(max_fps=rate)
-    taken = [t for t in times if selection.takes(t)]
-    assert len(taken) <= math.floor((times[-1] - times[0] + 1e-3) * rate) + 1
-    assert taken[0] == times[0]
+@pytest.mark.parametrize(
+    ("rate", "every"),
+    [
+        (24, 1),
+        (25, 1),
+        (29.97, 1),
+        (30, 1),
+        (30.3, 1),
+        (48, 2),
+        (50, 2),
+        (60, 2),
+        (100, 4),
+        (120, 4),
+    ],
+)
+@pytest.mark.parametrize("jitter_s", [0.0, 0.003])
+def test_a_high_rate_is_divided_evenly(rate, every, jitter_s):
+    times = np.arange(300) / rate + np.random.default_rng(1).uniform(0, jitter_s, 300)
+    assert taken(times, rate, 33.0) == (every, list(range(0, 300, every)))
+    # Times in Matroska are rounded to 1 ms.
+    assert taken(np.round(times, 3), rate, 33.0)[1] == list(range(0, 300, every))
+
+
+@given(st.floats(1, 300), st.floats(0.1, 300))
+def test_no_more_frames_than_asked_for(rate, max_fps):
+    every, found = taken(np.arange(200) / rate, rate, max_fps)
+    assert rate / every <= max_fps * 1.001 and found == list(range(0, 200, every))
+
+
+def test_a_repeat_of_what_was_dropped_is_taken_and_others_fill_no_slot_twice():
+    selection = Selection(least_gap_s=0.025)  # 60 frames a second, of which 30 are taken
+    repeats = [False, True, True, True, False, True, False, False, True, True]
+    found = [selection.take(i / 60, is_repeat=one) for i, one in enumerate(repeats)]
+    new, old, none = (True, False), (True, True), (False, False)
+    assert found == [new, none, old, none, new, none, new, none, new, none]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,218 @@
+"""Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from conftest import looming_frames, write_video
+
+from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
+from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.repeats import MAX_RUN, GapDetector, RepeatDetector
+from dlgmd_cli.results.record import packed_flags, unpacked_flags
+
+SIZE = 72, 96
+
+
+def scene(seed=3):
+    """A wide textured picture to fly along."""
+    noise = np.random.default_rng(seed).uniform(0, 255, (SIZE[0], 900)).astype(np.float32)
+    return cv2.GaussianBlur(noise, (0, 0), 3) * 3 - 255
+
+
+def pan(n, px=2, noise=0.0, gain=1.0, seed=5):
+    """A camera that moves along the scene; its sensor's noise has a standard deviation."""
+    wide, rng = scene(), np.random.default_rng(seed)
+    views = (wide[:, px * t : px * t + SIZE[1]] * gain for t in range(n))
+    return [np.uint8(np.clip(v + rng.normal(0, noise, SIZE) + 20, 0, 255)) for v in views]
+
+
+def told(frames):
+    detector = RepeatDetector()
+    return [detector.step(frame) for frame in frames]
+
+
+def encoded_anew(frame, rng):
+    """As a codec does: most of it stays, and a few blocks change by a few levels."""
+    found = frame.copy()
+    for y, x in rng.integers(0, 60, (3, 2)):
+        found[y : y + 8, x : x + 8] += np.uint8(2)
+    return found
+
+
+@pytest.mark.parametrize("times", [(2,), (3,), (4,), (1, 1, 1, 1, 2), (2, 3)], ids=str)
+@pytest.mark.parametrize("is_exact", [True, False])
+def test_repeats_are_found(times, is_exact):
+    rng, frames, expected = np.random.default_rng(2), [], []
+    for number, frame in enumerate(pan(60, noise=1.0)):
+        for copy in range(times[number % len(times)]):
+            if copy > 0:
+                frame = frame if is_exact else encoded_anew(frame, rng)
+            frames.append(frame)
+            expected.append(copy > 0)
+    found = np.array(told(frames))
+    settled = 12 * max(times)
+    assert found[settled:].tolist() == expected[settled:]
+    assert not (found & ~np.array(expected)).any()
+
+
+NOT_REPEATS = {
+    "moving": pan(60),
+    "hovering with noise": pan(60, px=0, noise=1.5),
+    "dark": pan(60, noise=1.0, gain=0.05),
+    "a fade": [np.uint8(f * (1 - t / 60)) for t, f in enumerate(pan(60, noise=1.0))],
+    "a cut": [*pan(30, noise=1.0), *(255 - f for f in pan(30, noise=1.0))],
+    "still": pan(1) * 60,
+    "faster and faster": looming_frames(40, 96, 72),
+}
+
+
+@pytest.mark.parametrize("name", NOT_REPEATS)
+def test_what_is_no_repeat(name):
+    assert not any(told(NOT_REPEATS[name]))
+
+
+def test_a_sudden_rest_is_a_repeat_once_and_a_frozen_picture_not_for_ever():
+    assert sum(told([*pan(30, noise=1.0), *pan(60, px=0, noise=1.0, seed=6)])) <= 1
+    frozen = told([*pan(30), *[pan(30)[-1]] * 40])
+    assert frozen == [False] * 30 + [True] * MAX_RUN + [False] * (40 - MAX_RUN)
+
+
+def test_gaps_are_told_from_slow_and_uneven_rates():
+    def gaps(times):
+        detector = GapDetector()
+        return [i for i, time_s in enumerate(times) if detector.step(time_s)]
+
+    steady = np.arange(40) / 30
+    assert gaps(np.where(steady > 1.0, steady + 1.0, steady)) == [31]
+    rng = np.random.default_rng(1)
+    assert gaps(np.cumsum(rng.uniform(0.02, 0.05, 100))) == []
+    assert gaps(np.delete(steady, [9, 10])) == []  # two frames were dropped
+    assert gaps(np.arange(20) / 2) == []  # two frames a second, all along
+    assert gaps(np.arange(100) / 240) == []
+
+
+def test_flags_survive_packing():
+    rng = np.random.default_rng(4)
+    for n in (1, 8, 1000):
+        flags = rng.random(n) < 0.3
+        assert np.array_equal(unpacked_flags(packed_flags(flags.tobytes()), n), flags)
+    assert len(packed_flags(bytes([0, 1, 1] * 36_000))) < 200
+    for text in ("x", "eA==", packed_flags(b"\0")):
+        with pytest.raises(ValueError):
+            unpacked_flags(text, 100)
+
+
+@pytest.fixture(scope="module")
+def doubled(tmp_path_factory):
+    """`once`, 30 frames a second; `twice` and `four` with repeats; `ten`, 10 pictures in 30."""
+    folder, frames = tmp_path_factory.mktemp("doubled"), looming_frames(40, 96, 72)
+    for name, times in (("once", 1), ("twice", 2), ("four", 4)):
+        write_video(folder / f"{name}.avi", [f for f in frames for _ in range(times)], 30 * times)
+    write_video(folder / "ten.avi", [f for f in frames for _ in range(3)], 30)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["twice", "four"])
+@pytest.mark.parametrize("fps", [None, "all"])
+def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name, fps):
+    times = {"twice": 2, "four": 4}[name]
+    once, found = (run(doubled / f"{one}.avi", set=7, fps=fps) for one in ("once", name))
+    assert once.summary["alarms"] == found.summary["alarms"] == 1
+    onset = once.summary["first_alarm_frame"]
+    assert found.summary["first_alarm_frame"] == times * onset
+    assert found.summary["mp_max"] == once.summary["mp_max"]
+    assert found.sharpness == pytest.approx(once.sharpness, rel=0.1)  # early ones are kept
+    assert len(found) == (40 if fps is None else 40 * times)
+    if fps == "all":
+        assert found.repeated.sum() == 40 * (times - 1) - (times - 1)  # not before the first change
+        rows = np.flatnonzero(found.repeated)
+        for column in ("mp", "p_sum", "spikes", "alarms"):
+            values = getattr(found, column).astype(float)
+            np.testing.assert_array_equal(values[rows], values[rows - 1])
+    kept = run(doubled / f"{name}.avi", set=7, fps="all", repeats="keep")
+    assert kept.summary["alarms"] == 0 and "repeats" not in kept.record["input"]
+
+
+def test_what_is_recorded_and_read_again(dlgmd, doubled):
+    result = dlgmd("run", doubled / "ten.avi", "--set", 7, "--no-plots", "--json")
+    assert result.exit_code == 0 and json.loads(result.stdout)["alarms"] == 1
+    assert "78 of 120 frames repeat the one before: it shows about 10 pictures" in result.stderr
+    with open("dlgmd-out/ten/run.yaml", encoding="utf-8") as file:
+        record = yaml.safe_load(file)
+    assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
+    stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
+    assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
+    assert np.array_equal(stored.repeated, fresh.repeated)
+    assert dlgmd("compare", doubled / "ten.avi", "--set", 7, "--no-plots").exit_code == 0
+    compared = read_comparison("dlgmd-out/ten")["set7"]
+    assert np.array_equal(compared.alarms, fresh.alarms)
+    again = ["--config", "dlgmd-out/ten/run.yaml", "--no-plots", "--out", "again"]
+    assert dlgmd("run", doubled / "ten.avi", *again).exit_code == 0
+    with open("again/ten/run.yaml", encoding="utf-8") as file:
+        assert yaml.safe_load(file) == record
+    record["input"]["repeated_rows"] = "nonsense"
+    with open("again/ten/run.yaml", "w", encoding="utf-8") as file:
+        yaml.safe_dump(record, file)
+    with pytest.raises(ResultError, match="its repeated_rows are damaged"):
+        read_result("again/ten")
+
+
+def test_every_frame_of_pictures_and_of_the_released_code_is_kept(dlgmd, doubled, tmp_path):
+    released = run(doubled / "four.avi", set=7, formulation="released")
+    assert len(released) == 160 and "repeats" not in released.record["input"]
+    (tmp_path / "pictures").mkdir()
+    for number, frame in enumerate(pan(20)):
+        cv2.imwrite(f"pictures/{number}.png", frame)
+        cv2.imwrite(f"pictures/{number}a.png", frame)
+    kept = run("pictures", set=7, input_fps=120)
+    assert len(kept) == 40 and "repeats" not in kept.record["input"]
+    assert run("pictures", set=7, repeats="skip").record["input"]["repeats"] == 19
+
+
+def test_a_gap_in_a_video_gives_no_spike(tmp_path):
+    av = pytest.importorskip("av", reason="PyAV writes a video of variable rate")
+    wide = scene()
+    offsets = [2 * t for t in range(20)] + [300 + 2 * t for t in range(20)]
+    views = [np.uint8(np.clip(wide[:, x : x + SIZE[1]], 0, 255)) for x in offsets]
+    with av.open(str(tmp_path / "gap.mp4"), "w") as file:
+        stream = file.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
+        stream.bit_rate = 4_000_000
+        for t, view in enumerate(views):
+            frame = av.VideoFrame.from_ndarray(view, format="gray")
+            frame.pts = t + 30 * (t >= 20)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    write_video(tmp_path / "steady.avi", views, 30)
+    steady = run(tmp_path / "steady.avi", set=3, param={"kappa": 1e-3})
+    gap = run(tmp_path / "gap.mp4", set=3, param={"kappa": 1e-3})
+    assert gap.time_s[20] - gap.time_s[19] == pytest.approx(31 / 30, abs=1e-3)
+    assert steady.spikes[20] and not gap.spikes.any()
+    assert np.flatnonzero(np.isnan(gap.mp)).tolist() == [0, 1, 20, 21]
+
+
+def test_an_alarm_answers_to_a_repeat_as_before():
+    alarm, doubled = (Alarm(load_set(7, kappa=1e-3)) for _ in range(2))
+    alarms = 0
+    for number, frame in enumerate(looming_frames(40, 96, 72)):
+        once, twice = alarm.step(frame), [doubled.step(frame) for _ in range(2)]
+        # Before anything has changed, a frame like the one before is a still scene.
+        assert number == 0 or twice[1] is twice[0]
+        assert number < 5 or (once.mp, once.alarm) == (twice[0].mp, twice[0].alarm)
+        alarms += once.alarm
+    assert alarms > 0
+    with pytest.raises(ParameterError, match="repeats = 'drop' is not one of skip, keep"):
+        Alarm(repeats="drop")
+
+
+def test_an_alarm_begins_anew_after_a_gap_in_time():
+    views = [*pan(20), *(255 - view for view in pan(20))]
+    times = [t / 30 + (t >= 20) for t in range(40)]
+    with_times, without = (Alarm(load_set(3, kappa=1e-3)) for _ in range(2))
+    found = [with_times.step(view, time_s) for view, time_s in zip(views, times, strict=True)]
+    spikes = [without.step(view).spike for view in views]
+    assert spikes[20] and not any(one.spike for one in found)
+    assert [t for t, one in enumerate(found) if not one.is_valid] == [0, 1, 20, 21]
