@@ -27,7 +27,7 @@ def footage(tmp_path_factory):
     write_video(folder / "near.avi", loom)
     write_video(folder / "twice.avi", [*loom, *STILL, *loom])
     write_video(folder / "still.avi", STILL)
-    text = "video,collision_frame,target\nnear.avi,19,wall\ntwice.avi,51,chair\nstill.avi,,chair\n"
+    text = "video,collision_frame,target\nnear.avi,20,wall\ntwice.avi,52,chair\nstill.avi,,chair\n"
     (folder / "labels.csv").write_text(text)
     return folder
 
@@ -62,14 +62,14 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     assert [r["collisions"] for r in by_target.values()] == ["2", "1", "1", "1"]
     assert by_target["all"]["threshold"] == "0.4"
     assert float(by_target["all"]["excitation"]) == pytest.approx(1e-4 * 0.4 / 0.6)
-    assert float(by_target["all"]["minutes"]) == pytest.approx((19 + 51 + 12) / 25 / 60)
+    assert float(by_target["all"]["minutes"]) == pytest.approx((20 + 52 + 12) / 25 / 60)
     assert int(by_target["all"]["false_alarms"]) == 1 == int(by_target["chair"]["false_alarms"])
     alarms = [
         (r["video"], r["kind"]) for r in table(tmp_path / "ev/alarms.csv") if r["model"] == "set3"
     ]
     assert ("twice.avi", "early") in alarms and not any("still" in name for name, _ in alarms)
     frames = [int(r["frame"]) for r in table(tmp_path / "ev/alarms.csv") if r["kind"] == "missed"]
-    assert set(frames) == {19, 51}
+    assert set(frames) == {20, 52}
     hits = sum(kind == "hit" for _, kind in alarms)
     assert hits == int(by_target["all"]["hits"]) > 0
     assert sum(kind == "missed" for _, kind in alarms) == 2 - hits
