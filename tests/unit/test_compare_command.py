@@ -197,17 +197,17 @@ def test_distinguishability(dlgmd, clips, tmp_path):
 
 
 def test_measures_end_at_the_collision_frame(dlgmd, clips, tmp_path):
-    common = ["compare", clips / "loom.avi", "--set", 9, "--no-plots", "--json"]
-    ends = [[], ["--collision-frame", 12]]
+    common = ["compare", clips / "loom.avi", "--set", 3, "--no-plots", "--json"]
+    ends = [[], ["--collision-frame", 18]]
     peaks = []
     for number, end in enumerate(ends):
         result = dlgmd(*common, *end, "--out", f"o{number}")
         assert result.exit_code == 0, result.output
-        peaks.append(json.loads(result.stdout)["models"]["set9"]["mp_max_frame"])
-    assert peaks[0] > 12 >= peaks[1]
-    assert record(tmp_path / "o1/loom")["collision_frame"] == 12
-    level = [row["mp_seq"] for row in rows(tmp_path / "o1/loom")["set9"]]
-    assert level[13:] == [""] * 7 and "1" in level
+        peaks.append(json.loads(result.stdout)["models"]["set3"]["mp_max_frame"])
+    assert peaks[0] > 18 >= peaks[1]
+    assert record(tmp_path / "o1/loom")["collision_frame"] == 18
+    level = [row["mp_seq"] for row in rows(tmp_path / "o1/loom")["set3"]]
+    assert level[19:] == [""] and "1" in level
     (result,) = read_comparison(tmp_path / "o1/loom").values()
     assert result.summary["mp_max_frame"] == peaks[1]
 
