@@ -11,11 +11,15 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
+    from dlgmd_cli.models.contrast import ContrastDLGMD as ContrastDLGMD
     from dlgmd_cli.models.detection import Alarm as Alarm
     from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
+    from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
+    from dlgmd_cli.parameters import ContrastParameters as ContrastParameters
     from dlgmd_cli.parameters import DlgmdParameters as DlgmdParameters
+    from dlgmd_cli.parameters import OnOffParameters as OnOffParameters
     from dlgmd_cli.parameters import load_config as load_config
     from dlgmd_cli.parameters import load_set as load_set
     from dlgmd_cli.results.result import Result as Result
@@ -27,11 +31,15 @@ if TYPE_CHECKING:
 # Imported on first use, so that the command line can answer --help without NumPy and OpenCV.
 _HOMES = {
     "Alarm": "models.detection",
+    "ContrastDLGMD": "models.contrast",
+    "ContrastParameters": "parameters",
     "DLGMD": "models.dlgmd",
     "DlgmdError": "errors",
     "DlgmdParameters": "parameters",
     "EmdLGMD": "models.emd_lgmd",
     "LGMD": "models.lgmd",
+    "OnOffDLGMD": "models.on_off",
+    "OnOffParameters": "parameters",
     "Result": "results.result",
     "load_config": "parameters",
     "load_set": "parameters",

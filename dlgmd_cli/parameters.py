@@ -61,14 +61,19 @@ def _key(default: Any, *spec: Any, **choices: Any) -> Any:
     return field(default=default, metadata={"spec": Spec(*spec, **choices)})
 
 
+def _other(kind: "type[Parameters]", key: str, default: Any) -> Any:
+    """A key of `kind` with another default."""
+    return field(default=default, metadata={"spec": kind.specs()[key]})
+
+
 def _t_mp(default: float) -> Any:
     """The threshold that every model has."""
     return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
 
 
-def _n_sp() -> Any:
+def _n_sp(default: int = 2) -> Any:
     """The count that every model has."""
-    return _key(2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
+    return _key(default, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
 class Parameters:
@@ -200,12 +205,10 @@ def _wrong(key: str, value: Any, why: str) -> ParameterError:
 
 
 @dataclass(frozen=True)
-class DlgmdParameters(Parameters):
-    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
+class DistributedParameters(Parameters):
+    """What a cell is connected to, [Zhao2023] Eqs. (2) to (7); the defaults are those of set 9."""
 
-    model: ClassVar[str] = "dlgmd"
-    preset: ClassVar[str] = "9"
-    source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
+    formulation = "default"
 
     alpha: float = _key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", -10, 64)
     beta: float = _key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", 0, 100)
@@ -214,17 +217,6 @@ class DlgmdParameters(Parameters):
     sigma_i: float = _key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", 0.01, 100)
     r: int = _key(6, "r", "px", "radius of the kernels", 1, 32)
     a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", 0, 100)
-    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
-    ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
-    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
-    m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
-    t_mp: float = _t_mp(0.4)
-    n_sp: int = _n_sp()
-    kappa: float = _key(0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
-    formulation: str = _key(
-        *("default", "–", "–", "how delays that are not whole frames are rounded"),
-        choices=FORMULATIONS,
-    )
 
     def _check_together(self) -> None:
         """Latency must be causal everywhere, and history short enough to keep."""
@@ -245,6 +237,72 @@ class DlgmdParameters(Parameters):
                 f"r = {self.r} make the latency longer than {MAX_LATENCY_FRAMES:g} frames",
                 "Lower alpha or lam, or raise beta.",
             )
+
+
+@dataclass(frozen=True)
+class DlgmdParameters(DistributedParameters):
+    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
+
+    model: ClassVar[str] = "dlgmd"
+    preset: ClassVar[str] = "9"
+    source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
+
+    k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
+    ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
+    t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
+    m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
+    t_mp: float = _t_mp(0.4)
+    n_sp: int = _n_sp()
+    kappa: float = _key(0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
+    formulation: str = _key(
+        *("default", "–", "–", "how delays that are not whole frames are rounded"),
+        choices=FORMULATIONS,
+    )
+
+
+@dataclass(frozen=True)
+class ContrastParameters(DistributedParameters):
+    """Parameters of the contrast-relative D-LGMD; the connections are those of set 3."""
+
+    model: ClassVar[str] = "dlgmd-contrast"
+    preset: ClassVar[str] = "dlgmd-contrast"
+    source: ClassVar[str] = "Contrast-relative D-LGMD; connections of set 3"
+
+    alpha: float = _other(DistributedParameters, "alpha", 0.0)
+    beta: float = _other(DistributedParameters, "beta", 0.0)
+    lam: float = _other(DistributedParameters, "lam", 0.0)
+    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
+    sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
+    r: int = _other(DistributedParameters, "r", 4)
+    c_p: float = _key(0.08, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
+    p_min: float = _key(0.01, "P_min", "luminance", "least that P must exceed", 0, 1)
+    c_n: float = _key(3.0, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
+    c_s: float = _key(0.12, "c_S", "–", "share of the contrast σ that S must exceed", 0, 100)
+    s_min: float = _key(0.005, "S_min", "luminance", "least that S must exceed", 0, 100)
+    w_sigma: float = _key(0.2, "w_σ", "–", "weight of the newest frame in σ and ν", 0.001, 1)
+    growth: float = _key(1.5, "F_max", "–", "growth of change above which it inhibits", 0.01, 1e6)
+    w_m: float = _key(0.3, "w_M", "–", "weight of the newest frame in usual change", 0.001, 1)
+    sigma_c: float = _key(0.6, "σ_c", "half sides", "how far off the centre cells count", 0.05, 100)
+    t_mp: float = _t_mp(0.4)
+    n_sp: int = _n_sp(3)
+    kappa: float = _key(0.0465, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
+
+
+@dataclass(frozen=True)
+class OnOffParameters(DlgmdParameters):
+    """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
+
+    model: ClassVar[str] = "dlgmd-onoff"
+    preset: ClassVar[str] = "dlgmd-onoff"
+    source: ClassVar[str] = "ON/OFF D-LGMD; set 3 of Zhao et al., IEEE TNNLS 34(5), 2023"
+
+    alpha: float = _other(DistributedParameters, "alpha", 0.0)
+    beta: float = _other(DistributedParameters, "beta", 0.0)
+    lam: float = _other(DistributedParameters, "lam", 0.0)
+    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
+    sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
+    r: int = _other(DistributedParameters, "r", 4)
+    kappa: float = _other(DlgmdParameters, "kappa", 0.015)
 
 
 @dataclass(frozen=True)
@@ -327,6 +385,8 @@ class ModelEntry(NamedTuple):
 # By the name that `--model` takes. The modules are imported on first use, since OpenCV is slow.
 MODELS: dict[str, ModelEntry] = {
     "dlgmd": ModelEntry(DlgmdParameters, "dlgmd_cli.models.dlgmd", "DLGMD"),
+    "dlgmd-contrast": ModelEntry(ContrastParameters, "dlgmd_cli.models.contrast", "ContrastDLGMD"),
+    "dlgmd-onoff": ModelEntry(OnOffParameters, "dlgmd_cli.models.on_off", "OnOffDLGMD"),
     "lgmd": ModelEntry(LgmdParameters, "dlgmd_cli.models.lgmd", "LGMD"),
     "emd-lgmd": ModelEntry(EmdLgmdParameters, "dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
 }

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from reference import slow
 
-from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import ENGINES
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters import MODELS
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 
@@ -27,17 +27,23 @@ def scene(height, width, n_frames=6, dtype=np.uint8, seed=3):
     return frames if dtype == np.uint8 else [f.astype(dtype) / dtype(255) for f in frames]
 
 
-def answers(engine, frames, **changes):
-    """Responses with layers; with little inhibition, so that something passes everywhere."""
-    model = DLGMD(DlgmdParameters(**slow.table_2(9, a=0.4) | changes), engine=engine)
+def create(engine, name="dlgmd", **changes):
+    """A model with little inhibition, so that something passes everywhere."""
+    values = (slow.table_2(9) if name == "dlgmd" else {}) | {"a": 0.4} | changes
+    return create_model(MODELS[name].parameters(**values), engine=engine)
+
+
+def answers(engine, frames, name="dlgmd", **changes):
+    """Responses with layers."""
+    model = create(engine, name, **changes)
     responses = [model.step(frame, layers=True) for frame in frames]
     assert model.engine_name == engine
     return responses
 
 
-def assert_engines_agree(frames, **changes):
+def assert_engines_agree(frames, name="dlgmd", **changes):
     """Sums and layers of both engines."""
-    one, other = (answers(engine, frames, **changes) for engine in ENGINES)
+    one, other = (answers(engine, frames, name, **changes) for engine in ENGINES)
     assert one[-1].is_valid
     for a, b in zip(one, other, strict=True):
         for name in SUMS:

@@ -25,7 +25,7 @@ WALL = Solid("wall", [quad((5, 2, 4), (0, -4, 0), (0, 0, -4), Texture([[0.5]]))]
 built = Counter()
 
 
-def stage_of(seed):
+def stage_of(seed, agile=None):
     """Straight on at 1 m/s, to a wall that some seeds reach."""
     built[seed] += 1
     start = [0.0, 0.0, 1.5, 1.0, 0, 0, 0, 0, 0, 0, 0, 0]
@@ -34,7 +34,7 @@ def stage_of(seed):
     path = Path([Stretch(0.0, DURATION_S, np.array([start, end]))], phases)
     room = Solid("room", WALL.faces)
     duration_s = SHORT_S if seed == SHORT else DURATION_S
-    return Stage(World(room, [WALL]), path, "wall", CONTACTS_S.get(seed), duration_s)
+    return Stage(World(room, [WALL]), path, "wall", CONTACTS_S.get(seed), duration_s, bool(agile))
 
 
 @lru_cache

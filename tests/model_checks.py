@@ -4,12 +4,20 @@ import math
 
 import numpy as np
 import pytest
-from reference import slow, slow_emd, slow_lgmd
+from reference import slow, slow_contrast, slow_emd, slow_lgmd
 
+from dlgmd_cli.models.contrast import ContrastDLGMD
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
-from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.models.on_off import OnOffDLGMD
+from dlgmd_cli.parameters import (
+    ContrastParameters,
+    DlgmdParameters,
+    EmdLgmdParameters,
+    LgmdParameters,
+    OnOffParameters,
+)
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 # One rounding to float32, relative; and of sums of a dozen products.
@@ -29,8 +37,9 @@ def undecided(answer):
 
 def strength(params):
     """Σ|K| over all delays: how far S moves, at most, when P moves by one."""
-    keys = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "formulation")
-    excite, inhibit = slow.kernels(**{key: params[key] for key in keys})
+    keys = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a")
+    connections = {key: params[key] for key in keys}
+    excite, inhibit = slow.kernels(**connections, formulation=params.get("formulation", "default"))
     return sum(sum(weights.values()) for weights in (excite, *inhibit.values()))
 
 
@@ -54,11 +63,11 @@ def check_layers(layers, answer, params, peak):
     np.testing.assert_allclose(layers.g, answer.g, rtol=8 * ROUNDING, atol=s_error * around + 1e-30)
 
 
-def check_dlgmd(frames, params, demand=insist):
+def check_dlgmd(frames, params, demand=insist, on_off=False):
     """The D-LGMD; `demand` is told whether every G is clearly on one side of the threshold."""
-    answers = slow.run(frames, **params)
+    answers = slow.run(frames, **params, on_off=on_off)
     demand(not any(one.g is not None and undecided(one) for one in answers))
-    model = DLGMD(DlgmdParameters(**params))
+    model = OnOffDLGMD(OnOffParameters(**params)) if on_off else DLGMD(DlgmdParameters(**params))
     peak = max(float(np.max(one.p)) for one in answers if one.p is not None)
     for t, (frame, answer) in enumerate(zip(frames, answers, strict=True)):
         response = model.step(frame, layers=True)
@@ -73,6 +82,32 @@ def check_dlgmd(frames, params, demand=insist):
             else:
                 error = abs(actual - expected)
                 assert error <= 1e-5 * max(abs(expected), 1.0), f"t = {t}, {column}"
+
+
+def check_contrast(frames, demand=insist, **changes):
+    """The contrast-relative D-LGMD; a cell within 1e-6 of the threshold may be on either side."""
+    params = slow_contrast.DEFAULTS | changes
+    answers = slow_contrast.run(frames, **params)
+    model = ContrastDLGMD(ContrastParameters(**params))
+    for t, (frame, answer) in enumerate(zip(frames, answers, strict=True)):
+        response = model.step(frame, layers=True)
+        for name in ("p_sum", "s_sum", "t_de"):
+            expected = math.nan if getattr(answer, name) is None else getattr(answer, name)
+            close = pytest.approx(expected, rel=1e-5, abs=1e-6, nan_ok=True)
+            assert getattr(response, name) == close, f"t = {t}, {name}"
+        # Of P' the difference, the floor and σ are rounded.
+        if answer.p is not None:
+            np.testing.assert_allclose(response.layers.p, answer.p, rtol=0, atol=3 * ROUNDING)
+        assert response.is_valid == (answer.s is not None)
+        if answer.s is not None:
+            error = 10 * ROUNDING * strength(params)
+            np.testing.assert_allclose(response.layers.s, answer.s, rtol=0, atol=error)
+            clear = np.abs(answer.s - answer.t_de) > 1e-6
+            demand(clear.mean() > 0.9)
+            assert response.ffi == pytest.approx(answer.ffi, rel=1e-3)
+            assert response.mp == pytest.approx(response.layers.g.sum(dtype=float), rel=1e-5)
+            np.testing.assert_allclose(response.layers.g[clear], answer.g[clear], rtol=3e-3)
+    return answers
 
 
 def compare(model, answers, frames, layers, columns, peak):

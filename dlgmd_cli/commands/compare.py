@@ -31,7 +31,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.names import told_apart
-from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
+from dlgmd_cli.parameters import FORMULATIONS, DistributedParameters, DlgmdParameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
@@ -67,18 +67,17 @@ def _setups(
         # To what a bare comparison would be with, if there is nothing else.
         models = () if formulations or no_ffi_gd else BESIDE
     found += [choose(model=name) for name in dict.fromkeys(models)]
-    if not any(isinstance(one.params, DlgmdParameters) for one in found):
-        for option, is_given in (
-            ("--formulation", formulations),
-            ("--no-ffi-gd", no_ffi_gd),
-            ("--engine", engine),
-        ):
-            if is_given:
-                raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
+    for option, is_given, kind in (
+        ("--formulation", formulations, DlgmdParameters),
+        ("--no-ffi-gd", no_ffi_gd, DlgmdParameters),
+        ("--engine", engine, DistributedParameters),
+    ):
+        if is_given and not any(isinstance(one.params, kind) for one in found):
+            raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
     every: dict[tuple[Any, ...], Setup] = {}
     for one in found:
         for each in _derived(one, formulations, no_ffi_gd):
-            if engine and isinstance(each.params, DlgmdParameters):
+            if engine and isinstance(each.params, DistributedParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)

@@ -8,7 +8,7 @@ import click
 
 from dlgmd_cli.commands.console import Command, print_path
 from dlgmd_cli.commands.options import Output, output_options, parameter_options
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters import DistributedParameters
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.kernels import Connections
@@ -26,7 +26,7 @@ def kernels(setup: "Setup", output: Output) -> None:
     latency in frames, and its strengths.
     """
     params = setup.params
-    if not isinstance(params, DlgmdParameters):
+    if not isinstance(params, DistributedParameters):
         raise click.UsageError(f"only the D-LGMD model has kernels, not {params.model}.")
     from dlgmd_cli.models.kernels import connect
     from dlgmd_cli.results.store import appearing, fitting, refuse_existing

@@ -26,7 +26,8 @@ def sets(ctx: click.Context) -> None:
     keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
     click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
     others = [name for name in MODELS if name != DlgmdParameters.model]
-    click.echo(f"Other models: {', '.join(others)}; 'dlgmd sets show {others[0]}' has its values.")
+    click.echo(f"Other models: {', '.join(others)}.")
+    click.echo("'dlgmd sets show lgmd' has the values of one of them.")
     for name in PRESETS:
         click.echo(f"Preset: {name}, the default; 'dlgmd sets show {name}' has its values.")
 

@@ -124,6 +124,12 @@ def _scene_options(command: Any) -> Any:
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
 @_scene_options
 @_flight_option(
+    "--agile/--stabilised",
+    default=None,
+    help="Whether the drone follows its orders at once, as a racing drone, or eased, as a camera "
+    "drone.  [default: the scene's own; stabilised, but for a quarter of 'random']",
+)
+@_flight_option(
     "--count",
     type=click.IntRange(1, 1_000_000),
     metavar="N",

@@ -31,7 +31,7 @@ _BACKGROUND = 0.9
 _TEXELS = 768
 
 
-def ball_and_capsules(seed: int) -> Stage:
+def ball_and_capsules(seed: int, _agile: bool | None = None) -> Stage:
     """The camera stands still in a white room; the ball arrives at frame 61."""
     rng = np.random.default_rng([seed, 1])
     contact_s = CONTACT_FRAME * FRAME_S

@@ -1,7 +1,8 @@
 """A quadrotor that flies a script: a point mass with an attitude, and thrust along its own up.
 
 An autopilot turns what each phase of the script commands into orders (attitude, yaw rate, climb);
-the drone follows them with the lags of its motors and attitude, drag, and gusts of wind.
+the drone follows them with the lags of its motors and attitude, drag, and gusts of wind. As on a
+stabilised camera drone, orders are eased before they are followed, unless the drone is agile.
 """
 
 import math
@@ -26,8 +27,18 @@ _YAW_LAG_S = 0.15
 _MOTOR_LAG_S = 0.04
 _MAX_THRUST_M_S2 = 2.5 * GRAVITY_M_S2
 
+# How orders are eased. PX4 limits jerk, to 8 m/s³ where a pilot flies (MPC_JERK_MAX; missions have
+# 4): a drone that leans by an angle gains g times that, so it leans at jerk / g at most. It limits
+# the acceleration of yaw, too (MPC_YAWRAUTO_ACC). ArduPilot lets an angle approach what is asked
+# with a time constant (ATC_INPUT_TC: 0.15 s, crisp ones 0.1 s) and limits its acceleration; with
+# 250 degrees/s², 10 degrees take about 0.4 s.
+_LEAN_RAD_S = 8.0 / GRAVITY_M_S2
+_LEAN_RAD_S2 = math.radians(250.0)
+_EASE_S = 0.1
+_YAW_RAD_S2 = math.radians(60.0)
+
 # How fast the autopilot corrects speed and position, in 1/s.
-_SPEED_GAIN, _PLACE_GAIN = 2.0, 0.7
+_SPEED_GAIN, _PLACE_GAIN = 1.6, 0.7
 _CLIMB_GAIN, _HEIGHT_GAIN = 6.0, 2.0
 _HEADING_GAIN = 1.5
 _MAX_LEAN = math.radians(25.0)
@@ -59,6 +70,7 @@ def fly(
     seed: int = 0,
     jitter: float = 1.0,
     contact_s: float | None = None,
+    agile: bool = False,
 ) -> Path:
     """Fly a script, which begins on the floor if its first phase does, else in the air.
 
@@ -77,6 +89,8 @@ def fly(
         Time above 0 at which it hits something. It is thrown back, and hovers near by instead of
         following the script, as a phase called "collision". Up to and including that time, the
         flight is the same as without contact. A time at or after the end changes nothing.
+    agile : bool
+        Whether orders are followed at once, as a racing drone does, instead of eased.
     """
     starts = [0.0]
     for each in script:
@@ -93,10 +107,11 @@ def fly(
     if contact_s is not None and contact_s >= duration:
         contact_s = None
     n_before = n_steps if contact_s is None else math.floor(contact_s / STEP_S) + 1
-    first = Stretch(0.0, STEP_S, _simulated(drone, _Pilot(drone), begins, gusts[:n_before]))
+    pilot = _Pilot(drone, agile=agile)
+    first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
     if contact_s is None:
         return Path((first,), phases)
-    after = _rebound(first, drone, contact_s, gusts[n_before:], seed)
+    after = _rebound(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
     kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
@@ -223,7 +238,13 @@ def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: f
 
 
 def _rebound(
-    before: Stretch, drone: _Drone, contact_s: float, gusts: Sequence[_Gust], seed: int
+    before: Stretch,
+    drone: _Drone,
+    contact_s: float,
+    gusts: Sequence[_Gust],
+    seed: int,
+    *,
+    agile: bool,
 ) -> Stretch:
     """The flight after a blow at `contact_s`, with the gusts from then on."""
     position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
@@ -239,8 +260,33 @@ def _rebound(
     drone.pitch_rate = rates[1] + math.radians(kick)
     drone.yaw_rate = rates[2] + math.radians(kick * swing)
     hold = drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
-    samples = _simulated(drone, _Pilot(drone, hold), {0: hover(1.0)}, gusts)
+    samples = _simulated(drone, _Pilot(drone, hold, agile=agile), {0: hover(1.0)}, gusts)
     return Stretch(contact_s, STEP_S, samples)
+
+
+class _Lean:
+    """An angle that follows what is asked for with a limited rate and angular acceleration.
+
+    Near its goal it approaches exponentially; from farther away, as fast as it can still stop.
+    """
+
+    def __init__(self, angle: float) -> None:
+        self._angle, self._rate = angle, 0.0
+
+    def follow(self, goal: float) -> float:
+        """The angle after a step of time, in rad."""
+        to_go = goal - self._angle
+        gap, near = abs(to_go), _LEAN_RAD_S2 * _EASE_S**2
+        fast = gap / _EASE_S if gap < near else math.sqrt(2.0 * _LEAN_RAD_S2 * (gap - near / 2.0))
+        rate = math.copysign(min(fast, _LEAN_RAD_S), to_go)
+        self._rate = _towards(self._rate, rate, _LEAN_RAD_S2)
+        self._angle += self._rate * STEP_S
+        return self._angle
+
+
+def _towards(value: float, goal: float, rate: float) -> float:
+    """A value a step of time later on its way to a goal, at a rate at most."""
+    return value + min(max(goal - value, -rate * STEP_S), rate * STEP_S)
 
 
 class _Pilot:
@@ -249,7 +295,11 @@ class _Pilot:
     It holds a given position, (x, y), at first, or the one where the drone stops.
     """
 
-    def __init__(self, drone: _Drone, hold_m: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, drone: _Drone, hold_m: tuple[float, float] | None = None, *, agile: bool
+    ) -> None:
+        self._eased = None if agile else (_Lean(drone.roll), _Lean(drone.pitch))
+        self._turns = 0.0
         self._height = drone.z
         self._heading, self._heading_rate = drone.yaw, 0.0
         self._hold = hold_m
@@ -291,6 +341,8 @@ class _Pilot:
         roll = min(max(-math.atan2(leftwards, GRAVITY_M_S2), -_MAX_LEAN), _MAX_LEAN)
         if self._phase.roll_deg is not None:
             roll = math.radians(self._phase.roll_deg)
+        if self._eased:
+            roll, pitch = self._eased[0].follow(roll), self._eased[1].follow(pitch)
         return _Orders(roll, pitch, self._turn(drone), self._lift(drone, time_s))
 
     def _stay(self, drone: _Drone) -> tuple[float, float]:
@@ -305,9 +357,11 @@ class _Pilot:
 
     def _turn(self, drone: _Drone) -> float:
         """Yaw rate that follows the heading of a drone that nothing disturbs."""
+        eases = self._eased is not None
+        self._turns = _towards(self._turns, self._yaw_rate, _YAW_RAD_S2 if eases else math.inf)
         was = self._heading_rate
-        self._heading_rate += (self._yaw_rate - was) / _YAW_LAG_S * STEP_S
-        wanted = self._yaw_rate + _HEADING_GAIN * (self._heading - drone.yaw)
+        self._heading_rate += (self._turns - was) / _YAW_LAG_S * STEP_S
+        wanted = self._turns + _HEADING_GAIN * (self._heading - drone.yaw)
         self._heading += 0.5 * (was + self._heading_rate) * STEP_S
         return wanted
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from dlgmd_cli.flights.renderer.camera import FloatArray, Pose, rotation
-from dlgmd_cli.flights.renderer.solids import World
+from dlgmd_cli.flights.renderer.solids import Solid, World
 
 # Distance from the camera to the drone's hull: what comes that near has been hit.
 REACH_M = 0.1
@@ -119,10 +119,14 @@ class Stage:
     ----------
     target : str
         Name of the bodies that distances and angles refer to; all of that name are one target.
+    wall : Solid or None
+        What they refer to instead, where that is a side of the room.
     contact_s : float or None
         Time at which the drone hits something.
     duration_s : float
         How much of the flight is filmed.
+    agile : bool
+        Whether the drone follows its orders at once; see `fly`.
     """
 
     world: World
@@ -130,6 +134,8 @@ class Stage:
     target: str
     contact_s: float | None
     duration_s: float
+    agile: bool = False
+    wall: Solid | None = None
 
 
 def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:

@@ -1,6 +1,8 @@
 """A random room, a random flight through it, and whatever comes of that."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,14 +20,16 @@ from dlgmd_cli.flights.placing import (
     singled_out,
     world_of,
 )
-from dlgmd_cli.flights.renderer.solids import Body, World
-from dlgmd_cli.flights.rooms import Place, cluttered_room, corridor, simple_room
+from dlgmd_cli.flights.renderer.solids import Body, Solid
+from dlgmd_cli.flights.rooms import SIDES, Place, cluttered_room, corridor, simple_room
 from dlgmd_cli.flights.textures import Rng
 
 _AFTER_S = 0.5
 # With less, there would be no flight to see.
 _EARLIEST_S, _LEAST_WAY_M, _LEAST_M_S = 1.2, 1.8, 0.4
 _MAX_TRIES = 50
+# How many drones are not stabilised.
+_AGILE = 0.25
 # What is planned, and how often: what comes of it may be different.
 _PLANS = {"hit": 0.45, "wall": 0.1, "pass": 0.25, "stop": 0.2}
 _CORRIDOR_M = 2.4
@@ -42,27 +46,31 @@ _OBSTACLES = (
 )
 
 
-def random_flight(seed: int) -> Stage:
+def random_flight(seed: int, agile: bool | None = None) -> Stage:
     """Something is hit in about half of the flights: an obstacle, a wall, or furniture.
 
     In the others the obstacle is passed or the drone stops before it, or there is none in the way.
-    Which it is, when, and what, is found by following the flight, not by what was planned.
+    Which it is, when, and what, is found by following the flight, not by what was planned. A
+    quarter of the drones are agile, unless `agile` says.
     """
+    if agile is None:
+        agile = bool(np.random.default_rng([seed, 0, 1]).random() < _AGILE)
     plan = str(np.random.default_rng([seed, 0]).choice(list(_PLANS), p=list(_PLANS.values())))
     for attempt in range(1, _MAX_TRIES):
-        stage = _drawn(np.random.default_rng([seed, attempt]), seed, plan)
+        stage = _drawn(np.random.default_rng([seed, attempt]), seed, plan, agile)
         if stage is not None:
             return stage
     raise RuntimeError(f"no flight found for the seed {seed}")
 
 
-def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
+def _drawn(rng: Rng, seed: int, plan: str, agile: bool) -> Stage | None:
     """A stage, or None if it would be over before it has begun."""
     name, build, height = _obstacle(rng)
     phases, height = _script(rng, height, stops=plan == "stop")
     start = (rng.uniform(0.9, 1.4), rng.uniform(-0.3, 0.3), height)
     turned = rng.uniform(-6.0, 6.0)
-    free = fly(phases, position_m=start, yaw_deg=turned, seed=seed)
+    flight = partial(fly, phases, position_m=start, yaw_deg=turned, seed=seed, agile=agile)
+    free = flight()
     moving = [end for phase, _, end in free.phases if phase not in ("stand", "take off", "hover")]
     when = rng.uniform(0.55, 0.95) * moving[-1]
     met = free.state(when)
@@ -79,17 +87,13 @@ def _drawn(rng: Rng, seed: int, plan: str) -> Stage | None:
     contact_s = first_contact(free, world)
     if contact_s is not None and contact_s < _EARLIEST_S:
         return None
-    if contact_s is not None:
-        world, target = _nearest(free, world, contact_s)
-    elif guests:
-        target = name
-    else:
-        world, target = _nearest(free, world, when)
     if contact_s is None:
-        return Stage(world, free, target, None, free.duration_s)
-    path = fly(phases, position_m=start, yaw_deg=turned, seed=seed, contact_s=contact_s)
+        stage = Stage(world, free, name, None, free.duration_s, agile)
+        return stage if guests else _about_the_nearest(stage, when)
+    path = flight(contact_s=contact_s)
     duration = min(contact_s + _AFTER_S, path.duration_s)
-    return Stage(world, path, target, contact_s, duration)
+    stage = Stage(world, path, name, contact_s, duration, agile)
+    return _about_the_nearest(stage, contact_s)
 
 
 def _standing(
@@ -140,6 +144,13 @@ def _script(rng: Rng, height: float, *, stops: bool) -> tuple[list[script.Phase]
             script.cruise(seconds),
             script.yaw(seconds, side * rng.uniform(5.0, 20.0)),
             script.roll(0.5 * seconds, side * rng.uniform(2.0, 5.0)),
+            script.weave(
+                seconds,
+                rng.uniform(-10.0, 2.0),
+                -side * rng.uniform(1.0, 6.0),
+                side * rng.uniform(5.0, 30.0),
+                rng.uniform(-0.3, 0.3),
+            ),
         ]
         phases.append(turn[rng.integers(len(turn))])
     if stops:
@@ -165,10 +176,13 @@ def _place(rng: Rng, path: Path, guests: Sequence[Body], wall_s: float | None) -
     return kind(rng, length_m=length, width_m=width, guests=guests)
 
 
-def _nearest(path: Path, world: World, time_s: float) -> tuple[World, str]:
-    """The name of what is nearest at a time, and the world where only that has it."""
-    distances = surroundings(world).distances(path.state(time_s).position_m, time_s)
+def _about_the_nearest(stage: Stage, time_s: float) -> Stage:
+    """A stage whose target is what is nearest at a time: that piece of furniture, or that wall."""
+    world = stage.world
+    distances = surroundings(world).distances(stage.path.state(time_s).position_m, time_s)
     nearest = int(np.argmin(distances))
-    if nearest >= len(world.bodies):
-        return world, world.room.name
-    return singled_out(world, nearest), world.bodies[nearest].name
+    if nearest < len(world.bodies):
+        target = world.bodies[nearest].name
+        return replace(stage, world=singled_out(world, nearest), target=target)
+    side = nearest - len(world.bodies)
+    return replace(stage, target=SIDES[side], wall=Solid(SIDES[side], [world.room.faces[side]]))

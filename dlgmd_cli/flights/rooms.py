@@ -101,6 +101,10 @@ class Hall:
         }[side]
 
 
+# What the sides of a room are called as targets, in the order of `Hall.walls`.
+SIDES = ("wall", "wall", "wall", "wall", "floor", "ceiling")
+
+
 @dataclass(frozen=True)
 class Place:
     """A room of some size with its walls, as `World` has them, and what stands in it."""

@@ -15,7 +15,15 @@ from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.sensor import Sensor
 from dlgmd_cli.flights.renderer.texture import FloatImage
 from dlgmd_cli.flights.truth import FlightTruth, truth_rows
-from dlgmd_cli.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
+from dlgmd_cli.stimuli.base import (
+    MAX_FRAMES,
+    ClipOptions,
+    GreyImage,
+    Scene,
+    invalid,
+    option,
+    switch,
+)
 
 # By how much rounding may change a time in ms, and a time in frames.
 _TOLERANCE = 1e-6
@@ -29,9 +37,10 @@ _TOO_FAST_PX_S = 1e12
 
 @dataclass(frozen=True)
 class FlightOptions(ClipOptions):
-    """Options of all flights: those of the camera, in addition to those of every clip.
+    """Options of all flights: the camera's and the drone's, in addition to those of every clip.
 
-    Noise is as `Sensor` has it. Exposure and rolling shutter are 0 for none.
+    Noise is as `Sensor` has it. Exposure and rolling shutter are 0 for none. `agile` None leaves
+    it to the scene whether the drone follows its orders at once; see `fly`.
     """
 
     fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
@@ -41,6 +50,7 @@ class FlightOptions(ClipOptions):
     shot_noise: float = option(0.01, "--shot-noise", 0, 1)
     gamma: float = option(2.2, "--gamma", 1, 4)
     rolling_shutter_ms: float = option(0.0, "--rolling-shutter", 0, 1000, unit="ms")
+    agile: bool | None = switch(None, "--agile")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,8 +70,8 @@ class FlightOptions(ClipOptions):
 class FlightScene(Scene[FlightOptions]):
     """A flight through a place.
 
-    `stage` builds the place and the flight from a seed; it is a function of a module, so that it
-    can be pickled.
+    `stage` builds the place and the flight from a seed and `FlightOptions.agile`; it is a function
+    of a module, so that it can be pickled.
     """
 
     truth_type = FlightTruth
@@ -72,19 +82,20 @@ class FlightScene(Scene[FlightOptions]):
         name: str,
         description: str,
         defaults: FlightOptions,
-        stage: Callable[[int], Stage],
+        stage: Callable[[int, bool | None], Stage],
     ) -> None:
         self.name, self.description, self.defaults = name, description, defaults
         self._build = stage
-        self._built: tuple[int, Stage] | None = None
+        self._built: tuple[tuple[int, bool | None], Stage] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_built": None}
 
     def stage(self, options: FlightOptions) -> Stage:
         """The place and the flight; the last one is kept."""
-        if self._built is None or self._built[0] != options.seed:
-            self._built = options.seed, self._build(options.seed)
+        wanted = options.seed, options.agile
+        if self._built is None or self._built[0] != wanted:
+            self._built = wanted, self._build(*wanted)
         return self._built[1]
 
     def n_frames(self, options: FlightOptions) -> int:
@@ -134,6 +145,7 @@ class FlightScene(Scene[FlightOptions]):
             "height": height,
             "fps": options.fps,
             "frames": n_frames,
+            "agile": stage.agile,
             "target": stage.target,
             "collision_frame": frame if frame is not None and frame < n_frames else None,
             "collision_time_s": None if stage.contact_s is None else float(stage.contact_s),

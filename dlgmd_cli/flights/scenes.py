@@ -44,16 +44,19 @@ _SIMULATED = FlightOptions(shape=(600, 800))
 _SMALL = FlightOptions(shape=(360, 640))
 
 
-def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
-    """The flight that a part of `scenes.yaml` describes, with the seed of all that is random."""
+def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) -> Stage:
+    """The flight that a part of `scenes.yaml` describes, with the seed of all that is random.
+
+    `agile` overrides what the part says.
+    """
+    agile = spec.get("agile", False) if agile is None else agile
     phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
-    flight = partial(
-        fly, phases, position_m=spec["start_m"], yaw_deg=spec.get("yaw_deg", 0.0), seed=seed
-    )
+    start = {"position_m": spec["start_m"], "yaw_deg": spec.get("yaw_deg", 0.0)}
+    flight = partial(fly, phases, **start, seed=seed, agile=agile)
     free, obstacle = flight(), spec["obstacle"]
     target, hit_at = obstacle.get("target", obstacle["piece"]), obstacle.get("hit_at")
-    rng = np.random.default_rng([seed, hit_at or 1])
     room = dict(spec["room"])
+    rng = np.random.default_rng([seed, room.pop("number", 1)])
     kind, behind_m = _ROOMS[room.pop("kind")], room.pop("behind_m", 0.0)
     if hit_at is not None:
         contact_s = hit_at * FRAME_S
@@ -63,14 +66,14 @@ def named_flight(spec: Mapping[str, Any], seed: int) -> Stage:
         end_m = max(float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in guests)
         place = kind(rng, **{"length_m": end_m + behind_m, **room}, guests=guests)
         path = flight(contact_s=contact_s)
-        return Stage(world_of(place, guests), path, target, contact_s, contact_s + _AFTER_S)
+        return Stage(world_of(place, guests), path, target, contact_s, contact_s + _AFTER_S, agile)
     room.setdefault("length_m", _x(free, free.duration_s) + behind_m)
     guests = _bystander(obstacle, rng, free, room["length_m"])
     world = world_of(kind(rng, **room, guests=guests), guests)
     if "lamps_on_at" in spec:
         on_s = spec["lamps_on_at"] / 30.0
         world = replace(world, light=lambda time_s: DAYLIGHT if time_s >= on_s else _DUSK)
-    return Stage(world, free, target, None, free.duration_s)
+    return Stage(world, free, target, None, free.duration_s, agile)
 
 
 def _piece(

@@ -74,9 +74,20 @@ def decelerate(seconds: float, pitch_deg: float) -> Phase:
     return Phase("decelerate", seconds, "brake", pitch_deg)
 
 
-def yaw(seconds: float, rate_deg_s: float) -> Phase:
-    """Turn about the vertical; on the spot, or in a curve at the forward speed there was."""
-    return Phase("yaw", seconds, "keep", yaw_rate_deg_s=rate_deg_s)
+def yaw(seconds: float, rate_deg_s: float, pitch_deg: float = 0.0) -> Phase:
+    """Turn about the vertical; on the spot, or in a curve.
+
+    The forward speed stays what it was, or the nose where it was, if that is given.
+    """
+    forward: Forward = "tilt" if pitch_deg else "keep"
+    return Phase("yaw", seconds, forward, pitch_deg, yaw_rate_deg_s=rate_deg_s)
+
+
+def weave(
+    seconds: float, pitch_deg: float, roll_deg: float, yaw_rate_deg_s: float, climb_m: float
+) -> Phase:
+    """Do it all at once: gain or lose speed, lean, turn and climb or sink."""
+    return Phase("weave", seconds, "tilt", pitch_deg, roll_deg, yaw_rate_deg_s, climb_m)
 
 
 def roll(seconds: float, roll_deg: float) -> Phase:

@@ -9,6 +9,7 @@ from dlgmd_cli.flights.geometry import Extent, Nearest
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
+from dlgmd_cli.flights.renderer.solids import Body
 
 # A frame's time and that of contact may differ in the last digits.
 _SAME_S = 1e-9
@@ -80,18 +81,19 @@ class Target:
     """The bodies of a stage that distances and angles refer to; raises as `truth_rows` does."""
 
     def __init__(self, stage: Stage) -> None:
-        world, name = stage.world, stage.target
-        bodies = [body for body in world.bodies if body.name == name]
-        self._surrounds = not bodies and world.room.name == name
-        if not bodies and not self._surrounds:
+        name = stage.target
+        bodies: list[Body] = [body for body in stage.world.bodies if body.name == name]
+        if stage.wall is not None:
+            bodies = [stage.wall]
+        if not bodies:
             raise ParameterError("the flight's target", f"nothing is named '{name}'")
-        self._nearest = Nearest(bodies or [world.room])
+        self._nearest = Nearest(bodies)
         self._extent = Extent(self._nearest.surfaces)
 
     def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
         """Distance in m, angular size in degrees, and its rate in degrees/s; see `FlightTruth`."""
         distance = float(self._nearest.distances(state.position_m, time_s).min())
-        if self._surrounds or distance == 0.0:
+        if distance == 0.0:
             return distance, 180.0, 0.0
         surfaces = self._nearest.surfaces
         offsets, velocities = surfaces.offsets(time_s), surfaces.velocities(time_s)

@@ -186,9 +186,11 @@ class Photoreceptors:
         Number of the newest frame, counting from 0 at the beginning; -1 before it.
     current, previous : ndarray, shape (H, W), uint8 or float32
         The newest frame and the one before it; `previous` from frame 1 on.
-    stack : ndarray, shape (depth, H, W), of the frames' type
+    stack : ndarray, shape (depth, H, W), of the frames' type unless `_stack_type` says another
         The P, in levels of 0..255 or of 0..1; the newest takes the place of the oldest.
     """
+
+    _stack_type: npt.DTypeLike | None = None
 
     current: Grey
     previous: Grey
@@ -210,14 +212,18 @@ class Photoreceptors:
         if self.frame < 0:
             shape, dtype = luminance.shape, luminance.dtype
             self.current, self.previous = aligned(shape, dtype), aligned(shape, dtype)
-            self.stack = aligned((self._depth, *shape), dtype)
+            self.stack = aligned((self._depth, *shape), self._stack_type or dtype)
         self.current, self.previous = self.previous, self.current
         np.copyto(self.current, luminance)
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth
-            cv2.absdiff(self.current, self.previous, dst=self.p(0))
-            self._p_sums.appendleft(cv2.sumElems(self.p(0))[0] * self.unit)
+            self._p_sums.appendleft(self._see(self.p(0)) * self.unit)
+
+    def _see(self, out: Grey) -> float:
+        """Write P of the newest frame into `out`; the sum of |L(t) - L(t-1)|, both in levels."""
+        cv2.absdiff(self.current, self.previous, dst=out)
+        return float(cv2.sumElems(out)[0])
 
     @property
     def unit(self) -> float:
@@ -233,7 +239,7 @@ class Photoreceptors:
         return self.stack[self.position(delay)]
 
     def p_sum(self, delay: int) -> float:
-        """ΣP(t - delay) in units of luminance, NaN where it is not defined."""
+        """Σ|L(t - delay) - L(t - delay - 1)| in luminance, NaN where it is not defined."""
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
 
     def _check(self, luminance: Grey) -> None:

@@ -3,20 +3,9 @@
 import math
 from collections.abc import Callable
 
-import numpy as np
-
-from dlgmd_cli.models.base import (
-    FloatImage,
-    Grey,
-    Layers,
-    Model,
-    Photoreceptors,
-    Response,
-    aligned,
-    undefined,
-)
-from dlgmd_cli.models.engines import AUTO, Grouping, choose_engine, create_engine
-from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.base import Response
+from dlgmd_cli.models.distributed import Distributed, Images
+from dlgmd_cli.models.engines import AUTO, Grouping
 from dlgmd_cli.parameters import DlgmdParameters
 
 # The released code divides by this whatever the frame: n_cell m of its authors' 800 x 600.
@@ -24,7 +13,7 @@ RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
 
 
-class DLGMD(Model):
+class DLGMD(Distributed):
     """Distributed-presynaptic-connection LGMD, [Zhao2023] Eqs. (1) to (13).
 
     Parameters
@@ -65,62 +54,32 @@ class DLGMD(Model):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.params = params if params is not None else DlgmdParameters()
-        self.engine_name = self._asked_engine = engine
-        self._tell = tell
-        choose_engine(engine)  # complains at once, not at the first frame
-        self._literal = self.params.formulation == "equations"
-        self._released = self.params.formulation == "released"
-        self.connections = connect(self.params)
+        params = params if params is not None else DlgmdParameters()
+        self._released = params.formulation == "released"
         # FFI(t) looks one frame back, two in the released code, Eq. (12).
         self._ffi_delay = 2 if self._released else 1
-        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self._ffi_delay)
-        self._receptors = Photoreceptors(self.first_valid_frame)
-        self._engine_is_for: tuple[object, object] | None = None
+        super().__init__(params, engine, tell, self._ffi_delay)
 
-    def step(
-        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
-    ) -> Response:
-        """Take the next frame and answer to it, see `Model.step`."""
+    def _respond(self, images: Images | None) -> Response:
+        """S and G of the newest frame, and their sums."""
         receptors = self._receptors
-        receptors.take(luminance)
-        if receptors.frame == 0:
-            self._prepare(luminance)
-        p_sum = receptors.p_sum(0)
-        if receptors.frame < self.first_valid_frame:
-            return undefined(p_sum, Layers(self._p_layer()) if layers else None)
+        grouping = self._grouping()
+        s_sum, mp = self._engine.respond(receptors, grouping, images)
         ffi = receptors.p_sum(self._ffi_delay)
-        t_de = self._threshold(ffi)
-        grouping = Grouping(self.params.k, t_de, math.inf if self._literal else 1.0)
-        if not layers:
-            s_sum, mp = self._engine.respond(receptors, grouping)
-            return Response(p_sum, s_sum, mp, ffi, t_de)
-        s, g = (aligned(luminance.shape) for _ in range(2))
-        s_sum, mp = self._engine.respond(receptors, grouping, (s, g))
-        return Response(p_sum, s_sum, mp, ffi, t_de, Layers(self._p_layer(), s, g))
+        return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de)
 
-    def _prepare(self, luminance: Grey) -> None:
-        """Make an engine for frames like the first, unless there is one from before a reset."""
-        kind, n_cells = (luminance.shape, luminance.dtype), luminance.size
-        if kind == self._engine_is_for:
-            return
-        self._engine_is_for = kind
-        self._cells = RELEASED_CELLS if self._released else n_cells * self.params.m
-        self.engine_name = choose_engine(self._asked_engine, n_cells, self._tell)
-        self._engine = create_engine(
-            self.engine_name, self.connections, self._receptors, self._tell
-        )
+    def _grouping(self) -> Grouping:
+        """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).
 
-    def _threshold(self, ffi: float) -> float:
-        """T_de, Eq. (11); the released code divides by a constant, and caps it."""
-        if not self.params.ffi_gd:
-            return 0.0
-        t_de = ffi * self.params.t0 / self._cells
-        return t_de if self._literal else min(t_de, MAX_T_DE)
-
-    def _p_layer(self) -> FloatImage | None:
-        """A copy of P(t) in units of luminance; None at the first frame."""
-        if self._receptors.frame == 0:
-            return None
-        unit = np.float32(self._receptors.unit)
-        return np.multiply(self._receptors.p(0), unit, dtype=np.float32)
+        The released code divides FFI by a constant. The printed equations have neither the cap of
+        the threshold nor the saturation.
+        """
+        params, receptors = self.params, self._receptors
+        is_literal = params.formulation == "equations"
+        t_de = 0.0
+        if params.ffi_gd:
+            cells = RELEASED_CELLS if self._released else receptors.current.size * params.m
+            t_de = receptors.p_sum(self._ffi_delay) * params.t0 / cells
+        if not is_literal:
+            t_de = min(t_de, MAX_T_DE)
+        return Grouping(params.k, t_de, math.inf if is_literal else 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters import DistributedParameters
 
 FloatKernel = npt.NDArray[np.float64]
 
@@ -120,12 +120,12 @@ class Connections:
         return by_delay
 
 
-def connect(params: DlgmdParameters) -> Connections:
+def connect(params: DistributedParameters) -> Connections:
     """Derive the kernels of every delay, [Zhao2023] Eqs. (2) to (7).
 
     Parameters
     ----------
-    params : DlgmdParameters
+    params : DistributedParameters
         With the formulation `equations`, the printed equations are taken literally: excitation
         everywhere, and inhibition at a fractional latency from the two neighbouring frames. The
         others follow the authors' released code: latency in three bands, excitation only where

@@ -22,7 +22,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
-from dlgmd_cli.parameters import Parameters
+from dlgmd_cli.parameters import DistributedParameters, Parameters
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
@@ -225,7 +225,7 @@ def _computed(
 def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
     """The engine that `run` would use on frames of that size; raises what `create_model` does."""
     model = create_model(params, engine=asked)
-    if params.model != "dlgmd":
+    if not isinstance(params, DistributedParameters):
         return model.engine_name
     return choose_engine(asked, size_wh[0] * size_wh[1], tell)
 

@@ -29,9 +29,14 @@ class Limits:
     unit: str = ""
     low_open: bool = False
     whole: bool = False
+    is_switch: bool = False
 
     def checked(self, value: Any) -> Any:
         """Return `value`, or raise the ParameterError that says what is wrong with it."""
+        if self.is_switch:
+            if isinstance(value, bool):
+                return value
+            raise invalid(self.flag, f"{str(value)[:40]} is neither true nor false")
         if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise invalid(self.flag, f"{str(value)[:40]} is not a number")
         if self.whole and not isinstance(value, numbers.Integral):
@@ -50,6 +55,11 @@ class Limits:
 def option(default: Any, flag: str, low: float, high: float, **limits: Any) -> Any:
     """A field of `ClipOptions`: its default, its flag, and the range of its number or numbers."""
     return field(default=default, metadata={"limits": Limits(flag, low, high, **limits)})
+
+
+def switch(default: bool | None, flag: str) -> Any:
+    """A field of `ClipOptions` that is true or false, or None to leave it open."""
+    return field(default=default, metadata={"limits": Limits(flag, 0, 1, is_switch=True)})
 
 
 def invalid(flag: str, why: str, mend: str = "") -> ParameterError:

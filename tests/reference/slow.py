@@ -98,6 +98,16 @@ def photoreceptors(frames):
     return layers
 
 
+def pathways(frames):
+    """P_on and P_off of every frame but the first."""
+    on, off = [None], [None]
+    for before, after in itertools.pairwise(frames):
+        change = after.astype(float) - before.astype(float)
+        on.append(np.where(change > 0.0, change, 0.0))
+        off.append(np.where(change < 0.0, -change, 0.0))
+    return on, off
+
+
 def weighted(p, weights, i, j):
     """One cell of `p` convolved with `weights`; beyond the border there is nothing."""
     height, width = p.shape
@@ -146,10 +156,27 @@ def total(layer):
     return result
 
 
-def run(frames, *, alpha, beta, lam, sigma_e, sigma_i, r, a, k, t0, m, ffi_gd, formulation):
-    """One `Answer` for every frame, Eqs. (1) to (13)."""
+def run(
+    frames,
+    *,
+    alpha,
+    beta,
+    lam,
+    sigma_e,
+    sigma_i,
+    r,
+    a,
+    k,
+    t0,
+    m,
+    ffi_gd,
+    formulation,
+    on_off=False,
+):
+    """One `Answer` for every frame, Eqs. (1) to (13); S is that of ON and OFF pathways if asked."""
     excite, inhibit = kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, formulation)
     history = photoreceptors(frames)
+    histories = pathways(frames) if on_off else [history]
     lag = 2 if formulation == "released" else 1
     # P begins at frame 1, and both the oldest inhibition and FFI must find one.
     first = 1 + max([lag, *inhibit])
@@ -162,7 +189,7 @@ def run(frames, *, alpha, beta, lam, sigma_e, sigma_i, r, a, k, t0, m, ffi_gd, f
         answer.p, answer.p_sum = p, total(p)
         if t < first:
             continue
-        answer.s = summation(history, excite, inhibit, t)
+        answer.s = sum(summation(one, excite, inhibit, t) for one in histories)
         answer.s_sum = total(answer.s)
         answer.ffi = total(history[t - lag])
         cells = 200_000.0 if formulation == "released" else p.size * m

@@ -19,6 +19,7 @@ from dlgmd_cli.flights.renderer.camera import Camera
 from dlgmd_cli.flights.renderer.visibility import Order
 from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.flights.truth import Target
 from dlgmd_cli.results.labels import read_labels
 
 pytestmark = pytest.mark.slow
@@ -138,11 +139,31 @@ def test_random_flights_come_out_in_every_way():
             assert contact is None
         else:
             assert contact == pytest.approx(stage.contact_s, abs=1e-4)
-            position = stage.path.state(contact).position_m
-            nearest = surroundings(stage.world, [stage.target]).distances(position, contact).min()
-            assert nearest == pytest.approx(REACH_M, abs=1e-4)
+            distance, angle, _ = Target(stage).seen_from(stage.path.state(contact), contact)
+            assert distance == pytest.approx(REACH_M, abs=1e-4) and angle > 50
             assert contact < stage.duration_s <= contact + 0.5 + 1e-9
         assert Order(stage.world.bodies).is_exact
+
+
+def test_a_random_flight_into_a_wall_says_so():
+    """The seeds of three such flights; the wall is told from the floor, which is nearer."""
+    for seed in (1, 6, 26):
+        stage = random_flight(seed)
+        walls = surroundings(stage.world, ["room"])
+        state = stage.path.state(stage.contact_s)
+        assert stage.target == "wall"
+        assert walls.distances(state.position_m, 0.0)[:4].min() == pytest.approx(REACH_M, abs=1e-4)
+        begin = Target(stage).seen_from(stage.path.state(0.0), 0.0)
+        assert begin[0] > 1.0 and begin[1] < 120
+
+
+def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
+    drawn = [np.random.default_rng([seed, 0, 1]).random() < 0.25 for seed in range(6)]
+    stages = [random_flight(seed) for seed in range(6)]
+    assert [stage.agile for stage in stages] == drawn and 0 < sum(drawn) < 6
+    asked = SCENES["random"].configure({**SMALL, "--seed": 4, "--agile": False})
+    record = SCENES["random"].record(asked)
+    assert stages[4].agile and record["agile"] is False
 
 
 def test_a_seed_is_a_flight():

@@ -225,10 +225,13 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
     dlgmd("batch", flights, *QUICK, "--param", "sigma_e=1.2", "--normalise", "sequence")
     before = timeless("dlgmd-out")
     same = ("--param", "sigma_e=1.2", "--normalise", "sequence")
+    Path("wide.yaml").write_text("preset: flight\nwidth_px: 320\n")
     for options, shown in (
         (("--param", "sigma_e=1.3", *same[2:]), "sigma_e"),
         (same[:2], "--normalise"),
         ((*same, "--input-fps", 12), "--input-fps"),
+        ((*same, "--repeats", "keep"), "--repeats"),
+        ((*same, "--config", "wide.yaml"), "width_px"),
         ((*same, "--engine", "numba"), "engine"),
     ):
         result = dlgmd("batch", flights, *QUICK, *options)

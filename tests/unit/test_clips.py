@@ -89,6 +89,7 @@ def test_a_clip_of_a_flight(scene, tmp_path):
         "seed": 3,
         "exposure": 5.0,
         "rolling-shutter": 0.0,
+        "agile": None,
         "vignette": 0.3,
         "noise": 0.002,
         "shot-noise": 0.01,

@@ -106,7 +106,7 @@ def test_sets_show_of_the_preset_is_the_preset(dlgmd, tmp_path):
     assert "flight" in dlgmd("sets").stdout
 
 
-@pytest.mark.parametrize("model", ["lgmd", "emd-lgmd"])
+@pytest.mark.parametrize("model", [name for name in MODELS if name != "dlgmd"])
 def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
     result = dlgmd("sets", "show", model)
     assert result.exit_code == 0

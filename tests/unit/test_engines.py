@@ -7,8 +7,7 @@ from pickle import UnpicklingError
 
 import numpy as np
 import pytest
-from engine_checks import SUMS, answers, assert_engines_agree, scene
-from reference import slow
+from engine_checks import SUMS, answers, assert_engines_agree, create, scene
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models import engines
@@ -32,6 +31,12 @@ def test_the_engines_agree_at_every_size(loops, shape, dtype):
     assert_engines_agree(scene(*shape, dtype=dtype))
 
 
+@pytest.mark.parametrize("name", ["dlgmd-contrast", "dlgmd-onoff"])
+@pytest.mark.parametrize("shape", [(40, 481), (271, 30)])
+def test_the_engines_agree_for_other_models(loops, shape, name):
+    assert_engines_agree(scene(*shape), name)
+
+
 @pytest.mark.parametrize("engine", engines.ENGINES)
 def test_twice_the_same_to_the_last_bit(loops, engine):
     frames = scene(300, 530)
@@ -44,15 +49,16 @@ def test_twice_the_same_to_the_last_bit(loops, engine):
         assert all(getattr(a, n) == getattr(b, n) == getattr(c, n) for n in SUMS)
 
 
+@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-contrast"])
 @pytest.mark.parametrize("n_bands", [2, 3, 4])
 @pytest.mark.parametrize("shape", [(4, 50), (5, 7), (63, 530), (200, 90)])
-def test_bands_of_rows_give_what_one_gives(loops, monkeypatch, shape, n_bands):
+def test_bands_of_rows_give_what_one_gives(loops, monkeypatch, shape, n_bands, name):
     frames = scene(*shape)
-    whole = answers("numba", frames)
+    whole = answers("numba", frames, name)
     monkeypatch.setattr(loops, "MIN_BAND_PX", 1)
     monkeypatch.setattr(loops, "MAX_BANDS", n_bands)
     monkeypatch.setattr(loops, "n_threads", lambda: 8)
-    model = DLGMD(DlgmdParameters(**slow.table_2(9, a=0.4)), engine="numba")
+    model = create("numba", name)
     in_bands = [model.step(frame, layers=True) for frame in frames]
     assert len(model._engine._bands) == n_bands + 1
     for a, b in zip(whole[3:], in_bands[3:], strict=True):
@@ -82,14 +88,16 @@ def test_tiles_cover_every_pixel_once_with_what_it_depends_on():
         assert np.all(count == 1)
 
 
+@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-contrast", "dlgmd-onoff"])
 @pytest.mark.parametrize("engine", engines.ENGINES)
-def test_what_is_no_number_is_not_hidden(loops, engine):
-    frames = scene(20, 30, n_frames=9, dtype=np.float32)
-    frames[4][5, 5] = np.nan
-    model = DLGMD(engine=engine)
+def test_what_is_no_number_is_not_hidden(loops, engine, name):
+    frames = scene(20, 30, n_frames=10, dtype=np.float32)
+    frames[0][5, 5] = frames[5][5, 5] = np.nan
+    model = create(engine, name)
     responses = [model.step(frame) for frame in frames]
-    assert math.isnan(responses[4].s_sum) and math.isfinite(responses[3].s_sum)
-    assert math.isfinite(responses[8].s_sum)  # it has left the history
+    assert math.isnan(responses[5].s_sum)
+    for t in (4, 9):  # it has left the history
+        assert math.isfinite(responses[t].s_sum) and math.isfinite(responses[t].t_de)
 
 
 @pytest.mark.parametrize("threshold", [1e-30, 0.1, 0.25, 1 / 3, 0.3, 1.0, 7.25])

@@ -72,7 +72,7 @@ def test_a_hover_holds_the_spot_and_gusts_move_it_by_about_a_centimetre():
 
 def test_pitching_down_accelerates_by_what_the_thrust_leaves():
     path = flown(accelerate(12, -12), yaw_deg=90.0)
-    for t in (0.7, 1.5, 3.0):
+    for t in (1.2, 1.8, 3.0):
         before, state, after = (path.state(t + dt) for dt in (-0.01, 0.0, 0.01))
         assert state.pitch_deg == pytest.approx(-12, abs=0.2)
         gained = (after.velocity_m_s - before.velocity_m_s) @ [0, 1, 0] / 0.02
@@ -101,7 +101,7 @@ def test_cruise_with_a_yaw_rate_flies_a_banked_curve():
         assert speed == pytest.approx(2.0, rel=0.02)
         assert state.velocity_m_s @ ahead_of(state) / speed > 0.999, "it slips sideways"
         bank = -math.degrees(math.atan(2.0 * rate / GRAVITY))
-        assert state.roll_deg == pytest.approx(bank, rel=0.03)
+        assert state.roll_deg == pytest.approx(bank, rel=0.05)
     begin = path.state(2.0)
     centre = begin.position_m + np.cross([0, 0, 1], begin.velocity_m_s) / rate
     assert math.dist(path.state(5).position_m, centre) == pytest.approx(2.0 / rate, rel=0.02)
@@ -121,12 +121,12 @@ def test_yaw_turns_on_the_spot_and_in_flight_goes_on_at_its_speed():
 
 def test_decelerate_stops_and_does_not_come_back():
     path = flown(accelerate(2.5, -12), decelerate(4, 15))
-    assert path.state(3.0).pitch_deg == pytest.approx(15, abs=1.5)
-    assert path.state(3.0).velocity_m_s[0] < path.state(2.5).velocity_m_s[0] - 0.5
+    assert path.state(3.6).pitch_deg == pytest.approx(15, abs=1.5)
+    assert path.state(3.4).velocity_m_s[0] < path.state(2.5).velocity_m_s[0] - 0.5
     times = np.arange(2.5, 6.5, 0.01)
-    assert along(path, times, "velocity_m_s")[:, 0].min() > -0.05
+    assert along(path, times, "velocity_m_s")[:, 0].min() > -0.1
     assert along(path, times, "pitch_deg").max() <= 15.0
-    assert np.ptp(along(path, times[250:]), axis=0).max() < 0.05
+    assert np.ptp(along(path, times[250:]), axis=0).max() < 0.07
 
 
 def test_take_off_leaves_the_floor_after_spinning_up_and_reaches_its_height():
@@ -161,6 +161,25 @@ def test_roll_slips_to_the_side_that_is_down(angle, side):
     slip = along(path, [0.99, 1.01], "velocity_m_s")[:, 1]
     lean = GRAVITY * math.tan(math.radians(10)) - DRAG * abs(slip.mean())
     assert side * (slip[1] - slip[0]) / 0.02 == pytest.approx(lean, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("order", "axis", "most"),
+    [(pitch(2, -11), 1, 6.0), (roll(2, 9), 0, 6.0), (yaw(2, 30), 2, 2.1)],
+    ids=["pitch", "roll", "yaw"],
+)
+def test_orders_are_eased_unless_the_drone_is_agile(order, axis, most):
+    """Rates change smoothly, by so many degrees/s a frame at most; in the end all is alike."""
+    eased, agile = (flown(hover(1), order, agile=agile) for agile in (False, True))
+    spins, others = (
+        np.degrees(along(path, np.arange(28, 90) / 30, "angular_velocity_rad_s")[:, axis])
+        for path in (eased, agile)
+    )
+    assert 0.5 * most < np.abs(np.diff(spins)).max() < most
+    assert np.abs(np.diff(others)).max() > 2.5 * most
+    assert np.abs(spins).max() < 48.0
+    ends = [numbers(path, 3.0) for path in (eased, agile)]
+    assert ends[0][6:11] == pytest.approx(ends[1][6:11], abs=0.3)
 
 
 # Repeatability

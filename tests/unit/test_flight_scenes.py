@@ -40,6 +40,13 @@ def test_options_out_of_range(scene, flag, value):
         scene.configure({flag: value})
 
 
+def test_an_agile_drone_is_another_flight_and_the_record_says_so(scene):
+    for agile in (True, False, None):
+        assert scene.record(scene.configure({"--agile": agile}))["agile"] is bool(agile)
+    with pytest.raises(ParameterError, match="'--agile': 1 is neither true nor false"):
+        scene.configure({"--agile": 1})
+
+
 def test_options_of_flat_scenes_are_none_of_a_flight(scene):
     with pytest.raises(ParameterError, match=r"^--contrast: quick has no such option\. It takes "):
         scene.configure({"--contrast": 0.5})

@@ -128,7 +128,6 @@ def test_distances_to_known_bodies():
         ("box", math.sqrt(4 + 0.25 + 0.75**2)),
         ("ball", 1.7),  # the nearer one of that name
         ("pole", math.sqrt(26) - 0.2),
-        ("room", 1.0),
     ):
         assert first_row(things, name).distance_m == pytest.approx(distance)
 
@@ -207,9 +206,19 @@ def test_bodies_of_one_name_span_one_angle(things, half):
     assert row.angular_size_deg == pytest.approx(math.degrees(2 * half))
 
 
-def test_a_room_surrounds_the_drone():
-    row = first_row([], "room")
-    assert (row.angular_size_deg, row.angular_velocity_deg_s) == (180, 0)
+def test_a_wall_is_as_far_and_as_large_as_its_rectangle():
+    """And grows as a board of its size does, although the floor is nearer."""
+    far = [face for face in ROOM.faces if face.corners_m[:, 0].min() == 20]
+    stage = Stage(World(ROOM, []), straight(), "wall", None, 1.0, wall=Solid("wall", far))
+    rows = list(truth_rows(stage, CAMERA, 25, 20))
+    assert rows[0].distance_m == 20.0 and rows[-1].distance_m == pytest.approx(20 - 2 * 19 / 25)
+    corners = np.array([(20, -20, 8), (20, 20, 0)]) - (0, 0, 1)
+    corners = corners / np.linalg.norm(corners, axis=1)[:, None]
+    angle = math.degrees(math.acos(corners[0] @ corners[1]))
+    assert rows[0].angular_size_deg == pytest.approx(angle)
+    sizes = [row.angular_size_deg for row in rows]
+    rates = [row.angular_velocity_deg_s for row in rows]
+    assert rates[1:-1] == pytest.approx(np.gradient(sizes, 1 / 25)[1:-1], rel=1e-3)
 
 
 @pytest.mark.parametrize("motion", [None, moving], ids=["still", "moving"])

@@ -65,6 +65,7 @@ def test_flights_and_their_labels_do_not_depend_on_jobs(synth):
 
 def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
     synth("--seed", 10, count=3)
+    assert not yaml.safe_load((OUT / "quick-0002.yaml").read_text())["agile"]
     single = dlgmd("synth", "quick", "--seed", 12)
     assert single.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
     for suffix in ("mp4", "csv", "yaml"):
@@ -111,6 +112,7 @@ def test_what_is_there_is_not_rendered_again(synth):
         (["--gamma", 2], "--gamma"),
         (["--size", "48x16"], "--size"),
         (["--frames", 10], "--frames"),
+        (["--agile"], "--agile"),
         (["--seed", 1], "seed"),
     ],
 )

@@ -85,15 +85,21 @@ def test_python_runs_as_written(reader, monkeypatch, capsys):
         script.write_text(code, encoding="utf-8")
         runpy.run_path(str(script))
     first, second = capsys.readouterr().out.splitlines()
-    assert float(first.split()[0]) == pytest.approx(132 / 30)
-    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(132 / 30)
+    assert float(first.split()[0]) == pytest.approx(127 / 30)
+    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(127 / 30)
     assert (reader / "overview.pdf").read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.parametrize("name", list(MODELS))
 def test_tables_of_parameters(name):
     page = (ROOT / "configs/README.md").read_text(encoding="utf-8")
-    heading = {"dlgmd": "D-LGMD", "lgmd": "LGMD", "emd-lgmd": "EMD-LGMD"}[name]
+    heading = {
+        "dlgmd": "D-LGMD",
+        "dlgmd-contrast": "Contrast-relative D-LGMD",
+        "dlgmd-onoff": "ON/OFF D-LGMD",
+        "lgmd": "LGMD",
+        "emd-lgmd": "EMD-LGMD",
+    }[name]
     (section,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE)
     rows = dict(re.findall(r"^\| `(\w+)` \|(.*)\|$", section, flags=re.MULTILINE))
     kind = MODELS[name].parameters

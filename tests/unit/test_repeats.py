@@ -1,12 +1,13 @@
 """Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
 
+import csv
 import json
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import looming_frames, write_video
+from conftest import looming_frames, read_video, write_video
 
 from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
@@ -216,3 +217,27 @@ def test_an_alarm_begins_anew_after_a_gap_in_time():
     spikes = [without.step(view).spike for view in views]
     assert spikes[20] and not any(one.spike for one in found)
     assert [t for t, one in enumerate(found) if not one.is_valid] == [0, 1, 20, 21]
+
+
+def test_layers_and_sweeps_see_what_run_sees(dlgmd, doubled):
+    onset = run(doubled / "ten.avi", set=7).summary["first_alarm_frame"]
+    grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--no-plots", "--jobs", 1]
+    assert dlgmd("sweep", doubled / "ten.avi", *grid).exit_code == 0
+    with open("dlgmd-out/sweep-ten/sweep.csv", encoding="ascii", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert int(row["first_alarm_frame"]) == onset
+    options = ["--frames", f"{onset},{onset + 1}", "--set", 7, "--no-plots", "--video", "film.mp4"]
+    result = dlgmd("layers", doubled / "ten.avi", *options)
+    assert result.exit_code == 0, result.output
+    left_out = f"frame {onset + 1} is left out by --start, --end or --fps, or repeated"
+    assert left_out in result.stderr
+    rate, pictures = read_video("film.mp4")
+    assert (round(rate), len(pictures)) == (30, 120)
+
+
+def test_too_few_new_pictures(dlgmd, tmp_path):
+    frames = looming_frames(3, 96, 72)
+    write_video(tmp_path / "few.avi", [f for f in frames for _ in range(8)], 240)
+    result = dlgmd("run", "few.avi", "--set", 9)
+    assert result.exit_code == 1
+    assert "24 frames, of which the model sees 3, but set9 needs at least 4." in result.stderr

@@ -26,19 +26,25 @@ class Grouping(NamedTuple):
     cap: float
 
 
+class Counting(NamedTuple):
+    """What stands in place of the grouping: G is 1 where S is above this, in luminance, else 0."""
+
+    above: float
+
+
 class Engine(Protocol):
     """Made for one set of connections, and for frames of one size and type."""
 
     def respond(
         self,
         receptors: Photoreceptors,
-        grouping: Grouping,
+        readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame, in units of luminance; S and G into `layers`, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
-        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)
+        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10), or see `Counting`
         """
         ...
 

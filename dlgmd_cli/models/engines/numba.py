@@ -20,7 +20,7 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Grouping, just_below
+from dlgmd_cli.models.engines import Counting, Grouping, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.threads import n_threads
@@ -29,6 +29,7 @@ MAX_ROWS = 32  # of a block
 # Bands of rows go to threads of their own, if they are worth the trouble.
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
+COUNT = 0.0  # the gain that stands for counting cells: no grouping has it
 _NOWHERE = np.empty((0, 0), np.float32)
 
 # Sums may be rearranged into the lanes of a vector; nothing else is taken lightly.
@@ -132,6 +133,18 @@ def _group(s, stride, four, g, gain, below, cap):
     return total
 
 
+@njit(**_OPTIONS)
+def _count(s, stride, g, above):
+    """G of a row, 1 where S is above `above`, and its sum; `s` as for `_group`."""
+    total, here = np.float32(0.0), np.uint64(stride + 1)
+    for i in range(g.size):
+        x = np.uint64(i)
+        value = np.float32(1.0) if s[x + here] > above else np.float32(0.0)
+        g[x] = value
+        total += value
+    return total
+
+
 def _sum_layers(
     first, end, stack, newer, older, plan, shape, memory, row_memory, grouping, s_out, g_out
 ):
@@ -168,7 +181,10 @@ def _sum_layers(
                 if s_out.size:
                     s_out[y] = s[at + 1 : at + 1 + width]
         for row in range(max(0, first + 2 - top), min(n_rows, end + 2 - top)):
-            g_sum += _group(s[row * stride :], stride, four, g, gain, below, cap)
+            if gain == COUNT:
+                g_sum += _count(s[row * stride :], stride, g, below)
+            else:
+                g_sum += _group(s[row * stride :], stride, four, g, gain, below, cap)
             if g_out.size:
                 g_out[top - 2 + row] = g
         _move_up(s, np.uint64(block), 3 * stride)
@@ -213,15 +229,19 @@ class NumbaEngine:
     def respond(
         self,
         receptors: Photoreceptors,
-        grouping: Grouping,
+        readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame; bands of rows are worked on at the same time."""
         newer = [receptors.position(s.delay) for s in self._sources]
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
-        below = just_below(grouping.t_de) if grouping.t_de > 0.0 else -1.0
-        constants = np.float32(grouping.gain), np.float32(below), np.float32(grouping.cap)
+        if isinstance(readout, Counting):
+            gain, below, cap = COUNT, readout.above, 1.0
+        else:
+            gain, cap = readout.gain, readout.cap
+            below = just_below(readout.t_de) if readout.t_de > 0.0 else -1.0
+        constants = np.float32(gain), np.float32(below), np.float32(cap)
 
         def work(band: int, compute: Callable[..., tuple[float, float]]) -> tuple[float, float]:
             return compute(

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Grouping, just_below
+from dlgmd_cli.models.engines import Counting, Grouping, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
@@ -58,7 +58,7 @@ class OpencvEngine:
     def respond(
         self,
         receptors: Photoreceptors,
-        grouping: Grouping,
+        readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> tuple[float, float]:
         """ΣS and ΣG of the newest frame, tile by tile."""
@@ -68,8 +68,12 @@ class OpencvEngine:
             s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
             self._summate(receptors, tile, s, part, g)
             s_sum += cv2.sumElems(s[tile.core])[0]
-            sum_4x4(s, out=part)
-            _group(s[tile.core], part[tile.core], grouping, g[tile.core])
+            if isinstance(readout, Counting):
+                above = float(np.float32(readout.above))
+                cv2.threshold(s[tile.core], above, 1.0, cv2.THRESH_BINARY, dst=g[tile.core])
+            else:
+                sum_4x4(s, out=part)
+                group(s[tile.core], part[tile.core], readout, g[tile.core])
             g_sum += cv2.sumElems(g[tile.core])[0]
             if layers is not None:
                 layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
@@ -146,7 +150,7 @@ def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: Fl
     return spare
 
 
-def _group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
+def group(s: FloatImage, around: FloatImage, grouping: Grouping, g: FloatImage) -> None:
     """G = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10)."""
     cv2.multiply(s, around, dst=g, scale=grouping.gain)
     if grouping.t_de > 0.0:

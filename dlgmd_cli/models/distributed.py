@@ -1,0 +1,104 @@
+"""What models with the D-LGMD's distributed connections share: kernels, engine, warm-up."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from dlgmd_cli.models.base import (
+    FloatImage,
+    Grey,
+    Layers,
+    Model,
+    Photoreceptors,
+    Response,
+    aligned,
+    undefined,
+)
+from dlgmd_cli.models.engines import choose_engine, create_engine
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters import DistributedParameters
+
+Images = tuple[FloatImage, FloatImage]
+
+
+class Distributed(Model):
+    """Base of the models whose S follows from P by [Zhao2023] Eqs. (2) to (7).
+
+    Parameters
+    ----------
+    params : DistributedParameters
+        Parameters of the model.
+    engine : str
+        What computes the layers: `opencv`, `numba` (a fused loop, compiled on first use), or
+        `auto`, which takes Numba for large frames where it is installed.
+    tell : callable
+        Called with a message before the engine is compiled, which takes some seconds.
+    least_delay : int
+        How many frames the model looks back if its connections do not.
+
+    Attributes
+    ----------
+    connections : Connections
+        The kernels.
+    """
+
+    params: DistributedParameters
+
+    def __init__(
+        self,
+        params: DistributedParameters,
+        engine: str,
+        tell: Callable[[str], None],
+        least_delay: int = 0,
+    ) -> None:
+        self.params = params
+        self.engine_name = self._asked_engine = engine
+        self._tell = tell
+        choose_engine(engine)  # complains at once, not at the first frame
+        self.connections = connect(params)
+        # P begins at frame 1.
+        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, least_delay)
+        self._receptors = Photoreceptors(self.first_valid_frame)
+        self._engine_is_for: tuple[object, object] | None = None
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Take the next frame and answer to it, see `Model.step`."""
+        self._take(luminance)
+        if self._receptors.frame == 0:
+            self._prepare(luminance)
+        if self._receptors.frame < self.first_valid_frame:
+            p_sum = self._receptors.p_sum(0)
+            return undefined(p_sum, Layers(self._p_layer()) if layers else None)
+        if not layers:
+            return self._respond(None)
+        s, g = (aligned(luminance.shape) for _ in range(2))
+        return replace(self._respond((s, g)), layers=Layers(self._p_layer(), s, g))
+
+    def _respond(self, images: Images | None) -> Response:
+        """The answer to the newest frame, once the history is full; S and G into `images`."""
+        raise NotImplementedError
+
+    def _take(self, luminance: Grey) -> None:
+        """Show the next frame to the photoreceptors."""
+        self._receptors.take(luminance)
+
+    def _prepare(self, luminance: Grey) -> None:
+        """Make an engine for frames like the first, unless there is one from before a reset."""
+        kind, n_cells = (luminance.shape, luminance.dtype), luminance.size
+        if kind == self._engine_is_for:
+            return
+        self._engine_is_for = kind
+        self.engine_name = choose_engine(self._asked_engine, n_cells, self._tell)
+        self._engine = create_engine(
+            self.engine_name, self.connections, self._receptors, self._tell
+        )
+
+    def _p_layer(self) -> FloatImage | None:
+        """A copy of P(t) in units of luminance; None at the first frame."""
+        if self._receptors.frame == 0:
+            return None
+        unit = np.float32(self._receptors.unit)
+        return np.multiply(self._receptors.p(0), unit, dtype=np.float32)

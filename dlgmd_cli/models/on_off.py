@@ -1,0 +1,97 @@
+"""The D-LGMD with an ON and an OFF pathway, which [Zhao2023] proposes in its last section."""
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import Grey, Photoreceptors, Response, aligned
+from dlgmd_cli.models.distributed import Images
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.engines import AUTO, Counting
+from dlgmd_cli.models.engines.opencv import group, sum_4x4
+from dlgmd_cli.parameters import OnOffParameters
+
+# S of a pathway is all that is asked of the engine.
+_NO_CELLS = Counting(math.inf)
+
+
+class OnOffDLGMD(DLGMD):
+    """D-LGMD in which cells that brighten and cells that darken do not inhibit each other.
+
+        P_on(t) = max(L(t) - L(t-1), 0),  P_off(t) = max(L(t-1) - L(t), 0)
+        S_on(t), S_off(t)  from P_on and P_off, each by [Zhao2023] Eqs. (2) to (7)
+        S(t) = S_on(t) + S_off(t)
+
+    Everything else is as in the D-LGMD: P = P_on + P_off, and G, its threshold and K follow from
+    S and P by Eqs. (8) to (13).
+
+    Parameters
+    ----------
+    params : OnOffParameters, optional
+        The published defaults unless given.
+    engine : str
+        See `DLGMD`. It computes S_on and S_off; the grouping is OpenCV's.
+    tell : callable, optional
+        Called with a message before the engine is compiled, which takes some seconds.
+    """
+
+    name = "dlgmd-onoff"
+    params: OnOffParameters
+
+    def __init__(
+        self,
+        params: OnOffParameters | None = None,
+        engine: str = AUTO,
+        tell: Callable[[str], None] = lambda message: None,
+    ) -> None:
+        super().__init__(params if params is not None else OnOffParameters(), engine, tell)
+        depth = self.first_valid_frame
+        self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
+
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        super().reset()
+        for pathway in self._pathways:
+            pathway.reset()
+
+    def _take(self, luminance: Grey) -> None:
+        """Show the next frame to both pathways, too."""
+        super()._take(luminance)
+        for pathway in self._pathways:
+            pathway.take(luminance)
+
+    def _prepare(self, luminance: Grey) -> None:
+        """Make room for S, G and two images more."""
+        super()._prepare(luminance)
+        self._images = [aligned(luminance.shape) for _ in range(4)]
+
+    def _respond(self, images: Images | None) -> Response:
+        """S and G of the newest frame, and their sums."""
+        s, g = images or self._images[:2]
+        s_off, around = self._images[2:]
+        for pathway, s_of_it in zip(self._pathways, (s, s_off), strict=True):
+            self._engine.respond(pathway, _NO_CELLS, (s_of_it, around))
+        cv2.add(s, s_off, dst=s)
+        grouping = self._grouping()
+        sum_4x4(s, out=around)
+        group(s, around, grouping, g)
+        p_sum, ffi = (self._receptors.p_sum(delay) for delay in (0, self._ffi_delay))
+        return Response(p_sum, cv2.sumElems(s)[0], cv2.sumElems(g)[0], ffi, grouping.t_de)
+
+
+class Pathway(Photoreceptors):
+    """The part of each P that brightened (ON) or darkened (OFF)."""
+
+    def __init__(self, depth: int, is_on: bool) -> None:
+        self._is_on = is_on
+        super().__init__(depth)
+
+    def _see(self, out: Grey) -> float:
+        """Write P_on or P_off of the newest frame into `out`, and its sum."""
+        pair = (self.current, self.previous) if self._is_on else (self.previous, self.current)
+        cv2.subtract(*pair, dst=out)  # of grey levels, it stops at 0
+        if out.dtype == np.float32:
+            cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
+        return float(cv2.sumElems(out)[0])

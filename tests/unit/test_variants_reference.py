@@ -1,0 +1,100 @@
+"""The contrast-relative and the ON/OFF D-LGMD against nested loops in float64."""
+
+import numpy as np
+import pytest
+from model_checks import check_contrast, check_dlgmd
+from reference import clips, slow
+
+from dlgmd_cli.models.contrast import ContrastDLGMD
+from dlgmd_cli.models.detection import absolute
+from dlgmd_cli.models.dlgmd import DLGMD
+from dlgmd_cli.models.on_off import OnOffDLGMD
+from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, OnOffParameters
+
+pytestmark = pytest.mark.usefixtures("each_engine")
+
+CLIPS = {
+    "drifting 9x12": clips.drifting(9, 12, 8, seed=1),
+    "looming 10x13": clips.looming(10, 13, 8, seed=2),
+    "faint": [np.float32(0.5) + frame / 32 for frame in clips.drifting(8, 9, 8, seed=5)],
+    "smaller than the kernel": clips.drifting(4, 1, 6, seed=3),
+    "one cell": clips.drifting(1, 1, 6, seed=4),
+}
+CONNECTIONS = {
+    "set 3": {},
+    "set 6": {"alpha": -0.1, "beta": 0.5, "lam": 0.7},
+    "late": {"alpha": 3.0, "r": 2},
+    "no inhibition": {"a": 0.0},
+    "wide": {"sigma_e": 2.0, "sigma_i": 5.0, "a": 0.4, "r": 3},
+}
+THRESHOLDS = [
+    {"c_p": 0.0, "p_min": 0.0},
+    {"c_p": 0.5, "c_s": 0.02, "s_min": 0.0},
+    {"p_min": 0.1, "s_min": 0.1},
+    {"w_sigma": 1.0},
+    {"w_sigma": 0.01},
+    {"c_s": 100.0},
+    {"c_n": 0.5, "c_p": 0.0, "p_min": 0.0},
+    {"growth": 0.5, "w_m": 1.0},
+    {"growth": 1000.0, "sigma_c": 0.2},
+]
+
+
+@pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.parametrize("connections", CONNECTIONS)
+def test_contrast_agrees_with_its_equations(clip, connections):
+    check_contrast(CLIPS[clip], **CONNECTIONS[connections])
+
+
+@pytest.mark.parametrize("changes", THRESHOLDS, ids=str)
+def test_contrast_with_other_thresholds(changes):
+    check_contrast(CLIPS["drifting 9x12"], **changes)
+    check_contrast(CLIPS["looming 10x13"], **changes)
+
+
+def test_the_clips_reach_every_branch_of_contrast():
+    answers = [
+        one for frames in CLIPS.values() for one in check_contrast(frames) if one.g is not None
+    ]
+    floors, thresholds = ({getattr(one, n) for one in answers} for n in ("floor", "t_de"))
+    assert min(floors) == 0.01 < max(floors) and min(thresholds) == 0.005 < max(thresholds)
+    assert any((one.p == 0).any() and (one.p > 0).any() for one in answers)
+    assert any(0 < one.mp < one.g.size and ((one.g == 0) & (one.s > 0)).any() for one in answers)
+
+
+def test_contrast_of_the_picture_does_not_matter_above_the_least_thresholds():
+    # Powers of two: float32 has every product exactly.
+    def counts(share):
+        model = ContrastDLGMD(ContrastParameters(p_min=0.0, s_min=0.0))
+        return [model.step(frame * np.float32(share)).mp for frame in CLIPS["looming 10x13"]][2:]
+
+    assert max(counts(1.0)) > 3 and counts(1.0) == counts(0.5) == counts(2.0**-9)
+
+
+def test_an_alarm_of_contrast_takes_3_percent_of_the_cells():
+    params = ContrastParameters()
+    levels = [absolute(share * 1000.0, 1000, params.kappa) for share in (0.0309, 0.0311)]
+    assert levels[0] < params.t_mp < levels[1]
+
+
+@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("number", [3, 4, 9])
+@pytest.mark.parametrize("clip", CLIPS)
+def test_on_off_agrees_with_its_equations(clip, number, formulation):
+    check_dlgmd(CLIPS[clip], slow.table_2(number, formulation=formulation), on_off=True)
+
+
+def test_on_and_off_do_not_inhibit_each_other():
+    frames, both = CLIPS["drifting 9x12"], slow.table_2(3)
+    models = OnOffDLGMD(OnOffParameters(**both)), DLGMD(DlgmdParameters(**both))
+    brightening = np.maximum.accumulate(frames)
+    for t, frame in enumerate(brightening):  # with one pathway at work, it is the D-LGMD
+        apart, together = (model.step(frame) for model in models)
+        if t >= 2:
+            assert apart.s_sum == pytest.approx(together.s_sum, rel=1e-5)
+            assert apart.mp == pytest.approx(together.mp, rel=1e-5)
+    for model in models:
+        model.reset()
+    answers = [[model.step(frame, layers=True) for model in models] for frame in frames]
+    assert all((a.layers.s >= b.layers.s - 1e-6).all() for a, b in answers[2:])
+    assert sum(a.s_sum for a, _ in answers[2:]) > 1.2 * sum(b.s_sum for _, b in answers[2:])
