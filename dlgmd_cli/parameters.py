@@ -262,30 +262,33 @@ class DlgmdParameters(DistributedParameters):
 
 @dataclass(frozen=True)
 class ContrastParameters(DistributedParameters):
-    """Parameters of the contrast-relative D-LGMD; the connections are those of set 3."""
+    """Parameters of the contrast-relative D-LGMD; the defaults are the preset `flight`."""
 
     model: ClassVar[str] = "dlgmd-contrast"
     preset: ClassVar[str] = "dlgmd-contrast"
-    source: ClassVar[str] = "Contrast-relative D-LGMD; connections of set 3"
+    source: ClassVar[str] = "Contrast-relative D-LGMD; this project, after Zhao et al., 2023"
 
     alpha: float = _other(DistributedParameters, "alpha", 0.0)
     beta: float = _other(DistributedParameters, "beta", 0.0)
     lam: float = _other(DistributedParameters, "lam", 0.0)
-    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
-    sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
-    r: int = _other(DistributedParameters, "r", 4)
-    c_p: float = _key(0.08, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
-    p_min: float = _key(0.01, "P_min", "luminance", "least that P must exceed", 0, 1)
-    c_n: float = _key(3.0, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
-    c_s: float = _key(0.12, "c_S", "–", "share of the contrast σ that S must exceed", 0, 100)
-    s_min: float = _key(0.005, "S_min", "luminance", "least that S must exceed", 0, 100)
+    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.9)
+    sigma_i: float = _other(DistributedParameters, "sigma_i", 3.0)
+    r: int = _other(DistributedParameters, "r", 6)
+    a: float = _other(DistributedParameters, "a", 1.7)
+    c_p: float = _key(0.2, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
+    p_min: float = _key(0.011, "P_min", "luminance", "least that P must exceed", 0, 1)
+    c_n: float = _key(2.5, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
+    c_s: float = _key(0.6, "c_S", "–", "share of the contrast σ that S must exceed", 0, 100)
+    s_min: float = _key(0.008, "S_min", "luminance", "least that S must exceed", 0, 100)
     w_sigma: float = _key(0.2, "w_σ", "–", "weight of the newest frame in σ and ν", 0.001, 1)
     growth: float = _key(1.5, "F_max", "–", "growth of change above which it inhibits", 0.01, 1e6)
-    w_m: float = _key(0.3, "w_M", "–", "weight of the newest frame in usual change", 0.001, 1)
-    sigma_c: float = _key(0.6, "σ_c", "half sides", "how far off the centre cells count", 0.05, 100)
+    w_m: float = _key(0.25, "w_M", "–", "weight of the newest frame in usual change", 0.001, 1)
+    sigma_c: float = _key(
+        0.45, "σ_c", "half sides", "how far off the centre cells count", 0.05, 100
+    )
     t_mp: float = _t_mp(0.4)
-    n_sp: int = _n_sp(3)
-    kappa: float = _key(0.0465, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
+    n_sp: int = _n_sp()
+    kappa: float = _key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
 
 
 @dataclass(frozen=True)

@@ -65,15 +65,17 @@ def test_the_clips_reach_every_branch_of_contrast():
 def test_contrast_of_the_picture_does_not_matter_above_the_least_thresholds():
     # Powers of two: float32 has every product exactly.
     def counts(share):
-        model = ContrastDLGMD(ContrastParameters(p_min=0.0, s_min=0.0))
+        model = ContrastDLGMD(
+            ContrastParameters(p_min=0.0, s_min=0.0, c_p=0.05, c_s=0.1, growth=9.0)
+        )
         return [model.step(frame * np.float32(share)).mp for frame in CLIPS["looming 10x13"]][2:]
 
     assert max(counts(1.0)) > 3 and counts(1.0) == counts(0.5) == counts(2.0**-9)
 
 
-def test_an_alarm_of_contrast_takes_3_percent_of_the_cells():
+def test_an_alarm_of_contrast_takes_92_cells_of_10000():
     params = ContrastParameters()
-    levels = [absolute(share * 1000.0, 1000, params.kappa) for share in (0.0309, 0.0311)]
+    levels = [absolute(share * 1000.0, 1000, params.kappa) for share in (0.00915, 0.00925)]
     assert levels[0] < params.t_mp < levels[1]
 
 
