@@ -28,7 +28,7 @@ _MOST = {"width_px": 8192, "model_fps": 1000.0}
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep"),
-        *("versions", "warnings", "complete", "summary", "wall_s"),
+        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame"),
     ]
 )
 
@@ -364,6 +364,19 @@ class EmdLgmdParameters(Parameters):
     )
 
 
+@dataclass(frozen=True)
+class FlowDivergenceParameters(Parameters):
+    """Parameters of the divergence of optical flow, which has no threshold of its own."""
+
+    model: ClassVar[str] = "flow-divergence"
+    preset: ClassVar[str] = "9"
+    source: ClassVar[str] = "OpenCV's DIS; Kroeger et al., 2016"
+
+    t_mp: float = _t_mp(0.5)
+    n_sp: int = _n_sp()
+    kappa: float = _key(2.0, "κ", "1/s", "mean divergence at which mp_abs is 1/2", 1e-9, 1e9)
+
+
 class ModelEntry(NamedTuple):
     """A model: the class of its parameters, and the module and class that compute it."""
 
@@ -379,6 +392,13 @@ MODELS: dict[str, ModelEntry] = {
     "dlgmd-onoff": ModelEntry(OnOffParameters, "dlgmd_cli.models.on_off", "OnOffDLGMD"),
     "lgmd": ModelEntry(LgmdParameters, "dlgmd_cli.models.lgmd", "LGMD"),
     "emd-lgmd": ModelEntry(EmdLgmdParameters, "dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
+}
+
+# What the models are held against, and `--model` does not take.
+BASELINES: dict[str, ModelEntry] = {
+    "flow-divergence": ModelEntry(
+        FlowDivergenceParameters, "dlgmd_cli.models.flow_divergence", "FlowDivergence"
+    ),
 }
 
 

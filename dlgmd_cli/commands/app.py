@@ -26,6 +26,8 @@ COMMANDS = (
     "kernels",
     "sets",
     "synth",
+    "evaluate",
+    "calibrate",
     "bench",
 )
 

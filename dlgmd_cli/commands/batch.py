@@ -50,7 +50,7 @@ DONE = "done"
 _MAX_ROWS = 60
 
 
-def _setups(
+def model_setups(
     set_names: tuple[str, ...],
     configs: tuple[Path, ...],
     models: tuple[str, ...],
@@ -125,7 +125,7 @@ class _Pool:
     epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True)
-@setup_options(_setups, param_option, formulation_option, engine_option)
+@setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
 @out_option
 @format_option

@@ -154,6 +154,7 @@ def compare(
                 found = runs.run_models(
                     video, setups, options, identity=identity, on_frame=on_frame, tell=say
                 )
+            found = [one.until(annotations.collision_frame) for one in found]
             results = {one.label: result for one, result in zip(setups, found, strict=True)}
             runs.require_an_answer(input_path, video, setups, found, options)
             warnings = _warnings(setups, results)
@@ -209,8 +210,10 @@ def _record(
                 "summary": summary,
             }
         )
+    collision = annotations.collision_frame
     return {
         "input": first["input"],
+        **({} if collision is None else {"collision_frame": collision}),
         "models": models,
         "options": first["options"],
         "warnings": warnings,

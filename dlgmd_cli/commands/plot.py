@@ -148,7 +148,8 @@ def plot(
             f"for {len(found)} result{'s' * (len(found) > 1)}."
         )
     shown = labels or numbered([name for name, _ in found])
-    results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
+    until = annotations.collision_frame
+    results = {label: result.until(until) for label, (_, result) in zip(shown, found, strict=True)}
     column = _column(kind, normalise, results, are_compared)
     from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.timeline import Timeline

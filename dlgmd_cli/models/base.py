@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import FrameError, ParameterError
-from dlgmd_cli.parameters import MODELS, Parameters
+from dlgmd_cli.parameters import BASELINES, MODELS, Parameters
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
@@ -142,7 +142,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     Parameters
     ----------
     params : Parameters
-        Of one of the `MODELS`.
+        Of one of the `MODELS` or `BASELINES`.
     options
         Passed to the model: `engine` and `tell`, see `DLGMD`.
 
@@ -153,9 +153,9 @@ def create_model(params: Parameters, **options: Any) -> Model:
     MissingExtraError
         If the engine needs a package that is not installed.
     """
-    if params.model not in MODELS:
+    entry = MODELS.get(params.model) or BASELINES.get(params.model)
+    if entry is None:
         raise ParameterError("", f"no model takes {type(params).__name__}")
-    entry = MODELS[params.model]
     model: Model = getattr(import_module(entry.module), entry.attribute)(params, **options)
     return model
 

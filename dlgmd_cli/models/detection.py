@@ -17,6 +17,11 @@ Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Potential = TypeVar("Potential", float, Series)
 
+# An alarm that begins so soon after the end of the one before belongs to it.
+MERGE_S = 0.3
+# Times such as 0.5 - 0.2 miss a tenth of a second by their last digits.
+ROUNDING_S = 1e-6
+
 
 def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
     """Causal, scale-free membrane potential in [0, 1), comparable between videos.
@@ -108,6 +113,30 @@ def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
     flags = np.array([detector.step(level) for level in levels.tolist()], np.bool_)
     spikes, alarms = flags.reshape(-1, 2).T.copy()
     return spikes, alarms
+
+
+def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
+    """Rows at which an alarm is raised; one less than `MERGE_S` after the last is no new one.
+
+    Parameters
+    ----------
+    alarms : ndarray, shape (n,), bool
+        Where the alarm is on.
+    time_s : ndarray, shape (n,)
+        Times of the rows, in seconds, which do not decrease.
+
+    Returns
+    -------
+    ndarray of int
+        Row i is among them if the alarm is off at the row before, and was off for `MERGE_S`: no
+        later row is needed to know it.
+    """
+    on = np.flatnonzero(alarms)
+    is_new = np.ones(len(on), np.bool_)
+    if len(on):
+        pause_s = np.diff(time_s[on])
+        is_new[1:] = (np.diff(on) > 1) & (pause_s >= MERGE_S - ROUNDING_S)
+    return on[is_new]
 
 
 @dataclass(frozen=True)

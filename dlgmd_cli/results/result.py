@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
-from dlgmd_cli.models.detection import absolute, detect, sequence
+from dlgmd_cli.models.detection import absolute, detect, onsets, sequence
 from dlgmd_cli.parameters import MODELS, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
@@ -24,6 +24,8 @@ Flags = npt.NDArray[np.bool_]
 
 # Frames on either side of a peak or a false positive that distinguishability looks at.
 NEAR_FRAMES = 5
+# Every model answers from the frame of this number on; sharpness averages no earlier ones.
+FIRST_COMMON_ROW = 3
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
@@ -48,6 +50,11 @@ class Result:
         The model's.
     record : dict
         What `run.yaml` holds, less the summary and the versions.
+
+    Notes
+    -----
+    Where the record has a `collision_frame`, the peak, `mp_seq`, `sharpness` and
+    `distinguishability` are those of the frames up to it: what follows is the recoil.
     """
 
     frame: npt.NDArray[np.int64]
@@ -89,6 +96,25 @@ class Result:
         """Frames to which the model could answer."""
         return int(np.count_nonzero(~np.isnan(self.mp)))
 
+    @property
+    def collision_frame(self) -> int | None:
+        """Where the camera collides, as far as it is known."""
+        frame = self.record.get("collision_frame")
+        return frame if isinstance(frame, int) else None
+
+    def until(self, collision_frame: int | None) -> "Result":
+        """The same result, of a camera that collides at a frame; None if it does not."""
+        if collision_frame is None:
+            return self
+        return replace(self, record={**self.record, "collision_frame": collision_frame})
+
+    @cached_property
+    def _mp_before(self) -> Series:
+        """Raw membrane potential up to the collision, NaN after it."""
+        if self.collision_frame is None:
+            return self.mp
+        return np.where(self.frame <= self.collision_frame, self.mp, np.nan)
+
     @cached_property
     def mp_abs(self) -> Series:
         """Causal, scale-free membrane potential, see `detection.absolute`."""
@@ -96,8 +122,11 @@ class Result:
 
     @cached_property
     def mp_seq(self) -> Series:
-        """Membrane potential scaled to [0, 1] by the extremes of its own sequence."""
-        return sequence(self.mp)
+        """Membrane potential scaled to [0, 1] by the extremes of its own sequence.
+
+        NaN after the collision.
+        """
+        return sequence(self._mp_before)
 
     @property
     def level(self) -> Series:
@@ -136,17 +165,17 @@ class Result:
 
     @property
     def alarm_onsets(self) -> npt.NDArray[np.intp]:
-        """Rows at which an alarm is raised."""
-        return np.flatnonzero(self.alarms & ~np.concatenate(([False], self.alarms[:-1])))
+        """Rows at which an alarm is raised; pauses of less than 0.3 s do not count."""
+        return onsets(self.alarms, self.time_s)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The few numbers that a result comes down to; None where there is none.
 
         `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
-        `spikes` (spiking frames), `first_spike_time_s`, `alarms` (unbroken runs of alarm frames),
-        `first_alarm_frame`, `first_alarm_time_s`, and `mean_attenuation_db` over the frames where
-        something passes.
+        `spikes` (spiking frames), `first_spike_time_s`, `alarms` (runs of alarm frames; those less
+        than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`, and
+        `mean_attenuation_db` over the frames where something passes.
         """
         peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.repeated]
@@ -167,9 +196,12 @@ class Result:
     def sharpness(self) -> float:
         """How broad the response is: the mean of K/max K over the valid frames, lower is sharper.
 
-        NaN where no frame is valid, or the membrane potential is 0 throughout.
+        It begins with the fourth frame, the first that is valid in all of the paper's sets, so
+        that every model's is of the same frames. NaN where none is valid, or the membrane
+        potential is 0 throughout.
         """
-        valid = self.mp[~np.isnan(self.mp) & ~self.repeated]
+        common = self._mp_before[~self.repeated][FIRST_COMMON_ROW:]
+        valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
         return float((valid / peak).mean()) if peak > 0.0 else math.nan
 
@@ -256,12 +288,13 @@ class Result:
 
     @cached_property
     def _peak_row(self) -> int | None:
-        """Row of the greatest membrane potential."""
-        return int(np.nanargmax(self.mp)) if self.n_valid else None
+        """Row of the greatest membrane potential, up to the collision."""
+        before = self._mp_before
+        return None if np.isnan(before).all() else int(np.nanargmax(before))
 
     def _mean_near(self, frame: int) -> float:
         """Mean K over the valid frames near `frame`, NaN if there are none."""
-        near = self.mp[np.abs(self.frame - frame) <= NEAR_FRAMES]
+        near = self._mp_before[np.abs(self.frame - frame) <= NEAR_FRAMES]
         valid = near[~np.isnan(near)]
         return float(valid.mean()) if valid.size else math.nan
 
@@ -313,7 +346,8 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     for label, columns in by_label.items():
         own = described[label]
         sums = np.full(len(columns["frame"]), np.nan)
-        common: dict[str, Any] = {key: record[key] for key in ("input", "options") if key in record}
+        shared = ("input", "options", "collision_frame")
+        common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {"width": own.get("width"), "height": own.get("height")}
         results[label] = _result(
             folder / store.COMPARISON,

@@ -16,6 +16,7 @@ from dlgmd_cli.commands.compare import _setups
 from dlgmd_cli.models.base import Photoreceptors
 from dlgmd_cli.plots import traces
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.results.result import read_comparison
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
 COLUMNS = ["label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db"]
@@ -58,7 +59,8 @@ def test_files_and_summary(dlgmd, clips, tmp_path):
     written = record(folder)
     assert written["complete"] is True and written["input"]["frames"] == 20
     for one in written["models"]:
-        potential = [float(row["mp"]) for row in rows(folder)[one["label"]] if row["mp"]]
+        answers = rows(folder)[one["label"]]
+        potential = [float(row["mp"]) for row in answers[3:] if row["mp"]]  # the same of all
         mean = np.mean(potential) / max(potential)
         assert one["summary"]["sharpness"] == pytest.approx(mean, rel=1e-6)
         assert "distinguishability" not in one["summary"]
@@ -192,6 +194,22 @@ def test_distinguishability(dlgmd, clips, tmp_path):
         expected = near[0] / near[1] if near[1] else math.inf
         shown = summaries[label]["distinguishability"]
         assert (math.inf if shown == "inf" else shown) == pytest.approx(expected, rel=1e-6)
+
+
+def test_measures_end_at_the_collision_frame(dlgmd, clips, tmp_path):
+    common = ["compare", clips / "loom.avi", "--set", 3, "--no-plots", "--json"]
+    ends = [[], ["--collision-frame", 18]]
+    peaks = []
+    for number, end in enumerate(ends):
+        result = dlgmd(*common, *end, "--out", f"o{number}")
+        assert result.exit_code == 0, result.output
+        peaks.append(json.loads(result.stdout)["models"]["set3"]["mp_max_frame"])
+    assert peaks[0] > 18 >= peaks[1]
+    assert record(tmp_path / "o1/loom")["collision_frame"] == 18
+    level = [row["mp_seq"] for row in rows(tmp_path / "o1/loom")["set3"]]
+    assert level[19:] == [""] and "1" in level
+    (result,) = read_comparison(tmp_path / "o1/loom").values()
+    assert result.summary["mp_max_frame"] == peaks[1]
 
 
 def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):

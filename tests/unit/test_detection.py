@@ -12,7 +12,7 @@ from reference import clips
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, absolute, detect, sequence
+from dlgmd_cli.models.detection import Alarm, absolute, detect, onsets, sequence
 from dlgmd_cli.parameters import (
     MODELS,
     load_config,
@@ -68,6 +68,25 @@ def test_an_alarm_needs_n_sp_spikes_in_a_row(n_sp):
 def test_nothing_is_detected_in_nothing():
     spikes, alarms = detect(np.array([]), 0.4, 2)
     assert spikes.shape == alarms.shape == (0,) and spikes.dtype == alarms.dtype == bool
+
+
+@pytest.mark.parametrize(
+    ("pause", "n_alarms"),
+    [(1, 1), (7, 1), (8, 2), (40, 2)],  # 0.267 s off at 30 frames a second; 0.3 s
+)
+def test_alarms_less_than_0_3_s_apart_are_one(pause, n_alarms):
+    alarms = np.array([False] * 4 + [True] * 3 + [False] * pause + [True] * 2)
+    time_s = np.arange(len(alarms)) / 30
+    expected = [4, 7 + pause][:n_alarms]
+    assert onsets(alarms, time_s).tolist() == expected
+    # No later row changes that, and the pause runs from the end of the last, however short.
+    again = np.concatenate((alarms, [False] * 7, [True]))
+    assert onsets(again, np.arange(len(again)) / 30).tolist() == expected
+    assert onsets(np.array([], bool), np.array([])).tolist() == []
+
+
+def test_frames_far_apart_are_no_pause():
+    assert onsets(np.array([True, True, False, True]), np.arange(4.0)).tolist() == [0, 3]
 
 
 PARAMS = [

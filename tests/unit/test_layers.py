@@ -17,6 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
+    {"evaluation"},
     {"commands"},
     {"__main__"},
 ]
@@ -32,6 +33,7 @@ ONLY_IN = {
     "distributed": {"runs"},
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
+    "optuna": {"evaluation"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
 EXCEPTIONS = {

@@ -45,6 +45,11 @@ def reader(tmp_path_factory, clips):
     folder = tmp_path_factory.mktemp("reader")
     shutil.copytree(ROOT / "sample_videos", folder / "sample_videos")
     shutil.copy(clips / "loom.mp4", folder / "flight.mp4")
+    (folder / "footage").mkdir()
+    for name in ("a.mp4", "b.mp4"):
+        shutil.copy(clips / "loom.mp4", folder / "footage" / name)
+    labels = "video,collision_frame\na.mp4,19\nb.mp4,19\n"
+    (folder / "footage" / "labels.csv").write_text(labels)
     return folder
 
 
@@ -53,6 +58,8 @@ QUICKER = {
     "sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25": "sigma_e=1,2 --y sigma_i=2,5 --frames 15",
     "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
     "batch sample_videos": "batch flight.mp4",
+    "synth random --count 20": "synth random --count 1 --size 64x36 --frames 30",
+    "calibrate flights": "calibrate footage",
     "bench --radius 6 --scale 0.25": "bench flight.mp4 --radius 6 --scale 0.25",
 }
 

@@ -68,12 +68,12 @@ def test_summary():
         "mp_max_time_s": 19 / 25,
         "spikes": 6,
         "first_spike_time_s": 11 / 25,
-        "alarms": 2,
+        "alarms": 1,  # the other begins 0.24 s after its end
         "first_alarm_frame": 17,  # the second spike in a row raises it
         "first_alarm_time_s": 17 / 25,
         "mean_attenuation_db": pytest.approx(-70 / 7),
     }
-    assert result.alarm_onsets.tolist() == [6, 10]
+    assert result.alarm_onsets.tolist() == [6]
 
 
 def test_summary_of_silence():
@@ -86,11 +86,25 @@ def test_sharpness_and_distinguishability():
     mp = np.zeros(40)
     mp[30], mp[10], mp[12] = 8.0, 2.0, 2.0
     result = make_result(mp)
-    assert result.sharpness == pytest.approx(12 / 8 / 40)
+    assert result.sharpness == pytest.approx(12 / 8 / 37)  # of every model from t = 3 on
+    early = np.where(np.arange(40) < 3, 5.0, mp)  # set 1 answers to frame 2, set 9 does not
+    assert make_result(early).sharpness == result.sharpness
     assert result.distinguishability(10) == pytest.approx(2.0)  # 8 / 11 over 4 / 11
     assert result.distinguishability(20) == math.inf
     assert math.isnan(result.distinguishability(500))
     assert math.isnan(make_result(np.zeros(9)).sharpness)
+
+
+def test_measures_end_at_the_collision():
+    mp = np.zeros(40)
+    mp[10], mp[20], mp[23], mp[30] = 2.0, 8.0, 16.0, 40.0  # the last two are the recoil
+    whole, until = make_result(mp), make_result(mp).until(22)
+    assert (whole.summary["mp_max_frame"], until.summary["mp_max_frame"]) == (30, 20)
+    assert np.nanargmax(until.mp_seq) == 20 and np.isnan(until.mp_seq[23:]).all()
+    assert until.sharpness == pytest.approx(10 / 8 / 20)
+    assert until.distinguishability(10) == pytest.approx((8 / 8) / (2 / 11))
+    assert np.array_equal(until.mp_abs, whole.mp_abs)  # alarms take no part
+    assert make_result(mp).until(None).summary == whole.summary
 
 
 def test_normalised_by_its_own_sequence():

@@ -1,0 +1,291 @@
+"""`dlgmd calibrate`: the parameters that announce labelled collisions best, as a preset."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dlgmd_cli import __version__, cancel
+from dlgmd_cli.commands.console import (
+    EXIT_FAILED,
+    Command,
+    Failed,
+    print_json,
+    print_path,
+    print_table,
+    say,
+    warn,
+)
+from dlgmd_cli.commands.evaluate import (
+    jobs_option,
+    raise_failed,
+    require_some,
+    rule_options,
+    run_over,
+)
+from dlgmd_cli.commands.options import (
+    input_options,
+    json_option,
+    model_options,
+    out_option,
+    overwrite_option,
+)
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import printable
+
+if TYPE_CHECKING:
+    from dlgmd_cli.evaluation.calibration import Rules
+    from dlgmd_cli.evaluation.footage import Case
+    from dlgmd_cli.evaluation.measures import Scores
+    from dlgmd_cli.evaluation.scoring import Course
+    from dlgmd_cli.evaluation.search import Range, Search
+    from dlgmd_cli.evaluation.work import Calibrated, Work
+    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.video.frames import InputOptions
+
+_SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
+# Of the options, those that a preset keeps: what the model sees, not of which part of a video.
+_KEPT = ("scale", "size", "fps", "repeats")
+
+
+@click.command(
+    cls=Command,
+    epilog="Example: dlgmd calibrate flights/labels.csv --set 3 --search sigma_i=1:5 --out best",
+)
+@click.argument("labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path))
+@model_options
+@input_options
+@rule_options
+@click.option(
+    "--folds",
+    type=click.IntRange(2, 1000),
+    default=5,
+    show_default=True,
+    metavar="K",
+    help="Of the cross-validation over videos.",
+)
+@click.option(
+    "--search",
+    "searched",
+    multiple=True,
+    metavar="KEY=LOW:HIGH",
+    help="Also search a parameter, or width_px; repeatable. Needs dlgmd[calibrate].",
+)
+@click.option(
+    "--trials",
+    "n_trials",
+    type=click.IntRange(1, 1_000_000),
+    default=50,
+    show_default=True,
+    metavar="N",
+    help="Parameters to try with --search, earlier ones included.",
+)
+@click.option(
+    "--name",
+    default="calibrated",
+    show_default=True,
+    metavar="NAME",
+    help="What the preset is called.",
+)
+@jobs_option
+@out_option
+@overwrite_option
+@json_option
+def calibrate(
+    labels_path: Path,
+    setup: "Setup",
+    given: dict[str, Any],
+    rules: dict[str, float],
+    folds: int,
+    searched: tuple[str, ...],
+    n_trials: int,
+    name: str,
+    jobs: int | None,
+    out: str,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Find the threshold that announces labelled collisions best, and write it as a preset.
+
+    LABELS.csv and what counts as a hit are as in 'dlgmd evaluate'. Found are κ (T_MP of the LGMD)
+    and n_sp, 1 to 4: the greatest recall with at most --max-false-per-min; of equal ones, the
+    fewest false alarms, then the longest lead.
+
+    What is reported is held out: the videos are dealt into folds, and each fold is scored with
+    what does best on the others. The preset holds what does best on all videos.
+
+    With --search, Optuna tries values of other parameters. Every trial runs the model over all
+    videos; at the end, the best of all folds run once more. Trials are kept in OUT/trials.db, and
+    the same command continues from them.
+
+    Writes OUT/NAME.yaml, which --config takes, and which says what it was calibrated on.
+    """
+    from dlgmd_cli.evaluation.calibration import Rules
+    from dlgmd_cli.evaluation.footage import Field, read_cases
+    from dlgmd_cli.evaluation.search import parse_ranges
+    from dlgmd_cli.evaluation.work import Work, of_courses
+    from dlgmd_cli.results import store
+    from dlgmd_cli.runs.run import input_options as recorded
+    from dlgmd_cli.threads import n_processors
+
+    if given.get("normalise") == "sequence":
+        raise click.UsageError("--normalise sequence leaves no threshold to calibrate.")
+    if not name.strip(". ") or Path(name).name != name:
+        raise click.UsageError(f"--name: {printable(name)!r} is not the name of a file.")
+    options = recorded(setup, given)
+    wanted = Rules(rules["horizon_s"], rules["max_false_per_min"], folds)
+    ranges = parse_ranges(searched, setup.params)
+    path = Path(out) / f"{name}.yaml"
+    store.refuse_existing(path, overwrite=overwrite)
+    cases = read_cases(labels_path)
+    with store.locked(Path(out)):
+        search = None
+        if ranges:
+            search = _opened(setup, options, wanted, ranges, cases, Path(out), overwrite)
+        field = Field(baselines=False)
+        failed = run_over(field, cases, [setup], options, jobs)
+        require_some(field, labels_path)
+        _require_collisions(field.cases, labels_path)
+        work = Work(setup, options, wanted, tuple(field.cases), jobs or n_processors())
+        courses = [field.candidates[setup.label].courses[case.name] for case in field.cases]
+        if search is None:
+            found = of_courses(work, courses)
+        else:
+            found = _done(work, courses, search, n_trials)
+        text = _preset(found, work, labels_path.name, ranges, n_trials)
+        with store.appearing(path) as (file,):
+            file.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json({"preset": str(path), **_facts(found, failed)})
+    else:
+        _show(found, work)
+        print_path(path)
+    raise_failed(failed, len(cases))
+
+
+def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int) -> "Calibrated":
+    """The best of a search, after as many trials as are missing."""
+    from dlgmd_cli.evaluation.work import of_trials, tried
+
+    n_done = len(search)
+    if n_done:
+        say(f"{n_done} trials are done already.")
+    try:
+        with progress("calibrate", n_trials, "trial") as advance:
+            for n_done in tried(work, search, n_trials):
+                advance(n_done)
+        trials = search.trials()
+    except (cancel.Interrupted, KeyboardInterrupt):
+        say(f"{n_done} of {n_trials} trials are done; the same command continues from there.")
+        raise
+    finally:
+        search.close()
+    if not trials:
+        raise Failed("no trial had parameters that go together.", EXIT_FAILED)
+    return of_trials(work, courses, trials)
+
+
+def _opened(
+    setup: "Setup",
+    options: "InputOptions",
+    rules: "Rules",
+    ranges: "Mapping[str, Range]",
+    cases: "Sequence[Case]",
+    out: Path,
+    overwrite: bool,
+) -> "Search":
+    """The search in the folder, which is made if need be."""
+    from dataclasses import asdict
+
+    from dlgmd_cli.evaluation.search import Search
+
+    asked = {
+        "cases": [[case.name, *case.collisions] for case in cases],
+        "rules": asdict(rules),
+        "ranges": {key: one.text() for key, one in ranges.items()},
+        "model": setup.settings(),
+        "options": options.to_record(),
+    }
+    return Search(out, ranges, asked, overwrite=overwrite)
+
+
+def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
+    """Raise if there is nothing to learn from."""
+    n_with = sum(bool(case.collisions) for case in cases)
+    if n_with < 2:
+        raise Failed(
+            f"{labels_path}: {n_with or 'no'} video{'s' * (n_with != 1)} with a collision; "
+            "calibration needs at least 2.",
+            EXIT_FAILED,
+        )
+    if n_with < 20:
+        warn(f"{n_with} videos with a collision are few: what is found may not hold for others")
+
+
+def _preset(
+    found: "Calibrated",
+    work: "Work",
+    labels: str,
+    ranges: "Mapping[str, Range]",
+    n_trials: int,
+) -> str:
+    """The YAML of the preset; comments say what it was calibrated on."""
+    from dlgmd_cli.results.record import yaml_text
+
+    held = found.scores["held_out"]
+    searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
+    trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
+    n_folds = max(work.folds) + 1
+    lines = [
+        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held.videos} "
+        f"videos, {held.collisions} collisions, {held.minutes:.2f} minutes.",
+        f"Best recall with at most {work.rules.max_false_per_min:g} false alarms per minute; an "
+        f"alarm counts up to {work.rules.horizon_s:g} s before contact.",
+        f"Found: kappa or t_mp, and n_sp{trials}.",
+        f"Held out ({n_folds} folds): {_sentence(held)}.",
+        f"On the same videos: {_sentence(found.scores['same_videos'])}.",
+    ]
+    settings = found.setup.settings()
+    kept = {k: v for k, v in work.options.to_record().items() if k in _KEPT}
+    document = {**settings, **({"options": kept} if kept else {})}
+    return yaml_text(document, "".join(f"# {line}\n" for line in lines))
+
+
+def _sentence(scores: "Scores") -> str:
+    """The measures in words, with 95 % intervals."""
+    from dlgmd_cli.evaluation.report import interval_text
+
+    recall, rate, lead, auc = (interval_text(scores.measures[name]) for name in _SHOWN)
+    return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
+
+
+def _facts(found: "Calibrated", failed: Mapping[str, str]) -> dict[str, Any]:
+    """What --json prints."""
+    from dlgmd_cli.evaluation.report import scores_json
+
+    return {
+        "parameters": found.setup.settings(),
+        **{name: scores_json(one) for name, one in found.scores.items()},
+        "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in found.choices],
+        "failed": dict(failed),
+    }
+
+
+def _show(found: "Calibrated", work: "Work") -> None:
+    """The table on stdout, and what was found."""
+    from dlgmd_cli.evaluation.report import interval_text
+
+    names = {
+        "held_out": f"held out ({max(work.folds) + 1} folds)",
+        "same_videos": "on the same videos",
+        "before": f"before ({work.setup.label})",
+    }
+    rows = [
+        (title, *(interval_text(found.scores[key].measures[name]) for name in _SHOWN))
+        for key, title in names.items()
+    ]
+    print_table(("", "recall", "false/min", "lead s", "AUC"), rows)
+    own, before = found.setup.settings(), work.setup.settings()
+    changed = [f"{key} = {value}" for key, value in own.items() if value != before[key]]
+    click.echo(f"Found: {', '.join(changed) or 'what it was before'}.")

@@ -1,0 +1,1 @@
+"""How well alarms announce labelled collisions, and which parameters do it best."""

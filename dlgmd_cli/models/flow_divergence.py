@@ -1,0 +1,72 @@
+"""Divergence of optical flow: a plain way to see something loom, to hold the models against."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import Grey, Layers, Model, Photoreceptors, Response, undefined
+from dlgmd_cli.parameters import FlowDivergenceParameters
+
+
+class FlowDivergence(Model):
+    """Mean divergence of dense optical flow over the frame.
+
+    The flow (u, v), in px, is OpenCV's DIS (Kroeger et al. 2016) with its preset `fast`, from the
+    frame before to this one. A scene that comes nearer at the same pace everywhere has a mean of
+    ∂u/∂x + ∂v/∂y of two over the time to contact. K is its positive part, per second where the
+    frames have times, else per frame, summed over the cells.
+
+    Parameters
+    ----------
+    params : FlowDivergenceParameters, optional
+        They only say when there is an alarm.
+    engine : str
+        Taken for the sake of the other models.
+    """
+
+    name = "flow-divergence"
+    layer_units = ("luminance", "px/frame", "1/frame")
+
+    def __init__(self, params: FlowDivergenceParameters | None = None, **_: Any) -> None:
+        self.params = params if params is not None else FlowDivergenceParameters()
+        self.engine_name = "opencv"
+        self.first_valid_frame = 1
+        self._flow: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+        self._receptors = Photoreceptors(1)
+        self._time_s: float | None = None
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Take the next frame and answer to it, see `Model.step`."""
+        receptors = self._receptors
+        receptors.take(luminance)
+        before_s, self._time_s = self._time_s, time_s
+        if receptors.frame < self.first_valid_frame:
+            return undefined(layers=Layers() if layers else None)
+        flow = self._flow.calc(_levels(receptors.previous), _levels(receptors.current), None)
+        divergence = np.zeros(flow.shape[:2], np.float32)
+        divergence[:, 1:-1] += (flow[:, 2:, 0] - flow[:, :-2, 0]) / 2
+        divergence[1:-1] += (flow[2:, :, 1] - flow[:-2, :, 1]) / 2
+        duration_s = 1.0
+        if time_s is not None and before_s is not None and time_s > before_s:
+            duration_s = time_s - before_s
+        mp = max(float(divergence.sum(dtype=np.float64)), 0.0) / duration_s
+        speed = np.hypot(flow[..., 0], flow[..., 1])
+        shown = None
+        if layers:
+            p = receptors.p(0).astype(np.float32) * np.float32(receptors.unit)
+            shown = Layers(p, speed, np.maximum(divergence, 0.0))
+        p_sum, s_sum = receptors.p_sum(0), float(speed.sum(dtype=np.float64))
+        return Response(p_sum, s_sum, mp, 0.0, 0.0, shown)
+
+    def reset(self) -> None:
+        """Forget every frame seen so far; the next one may have another size."""
+        super().reset()
+        self._time_s = None
+
+
+def _levels(grey: Grey) -> Grey:
+    """Luminance as the 8 bits that DIS takes."""
+    return grey if grey.dtype == np.uint8 else np.uint8(np.clip(grey, 0.0, 1.0) * 255.0 + 0.5)
