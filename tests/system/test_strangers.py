@@ -152,7 +152,7 @@ def test_every_path_on_stdout_is_escaped(dlgmd, tmp_path, clips):
         (["layers", video, "--frames", "3", "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
         (["layers", video, "--video", f"{HOSTILE}.mp4"], f"{SHOWN}.mp4"),
         (["sweep", video, *sweep, "--no-plots", "--out", HOSTILE], f"{SHOWN}/sweep-{SHOWN}"),
-        (["kernels", "--no-plots", "--out", HOSTILE], f"{SHOWN}/kernels-set9.csv"),
+        (["kernels", "--set", "9", "--no-plots", "--out", HOSTILE], f"{SHOWN}/kernels-set9.csv"),
         (["synth", "looming-cube", "--frames", "2", "--out", HOSTILE], f"{SHOWN}/looming-cube.csv"),
         (
             ["bench", video, "--radius", "2", "--scale", "1", "--csv", f"{HOSTILE}.csv"],

@@ -233,7 +233,7 @@ def test_an_earlier_film_and_the_input_are_kept(dlgmd, clips):
 
 
 def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypatch):
-    monkeypatch.setattr(DLGMD, "step", None)
+    monkeypatch.setattr("dlgmd_cli.runs.layers.run_layers", None)
     Path("file").touch()
     result = dlgmd("layers", clips / "loom.avi", "--video", "file/x.mp4")
     assert result.exit_code == 1 and "Choose another --video" in result.stderr
@@ -257,7 +257,7 @@ def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
 
 def test_a_stop_keeps_the_frames_reached(dlgmd, clips, stop_at):
     stop_at(9)
-    result = dlgmd("layers", clips / "loom.avi", "--frames", "2,5,15", "--no-plots")
+    result = dlgmd("layers", clips / "loom.avi", "--set", 9, "--frames", "2,5,15", "--no-plots")
     assert result.exit_code == 130
     folder = os.path.join("dlgmd-out", "loom")
     assert result.stderr == f"Interrupted: {folder} holds 2 of 3 frames.\n"
@@ -268,14 +268,14 @@ def test_a_stop_keeps_the_frames_reached(dlgmd, clips, stop_at):
 @pytest.mark.parametrize("options", [["--frames", "15"], []])
 def test_a_stop_before_the_first_of_them_writes_nothing(dlgmd, clips, stop_at, options):
     stop_at(9)
-    result = dlgmd("layers", clips / "loom.avi", *options, "--video", "film.mp4")
+    result = dlgmd("layers", clips / "loom.avi", *options, "--video", "film.mp4", "--set", 9)
     assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
     assert os.listdir(".") == []
 
 
 def test_a_stop_of_the_first_pass_makes_no_film(dlgmd, clips, stop_at):
     stop_at(9)
-    arguments = ("--frames", "3", "--video", "film.mp4", "--no-plots")
+    arguments = ("--set", 9, "--frames", "3", "--video", "film.mp4", "--no-plots")
     result = dlgmd("layers", clips / "loom.avi", *arguments)
     assert result.exit_code == 130
     assert "holds 1 of 1 frames, no frame of film.mp4 was rendered." in result.stderr
@@ -284,7 +284,7 @@ def test_a_stop_of_the_first_pass_makes_no_film(dlgmd, clips, stop_at):
 
 def test_a_film_that_is_stopped_is_whole_as_far_as_it_goes(dlgmd, clips, stop_at):
     stop_at(4, Film, "picture")
-    result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4")
+    result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4", "--set", 9)
     assert result.exit_code == 130
     assert result.stderr == "Interrupted. film.mp4 holds the first 4 of 20 frames.\n"
     assert result.stdout == "film.mp4\n" and os.listdir(".") == ["film.mp4"]

@@ -178,7 +178,8 @@ def open_text(path):
 
 
 def test_run_yaml(dlgmd, clips):
-    dlgmd("run", clips / "loom.avi", "--no-plots", "--size", "20x16", "--param", "r=3")
+    options = ["--set", 9, "--size", "20x16", "--param", "r=3"]
+    dlgmd("run", clips / "loom.avi", "--no-plots", *options)
     record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
     assert record["input"] == {
         "path": str(clips / "loom.avi"),
@@ -496,7 +497,7 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
         return step(self, *arguments, **options)
 
     monkeypatch.setattr(DLGMD, "step", stopping)
-    result = dlgmd("run", clips / "loom.avi")
+    result = dlgmd("run", clips / "loom.avi", "--set", 9)
     assert result.exit_code == 130
     assert "holds the 8 frames processed before the stop." in result.stderr
     folder = tmp_path / "dlgmd-out/loom"
@@ -517,13 +518,13 @@ def test_a_bug_is_one_line(dlgmd, clips, monkeypatch):
         raise IndexError("inner secret")
 
     monkeypatch.setattr(DLGMD, "step", broken)
-    result = dlgmd("run", clips / "loom.avi")
+    result = dlgmd("run", clips / "loom.avi", "--set", 9)
     assert result.exit_code == 1
     assert result.stderr == (
         "Error: internal error (IndexError). Rerun with --debug and report the traceback.\n"
     )
     assert os.listdir(".") == []
-    assert isinstance(dlgmd("--debug", "run", clips / "loom.avi").exception, IndexError)
+    assert isinstance(dlgmd("--debug", "run", clips / "loom.avi", "--set", 9).exception, IndexError)
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch):
