@@ -253,7 +253,7 @@ class DlgmdParameters(DistributedParameters):
     m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
-    kappa: float = _key(0.0035, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
+    kappa: float = _key(0.000251, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = _key(
         *("default", "–", "–", "how delays that are not whole frames are rounded"),
         choices=FORMULATIONS,
@@ -305,7 +305,7 @@ class OnOffParameters(DlgmdParameters):
     sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
     sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
     r: int = _other(DistributedParameters, "r", 4)
-    kappa: float = _other(DlgmdParameters, "kappa", 0.015)
+    kappa: float = _other(DlgmdParameters, "kappa", 0.0466)
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,7 @@ class LgmdParameters(Parameters):
     t_ffi: float = _key(
         255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", 0, 255
     )
-    t_mp: float = _t_mp(0.999)
+    t_mp: float = _t_mp(0.99999994)
     n_sp: int = _n_sp()
 
     def _check_together(self) -> None:
@@ -360,7 +360,7 @@ class EmdLgmdParameters(Parameters):
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
     kappa: float = _key(
-        0.0013, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
+        0.00191, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
     )
 
 

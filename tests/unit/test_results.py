@@ -111,7 +111,7 @@ def test_normalised_by_its_own_sequence():
     result = make_result([NAN, 1.0, 3.0, 2.0], normalise="sequence")
     assert np.array_equal(result.mp_seq, [NAN, 0, 1, 0.5], equal_nan=True)
     assert result.level is result.mp_seq and result.spikes.tolist() == [False, False, True, True]
-    assert np.allclose(result.mp_abs, absolute(result.mp, 100, 0.0035), equal_nan=True)
+    assert np.allclose(result.mp_abs, absolute(result.mp, 100, result.params.kappa), equal_nan=True)
     still = make_result([NAN, 2.0, 2.0], normalise="sequence")
     assert np.isnan(still.level).all() and "never changes" in still.doubts()[0]
 
