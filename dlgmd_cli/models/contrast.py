@@ -69,7 +69,7 @@ class ContrastDLGMD(Distributed):
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         params = params if params is not None else ContrastParameters()
-        super().__init__(params, engine, tell)
+        super().__init__(params, engine, tell, least_delay=1)  # F(t) looks one frame back
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None
 
