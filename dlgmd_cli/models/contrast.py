@@ -97,9 +97,7 @@ class ContrastDLGMD(Distributed):
         return max(self.params.c_s * self._receptors.sigma, self.params.s_min)
 
 
-def centre_weights(
-    shape: tuple[int, ...], sigma: float, hidden: Flags | None = None
-) -> FloatImage:
+def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = None) -> FloatImage:
     """How much each cell counts, (H, W): a Gaussian about the centre, 1 on average.
 
     Where `hidden`, (H, W), is True, it is 0; the average is that of the other cells.

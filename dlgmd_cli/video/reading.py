@@ -17,6 +17,7 @@ from dlgmd_cli.video.images import ImageDecoder
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
+from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 # What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and gives
@@ -192,6 +193,8 @@ class Video:
         Width and height of the frames, in px.
     rate_fps : float
         Nominal frames per second of those that are taken.
+    source_wh : (int, int)
+        Width and height of what is looked at of a picture, in px: of the crop, if there is one.
     progress : Progress
         How many frames were decoded so far, the time of the last one, and warnings.
     """
@@ -204,11 +207,13 @@ class Video:
         size_wh: tuple[int, int],
         selection: Selection,
         *,
+        region: Region,
         rate_fps: float,
         skips_repeats: bool = False,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
+        self._region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
         self.progress = Progress()
 
@@ -224,7 +229,8 @@ class Video:
         self._is_read = True
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
-        repeats, gaps = RepeatDetector() if self._skips_repeats else None, GapDetector()
+        hidden, gaps = self.hidden(self.source_wh), GapDetector()
+        repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
         fault, after_gap = "", False
@@ -245,6 +251,7 @@ class Video:
                 except Unreadable as error:
                     fault = str(error)
                     break
+                image = self._region.of(image)
                 is_repeat = repeats is not None and repeats.step(image)
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
@@ -300,6 +307,13 @@ class Video:
         """What models take of a picture, at the video's `size_wh` unless another is given."""
         grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
         return Frame(picture.index, picture.time_s, grey, picture.is_repeat, picture.after_gap)
+
+    def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
+        """Which cells of a frame the mask leaves out, (H, W), for `Model.ignore`; None for none.
+
+        The frame is of the video's `size_wh` unless another is given.
+        """
+        return self._region.hidden(size_wh or self.size_wh)
 
     def __iter__(self) -> Iterator[Frame]:
         return map(self.frame, self.pictures())

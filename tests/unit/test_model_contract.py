@@ -187,7 +187,7 @@ class TestEveryModel:
         assert_same(*answers)
         assert model.n_cells == np.count_nonzero(~hidden)
         assert all((layer[hidden] == 0.0).all() for layer in images(answers[1][-1]))
-        assert 1.0 < max(one.s_sum for one in answers[1] if one.is_valid)
+        assert max(one.s_sum for one in answers[1] if one.is_valid) > 1.0
         model.ignore(None)
         model.reset()
         assert_same(steps(model, frames), run(case, frames))
