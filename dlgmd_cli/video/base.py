@@ -48,6 +48,7 @@ class Facts(NamedTuple):
 
     `width` and `height` are those of its first frame as it is shown. `shown_s` is the length of
     the part that is shown, in seconds, where an edit list may hide the rest; infinite otherwise.
+    `codec` is FFmpeg's name of it, or the four letters in the file where that is all there is.
     """
 
     width: int
@@ -55,6 +56,7 @@ class Facts(NamedTuple):
     fps: float | None
     n_frames: int | None
     shown_s: float = math.inf
+    codec: str = ""
 
 
 class Unreadable(Exception):  # noqa: N818

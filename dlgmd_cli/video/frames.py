@@ -278,7 +278,7 @@ def open_video(
         decoder = DEFAULT_DECODER
     opened = reopen()
     try:
-        width, height, fps, n_frames, _ = opened.facts
+        width, height, fps, n_frames, *_ = opened.facts
         fps = fps or input_fps or FALLBACK_FPS
         if max_fps is None:
             is_capped = model_fps is not None and pictures is None
