@@ -135,7 +135,9 @@ def _opened(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Se
     scene = find_scene(clip.scene)
     options = scene.configure(dict(clip.flags))
     record = scene.record(options)
-    phases = {one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())}
+    phases = {
+        one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
+    }
     rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
     truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
     return scene.frames(options), options.fps, record.get("collision_frame"), truth, phases
@@ -170,7 +172,7 @@ def check_reference(reference: Path | None) -> None:
 CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
 _START_PX, _HALF_PX = -312.0, (34.0, 48.0)
 _BALL_PX, _BALL_M, _ARRIVES_M, _ARRIVES_AT, _FOCAL_PX = 25.0, 0.5, 0.6, 61.0, 476.7
-# From here on, boxes overlap.
+# Later, boxes of capsules and of the ball overlap.
 LAST_APART = 42
 
 
@@ -183,8 +185,6 @@ def object_sums(clip: Clip, watchers: Mapping[str, Watcher]) -> dict[str, Series
     sums: dict[str, list[Series]] = {label: [] for label in watchers}
     with opencv_threads(1):
         for index, grey in enumerate(_opened(clip)[0]):
-            if index > LAST_APART:
-                break
             boxes = _boxes(grey.shape, index)
             for label, each in models.items():
                 said = each.step(grey, layers=True)

@@ -30,8 +30,6 @@ FIGURE_SEED = 0
 # The last second before contact is the approach; what is before it is the flight.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
 
-Values_ = list[float]
-
 
 def _flight(group: int, seed: int) -> Clip:
     return Clip.of(f"group{group}", size=SIZE, seed=seed)

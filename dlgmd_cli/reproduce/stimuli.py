@@ -1,7 +1,6 @@
 """The paper's figures of simple stimuli: geometry, kernels, looming, receding, translating."""
 
 import tempfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,15 +18,22 @@ from dlgmd_cli.reproduce.clips import (
     Clip,
     Job,
     Seen,
-    Watcher,
     in_all,
     model,
     object_sums,
     others,
     reference_clip,
-    watch,
 )
-from dlgmd_cli.reproduce.plan import ANY, Data, Exhibit, Plan, Values, by_formulation, watching
+from dlgmd_cli.reproduce.plan import (
+    ANY,
+    Data,
+    Exhibit,
+    Figures,
+    Plan,
+    Values,
+    by_formulation,
+    watching,
+)
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.runs.run import Setup
@@ -83,7 +89,7 @@ def _fig3_values(plan: Plan, data: Data) -> Values:
     }
 
 
-def _fig3_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig3_figures(plan: Plan, data: Data) -> Figures:
     truth = data[_fig3_clip(plan)].truth
     time = truth["time_s"] - truth["time_s"][-1]
     panels = [
@@ -108,12 +114,12 @@ def _fig5_values(plan: Plan, data: Data) -> Values:
     limit = params.alpha + 1.0 / params.beta
     return {
         "fig5-rises": {ANY: [float(np.diff(along).min())]},
-        "fig5-centre": {ANY: [float(along[0])]},
+        "fig5-centre": {ANY: [abs(float(along[0]) - 0.567)]},
         "fig5-limit": {ANY: [float(limit - along[-1])]},
     }
 
 
-def _fig5_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig5_figures(plan: Plan, data: Data) -> Figures:
     def draw(formulation: str) -> Figure:
         params = model("set9", formulation)
         assert isinstance(params, DlgmdParameters)
@@ -159,7 +165,7 @@ def _fig6_values(plan: Plan, data: Data) -> Values:
     }
 
 
-def _fig6_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig6_figures(plan: Plan, data: Data) -> Figures:
     speeds = np.array(_SPEEDS)
 
     def curve(number: int, formulation: str) -> tuple[Series, Series]:
@@ -170,9 +176,7 @@ def _fig6_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
         Panel(f, {f"set {n}": curve(n, f) for pair in _PAIRS for n in pair[::-1]})
         for f in FORMULATIONS
     ]
-    return {
-        "fig6": partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)
-    }
+    return {"fig6": partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)}
 
 
 _STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
@@ -203,7 +207,7 @@ def _strength_values(plan: Plan, data: Data) -> Values:
     }  # fmt: skip
 
 
-def _strength_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _strength_figures(plan: Plan, data: Data) -> Figures:
     strengths = np.array(_STRENGTHS)
     panels = [
         Panel(f, {f"{v:g} px/frame": (strengths, _strength_curve(data, v, f)) for v in _SPEEDS})
@@ -214,6 +218,9 @@ def _strength_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]
 
 
 # --- Fig. 8 -----------------------------------------------------------------------------------
+
+# The last frames before contact, in which the ball passes.
+_BALL_FRAMES = 10
 
 
 def _fig8_clip(plan: Plan) -> Clip:
@@ -226,8 +233,9 @@ def _fig8_jobs(plan: Plan) -> list[Job]:
 
 
 def _object_db(sums: Series) -> Series:
-    """Attenuation of each object over its box, all frames together, in dB."""
-    p, s = np.nansum(sums, axis=1)
+    """Attenuation of the ball shortly before contact, and of each capsule, in dB."""
+    p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
+    p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
     with np.errstate(divide="ignore"):
         return np.maximum(10.0 * np.log10(s / p), SILENT_DB)
 
@@ -244,15 +252,16 @@ def _fig8_values(plan: Plan, data: Data) -> Values:
     }
 
 
-def _fig8_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig8_figures(plan: Plan, data: Data) -> Figures:
     found = data["objects", _fig8_clip(plan)]
     names = ("ball", *(f"capsule, {speed:g} px/frame" for speed in (6.4, 4.8, 3.2, 1.6)))
-    frame = np.arange(LAST_APART + 1.0)
 
     def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
         with np.errstate(divide="ignore", invalid="ignore"):
             db = np.maximum(10.0 * np.log10(sums[1] / sums[0]), SILENT_DB)
-        return {name: (frame[: len(db)], db[:, place]) for place, name in enumerate(names)}
+        db[LAST_APART + 1 :, 1:] = np.nan
+        frame = np.arange(float(len(db)))
+        return {name: (frame, db[:, place]) for place, name in enumerate(names)}
 
     panels = [Panel(f, curves(found[f"set9/{f}"])) for f in FORMULATIONS]
     return {"fig8": partial(plot_panels, panels, "Frame", "Attenuation (dB)")}
@@ -286,7 +295,8 @@ def _fig9_values(plan: Plan, data: Data) -> Values:
         return [own.sharpness / lgmd.sharpness]
 
     def at_rest(formulation: str) -> list[float]:
-        own, lgmd = (np.flatnonzero(share_of_peak(r) >= ONSET)[-1] for r in both("receding", formulation))
+        shares = map(share_of_peak, both("receding", formulation))
+        own, lgmd = (np.flatnonzero(share >= ONSET)[-1] for share in shares)
         return [float(own - lgmd)]
 
     values: Values = {"fig9b-rest": by_formulation(at_rest)}
@@ -296,12 +306,13 @@ def _fig9_values(plan: Plan, data: Data) -> Values:
     return values
 
 
-def _fig9_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig9_figures(plan: Plan, data: Data) -> Figures:
     titles = {"cube": "Looming cube", "ball": "Looming ball", "receding": "Receding cube"}
 
     def panel(kind: str) -> Panel:
         results = data[_APPROACHES[kind]].results
-        curves = {label: (r.time_s, share_of_peak(r)) for label, r in results.items()}
+        shown = {label: results[label] for label in (*in_all("set9"), "lgmd")}
+        curves = {label: (r.time_s, share_of_peak(r)) for label, r in shown.items()}
         return Panel(titles[kind], curves, level=ONSET)
 
     panels = [panel(kind) for kind in titles]
@@ -340,7 +351,7 @@ def _fig10_values(plan: Plan, data: Data) -> Values:
     }  # fmt: skip
 
 
-def _fig10_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig10_figures(plan: Plan, data: Data) -> Figures:
     results = data[_ball(plan)].results
     curves = {
         label: (results[label].frame.astype(float), results[label].attenuation_db)
@@ -364,30 +375,28 @@ def _fig12_values(plan: Plan, data: Data) -> Values:
     def k(number: int, formulation: str) -> Series:
         return results[f"set{number}/{formulation}"].mp[3:]
 
-    def early(formulation: str) -> list[float]:
-        ratios = []
-        for wide, narrow in ((3, 1), (6, 4)):
-            a, b = k(wide, formulation), k(narrow, formulation)
-            half = len(a) // 2
-            ratios.append(float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan)
-        return [max(ratios)]
+    def early(wide: int, narrow: int, formulation: str) -> list[float]:
+        a, b = k(wide, formulation), k(narrow, formulation)
+        half = len(a) // 2
+        return [float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan]
 
-    def contact(formulation: str) -> list[float]:
-        last = ((k(w, formulation)[-1], k(n, formulation)[-1]) for w, n in ((3, 1), (6, 4)))
-        return [min(float(wide / narrow) for wide, narrow in last)]
+    def contact(wide: int, narrow: int, formulation: str) -> list[float]:
+        return [float(k(wide, formulation).max() / k(narrow, formulation).max())]
 
     def sharper(formulation: str) -> list[float]:
         found = [results[f"set{n}/{formulation}"].sharpness for n in range(1, 7)]
         return [max(found[radial - 1] / found[plain - 1] for radial, plain in _PAIRS)]
 
     return {
-        "fig12a-early": by_formulation(early),
-        "fig12a-contact": by_formulation(contact),
+        "fig12a-early-plain": by_formulation(partial(early, 3, 1)),
+        "fig12a-early-radial": by_formulation(partial(early, 6, 4)),
+        "fig12a-contact-plain": by_formulation(partial(contact, 3, 1)),
+        "fig12a-contact-radial": by_formulation(partial(contact, 6, 4)),
         "fig12b-sharper": by_formulation(sharper),
     }
 
 
-def _fig12_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig12_figures(plan: Plan, data: Data) -> Figures:
     results = data[_ball(plan)].results
     raw, scaled = [], []
     for f in FORMULATIONS:
@@ -412,9 +421,11 @@ _SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
 
 
 def _grid(plan: Plan) -> Grid:
-    steps = ("0.2:2.0:0.6", "0.5:6:1.1") if plan.quick else ("0.2:2.0:0.2", "0.5:6:0.5")
-    axes = (Axis.parse(f"{key}={s}", DlgmdParameters) for key, s in zip(("sigma_e", "sigma_i"), steps, strict=True))
-    return Grid(*axes)
+    step_e, step_i = (0.2, 0.5) if plan.quick else (0.1, 0.25)
+    return Grid(
+        Axis.parse(f"sigma_e=0.2:2:{step_e}", DlgmdParameters),
+        Axis.parse(f"sigma_i=0.5:6:{step_i}", DlgmdParameters),
+    )
 
 
 def _fig11_jobs(plan: Plan) -> list[Job]:
@@ -446,15 +457,19 @@ def _fig11_values(plan: Plan, data: Data) -> Values:
         points = (values[0] <= _SUPPRESSED_DB) & (values[1:] >= _FREE_DB).all(axis=0)
         return [float(points.mean())]
 
+    # A kernel of r = 4 cuts wider Gaussians off.
+    n_within = sum(value <= _FIG_11["r"] for value in _grid(plan).y.values)
     return {
         "fig11-speed": by_formulation(lambda f: share(np.diff(db(f), axis=0) >= 0.0)),
-        "fig11-sigma-i": by_formulation(lambda f: share(np.diff(db(f), axis=1) <= 0.0)),
+        "fig11-sigma-i": by_formulation(
+            lambda f: share(np.diff(db(f)[2:, :n_within], axis=1) <= 0.0)
+        ),
         "fig11-sigma-e": by_formulation(lambda f: share(np.diff(db(f)[2:], axis=2) >= 0.0)),
         "fig11-alone": by_formulation(alone),
     }
 
 
-def _fig11_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
+def _fig11_figures(plan: Plan, data: Data) -> Figures:
     return {"fig11": partial(plot_sweep, data["fig11", "default"], "two")}
 
 
@@ -464,30 +479,21 @@ _LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.
 
 
 def _lateral_jobs(plan: Plan) -> list[Job]:
-    models = in_all("set9")
-    return [*watching(_LATERAL, models), *watching(_APPROACHES["cube"], models)]
+    return watching(_LATERAL, in_all("set9"))
 
 
 def _lateral_values(plan: Plan, data: Data) -> Values:
-    def ratio(formulation: str) -> list[float]:
-        label = f"set9/{formulation}"
-        lateral, looming = (data[c].results[label] for c in (_LATERAL, _APPROACHES["cube"]))
-        peak = np.nanmax(looming.mp)
-        return [float(np.nanmedian(lateral.mp) / peak)]
+    def level(formulation: str) -> list[float]:
+        return [float(np.nanmedian(data[_LATERAL].results[f"set9/{formulation}"].mp_abs))]
 
-    return {"lateral-alarms": by_formulation(ratio)}
+    return {"lateral-alarms": by_formulation(level)}
 
 
-def _lateral_figures(plan: Plan, data: Data) -> dict[str, Callable[[], Figure]]:
-    scenes = {"lateral cube": _LATERAL, "looming cube": _APPROACHES["cube"]}
-
-    def panel(formulation: str) -> Panel:
-        found = {k: data[clip].results[f"set9/{formulation}"] for k, clip in scenes.items()}
-        peak = np.nanmax(found["looming cube"].mp)
-        return Panel(formulation, {k: (r.time_s, r.mp / peak) for k, r in found.items()}, level=0.4)
-
-    panels = [panel(f) for f in FORMULATIONS]
-    return {"lateral": partial(plot_panels, panels, "Time (s)", "K / peak of looming")}
+def _lateral_figures(plan: Plan, data: Data) -> Figures:
+    results = data[_LATERAL].results
+    curves = {label: (r.frame.astype(float), r.mp_abs) for label, r in results.items()}
+    panel = Panel("Square of 160 px at 12 px/frame", curves, level=0.4)
+    return {"lateral": partial(plot_panels, [panel], "Frame", "mp_abs")}
 
 
 EXHIBITS = (

@@ -50,7 +50,7 @@ MAX_KEPT, N_WARM = 24, 4
 
 @contextmanager
 def rendered_pan(n_frames: int) -> Iterator[str]:
-    """A temporary video of the paper's size, of a panning camera; OutputError if there is no room."""
+    """A temporary video of a panning camera, of the paper's size; raises OutputError."""
     height, width = PAPER_SIZE_WH[::-1]
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
