@@ -302,8 +302,15 @@ _SET = "set7"
 BEST_SCALE = 0.25
 
 
+def _scales(plan: Plan) -> tuple[float, ...]:
+    """Linear scales of 1920x1080; a quick report renders half of that."""
+    return SCALES[1:] if plan.quick else SCALES
+
+
 def _table4_clip(plan: Plan, seed: int) -> Clip:
-    return Clip.of("group2", size=(540, 960) if plan.quick else PAPER_SIZE_WH[::-1], seed=seed)
+    largest = _scales(plan)[0]
+    width, height = (round(side * largest) for side in PAPER_SIZE_WH)
+    return Clip.of("group2", size=(height, width), seed=seed)
 
 
 def _table4_seeds(plan: Plan) -> tuple[int, ...]:
@@ -317,10 +324,13 @@ def _point(formulation: str, radius: int, scale: float) -> str:
 def _da_jobs(plan: Plan) -> list[Job]:
     # A job for each formulation, so that processes share them; rendering is the lesser part.
     jobs = []
+    scales = _scales(plan)
     for seed in _table4_seeds(plan):
         for f in FORMULATIONS:
             watchers = {
-                _point(f, r, x): Watcher(model(_SET, f, r=r), x) for r in RADII for x in SCALES
+                _point(f, r, x): Watcher(model(_SET, f, r=r), x / scales[0])
+                for r in RADII
+                for x in scales
             }
             clip = _table4_clip(plan, seed)
             call = watching(clip, watchers)[0].call
@@ -335,10 +345,16 @@ def distinguishability(seen: Seen, label: str) -> float:
 
 
 def da_table(plan: Plan, data: Data, formulation: str, seed: int) -> Series:
-    """DA by radius and scale, shape (4, 5); infinite where the model is silent at the pitch."""
+    """DA, a row for each radius and a column for each scale.
+
+    Infinite where the model is silent at the pitch.
+    """
     seen = data["da", _table4_clip(plan, seed), formulation]
     return np.array(
-        [[distinguishability(seen, _point(formulation, r, x)) for x in SCALES] for r in RADII]
+        [
+            [distinguishability(seen, _point(formulation, r, x)) for x in _scales(plan)]
+            for r in RADII
+        ]
     )
 
 
@@ -347,10 +363,10 @@ def _da_values(plan: Plan, data: Data) -> Values:
         return [da_table(plan, data, formulation, seed) for seed in _table4_seeds(plan)]
 
     def at_best(table: Series) -> Series:
-        return table[:, SCALES.index(BEST_SCALE)]
+        return table[:, _scales(plan).index(BEST_SCALE)]
 
     def best(table: Series) -> float:
-        others = np.delete(table, SCALES.index(BEST_SCALE), axis=1).max(axis=1)
+        others = np.delete(table, _scales(plan).index(BEST_SCALE), axis=1).max(axis=1)
         return _least(_ratio(a, b) for a, b in zip(at_best(table), others, strict=True))
 
     def rising(table: Series) -> float:
@@ -380,7 +396,7 @@ def _least(values: Any) -> float:
 
 
 def _da_figures(plan: Plan, data: Data) -> Figures:
-    scales = np.array(SCALES)
+    scales = np.array(_scales(plan))
 
     def panel(formulation: str) -> Panel:
         table = da_table(plan, data, formulation, FIGURE_SEED)
@@ -432,6 +448,21 @@ def _time_values(plan: Plan, data: Data) -> Values:
         return [min(PAPER_S[row["radius"], row["scale"]] / row["whole_s"] for row in rows)]
 
     return {"table4-time": by_formulation(ratio)}
+
+
+def time_rows(data: Data) -> list[tuple[float, ...]]:
+    """Radius, scale, the paper's seconds, and ours under each formulation; empty if not timed."""
+    timed = [data["time", f] for f in FORMULATIONS if ("time", f) in data]
+    return [
+        (
+            r["radius"],
+            r["scale"],
+            PAPER_S[r["radius"], r["scale"]],
+            *(one["whole_s"] for one in same),
+        )
+        for same in zip(*timed, strict=True)
+        for r in same[:1]
+    ]
 
 
 EXHIBITS = (

@@ -6,8 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.reproduce.clips import Clip, Job, Watcher, watch
 
@@ -18,7 +16,8 @@ ANY = "any"
 Data = Mapping[Any, Any]
 # Claim -> formulation -> a value for each seed; NaN where nothing can be said.
 Values = dict[str, dict[str, list[float]]]
-Figures = dict[str, Callable[[], Figure]]
+# File name without its suffix -> what draws the figure, as `plots` do.
+Figures = dict[str, Callable[[], Any]]
 
 
 @dataclass(frozen=True)
