@@ -13,6 +13,8 @@ from dlgmd_cli.plots.traces import FLOOR_DB, LOOKS
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
+# Longer curves have marks at some of their values only.
+_MARKER_ROOM = 12
 _MARKERS = ("o", "s", "^", "D", "x", "+")
 
 
@@ -84,6 +86,7 @@ def _look(place: int, *, dots: bool) -> dict[str, Any]:
 
 def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entries:
     """One panel; its curves and what the legend calls them."""
+    axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):
         axes.axvspan(start, end, color=GREY, alpha=0.22 if row % 2 else 0.12, linewidth=0)
@@ -102,6 +105,3 @@ def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entr
         line = axes.axvline(panel.collision, color=BLACK, linewidth=0.8)
         entries.append((line, "collision"))
     return entries
-
-
-_MARKER_ROOM = 12

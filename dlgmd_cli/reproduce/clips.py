@@ -120,11 +120,11 @@ def watch(clip: Clip, watchers: Mapping[str, Watcher]) -> Seen:
     results = {}
     for label, one in watchers.items():
         width, height = sizes[label]
-        record = {"processed": {"width": width, "height": height}}
+        record: dict[str, Any] = {"processed": {"width": width, "height": height}}
         if collision_frame is not None:
             record["collision_frame"] = collision_frame
-        columns = np.array(rows[label]).T
-        results[label] = Result(frame, frame / fps, *columns, one.params, record)
+        mp, p_sum, s_sum, db = np.array(rows[label]).T
+        results[label] = Result(frame, frame / fps, mp, p_sum, s_sum, db, one.params, record)
     return Seen(results, truth, phases)
 
 

@@ -22,7 +22,15 @@ from dlgmd_cli.reproduce.plan import (
 )
 from dlgmd_cli.reproduce.stimuli import mean_db, share_of_peak
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.runs.benchmark import PAPER_S, PAPER_SIZE_WH, RADII, SCALES, measure, rendered_pan
+from dlgmd_cli.runs.benchmark import (
+    PAPER_DA,
+    PAPER_S,
+    PAPER_SIZE_WH,
+    RADII,
+    SCALES,
+    measure,
+    rendered_pan,
+)
 from dlgmd_cli.video.frames import open_video
 
 SIZE = (270, 480)
@@ -122,15 +130,22 @@ def _fig13a_jobs(plan: Plan) -> list[Job]:
     return [*_jobs(1, _FIG_13)(plan), *_jobs(2, _FIG_13)(plan)]
 
 
+def _most_before(flights: list[Seen], label: str) -> list[float]:
+    """The greatest sustained share of the peak before the approach, of each flight."""
+    return [max(held(seen, label, name) for name in ("pitch", "accelerate")) for seen in flights]
+
+
+def _of_set9(value: Callable[[str], list[float]], formulation: str) -> list[float]:
+    return value(f"set9/{formulation}")
+
+
 def _fig13a_values(plan: Plan, data: Data) -> Values:
     values: Values = {}
     for group in (1, 2):
         flights = _each(plan, data, group)
 
-        def most(label: str, flights: list[Seen] = flights) -> list[float]:
-            return [max(held(seen, label, p) for p in ("pitch", "accelerate")) for seen in flights]
-
-        values[f"fig13a-silent-group{group}"] = by_formulation(lambda f, m=most: m(f"set9/{f}"))
+        most = partial(_most_before, flights)
+        values[f"fig13a-silent-group{group}"] = by_formulation(partial(_of_set9, most))
         values[f"fig13a-lgmd-group{group}"] = {ANY: most("lgmd")}
         values[f"fig13a-emd-group{group}"] = {ANY: most("emd-lgmd")}
     return values
@@ -164,8 +179,7 @@ def _fig13b_values(plan: Plan, data: Data) -> Values:
         return [kept / n if n else math.nan for kept, n in counts]
 
     def without(formulation: str) -> list[float]:
-        label = f"set9/{formulation}/no-ffi-gd"
-        return [max(held(s, label, p) for p in ("pitch", "accelerate")) for s in flights]
+        return _most_before(flights, f"set9/{formulation}/no-ffi-gd")
 
     return {"fig13b-removes": by_formulation(left), "fig13b-without": by_formulation(without)}
 
@@ -193,6 +207,13 @@ _BRAKE_FRAMES = 10
 _TO_DROP = 0.05
 
 
+def _drop(level: Series, first: int) -> float:
+    """The mean level after braking begins over that before; NaN if that is next to nothing."""
+    before = float(level[first - _BRAKE_FRAMES : first].mean())
+    after = float(level[first : first + _BRAKE_FRAMES].mean())
+    return after / before if before >= _TO_DROP else math.nan
+
+
 def _fig14_values(plan: Plan, data: Data) -> Values:
     flights = _each(plan, data, 2)
 
@@ -206,12 +227,9 @@ def _fig14_values(plan: Plan, data: Data) -> Values:
     def worse(seen: Seen, formulation: str) -> float:
         return max(pitch(seen, formulation, *_FIG_14_SETS)) / held(seen, "lgmd", "pitch")
 
-    def drop(seen: Seen, number: int, formulation: str) -> float:
-        level = share_of_peak(seen.results[f"set{number}/{formulation}"])
-        first = seen.phases["decelerate"][0]
-        before = float(level[first - _BRAKE_FRAMES : first].mean())
-        after = float(level[first : first + _BRAKE_FRAMES].mean())
-        return after / before if before >= _TO_DROP else math.nan
+    def drop(number: int, formulation: str) -> list[float]:
+        label = f"set{number}/{formulation}"
+        return [_drop(share_of_peak(s.results[label]), s.phases["decelerate"][0]) for s in flights]
 
     values: Values = {
         "fig14a-answers": by_formulation(lambda f: [min(pitch(s, f, 3, 7)) for s in flights]),
@@ -220,7 +238,7 @@ def _fig14_values(plan: Plan, data: Data) -> Values:
         "fig14a-lgmd": by_formulation(lambda f: [worse(s, f) for s in flights]),
     }
     for n in (3, 6):
-        values[f"fig14b-set{n}"] = by_formulation(lambda f, n=n: [drop(s, n, f) for s in flights])
+        values[f"fig14b-set{n}"] = by_formulation(partial(drop, n))
     return values
 
 
@@ -282,12 +300,14 @@ def _approach_figures(group: int, number: int, plan: Plan, data: Data) -> Figure
 
 def _fig17_values(plan: Plan, data: Data) -> Values:
     flights = _each(plan, data, 3)
-    values: Values = {}
-    for name, part in (("silent", "yaw"), ("answers", "contact")):
-        values[f"fig17-{name}"] = by_formulation(
-            lambda f, part=part: [held(s, f"set9/{f}", part) for s in flights]
-        )
-    return values
+
+    def near(part: str, formulation: str) -> list[float]:
+        return [held(seen, f"set9/{formulation}", part) for seen in flights]
+
+    return {
+        "fig17-silent": by_formulation(partial(near, "yaw")),
+        "fig17-answers": by_formulation(partial(near, "contact")),
+    }
 
 
 def _fig17_figures(plan: Plan, data: Data) -> Figures:
@@ -339,9 +359,10 @@ def _da_jobs(plan: Plan) -> list[Job]:
 
 
 def distinguishability(seen: Seen, label: str) -> float:
-    """DA with the middle of the pitch as the false positive."""
+    """DA with the middle of the pitch as the false positive; 0 where the model never answers."""
     first, last = seen.phases["pitch"]
-    return seen.results[label].distinguishability((first + last) // 2)
+    found = seen.results[label].distinguishability((first + last) // 2)
+    return 0.0 if math.isnan(found) else found
 
 
 def da_table(plan: Plan, data: Data, formulation: str, seed: int) -> Series:
@@ -385,10 +406,12 @@ def _da_values(plan: Plan, data: Data) -> Values:
 
 
 def _ratio(one: float, other: float) -> float:
-    """How many times as great; 1 where both are infinite."""
+    """How many times as great; 1 where both are infinite, or both 0."""
     if math.isinf(one) and math.isinf(other):
         return 1.0
-    return float(one / other) if other else math.nan
+    if other == 0.0:
+        return 1.0 if one == 0.0 else math.inf
+    return float(one / other)
 
 
 def _least(values: Any) -> float:
@@ -448,6 +471,18 @@ def _time_values(plan: Plan, data: Data) -> Values:
         return [min(PAPER_S[row["radius"], row["scale"]] / row["whole_s"] for row in rows)]
 
     return {"table4-time": by_formulation(ratio)}
+
+
+def da_rows(plan: Plan, data: Data) -> list[tuple[float, ...]]:
+    """Radius, scale, the paper's DA, and ours under each formulation; empty if not computed."""
+    if ("da", _table4_clip(plan, FIGURE_SEED), FORMULATIONS[0]) not in data:
+        return []
+    tables = [da_table(plan, data, f, FIGURE_SEED) for f in FORMULATIONS]
+    return [
+        (r, x, PAPER_DA[r, x], *(float(table[row, column]) for table in tables))
+        for row, r in enumerate(RADII)
+        for column, x in enumerate(_scales(plan))
+    ]
 
 
 def time_rows(data: Data) -> list[tuple[float, ...]]:

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.reproduce.claims import NO, UNDECIDED, YES, Finding, Story, counts, write_claims
 from dlgmd_cli.reproduce.clips import model
 from dlgmd_cli.reproduce.compute import EXHIBITS
-from dlgmd_cli.reproduce.flights import time_rows
+from dlgmd_cli.reproduce.flights import da_rows, time_rows
 from dlgmd_cli.reproduce.plan import ANY, Data, Plan
 from dlgmd_cli.results.record import versions
 from dlgmd_cli.results.store import write_file, writing
@@ -67,7 +68,7 @@ def write_report(
                 figure = draw()
                 for suffix in ("png", "pdf"):
                     path = folder / f"{stem}.{suffix}"
-                    write_file(path, lambda file, figure=figure: save_figure(figure, file))
+                    write_file(path, partial(save_figure, figure))
                     paths.append(path)
                 png = (folder / f"{stem}.png").read_bytes()
                 pictures[stem] = base64.b64encode(png).decode()
@@ -106,7 +107,7 @@ def page(
             words=_WORDS,
             marks=_MARKS,
             parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
-            times=time_rows(data),
+            tables={"table4-time": time_rows(data), "table4-da": da_rows(plan, data)},
             versions=versions(),
         )
     )
@@ -124,4 +125,5 @@ def number(value: float) -> str:
     """A value with three digits, as readers want it; a dash where there is none."""
     if value != value:
         return "–"
-    return f"{value:.3g}".replace("-", "−").replace("inf", "∞")
+    text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
+    return text.replace("-", "−").replace("inf", "∞")
