@@ -170,7 +170,7 @@ def check_reference(reference: Path | None) -> None:
 # speed to the right in px/frame; half of the width and height of a box around each; and the ball's
 # distance of its centre at frame 0 and at frame 61, in units of its radius.
 CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
-_START_PX, _HALF_PX = -312.0, (34.0, 48.0)
+_START_PX, _HALF_PX = -312.0, (38.0, 48.0)
 _BALL_PX, _BALL_M, _ARRIVES_M, _ARRIVES_AT, _FOCAL_PX = 25.0, 0.5, 0.6, 61.0, 476.7
 # Later, boxes of capsules and of the ball overlap.
 LAST_APART = 42

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli.models.detection import LEAST_PEAK
 from dlgmd_cli.models.kernels import connect, latency_map
 from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
 from dlgmd_cli.plots.kernels import plot_kernels
@@ -53,11 +54,11 @@ def mean_db(result: Result, first: int = 0, last: int | None = None) -> float:
 
 
 def share_of_peak(result: Result) -> Series:
-    """K / max K up to the collision, 0 before it is defined and where there is no answer."""
+    """K / max K up to the collision, 0 before it is defined and where nothing is answered."""
     mp = np.nan_to_num(result.mp)
     end = result.collision_frame
     peak = float(mp[: None if end is None else end + 1].max())
-    return mp / peak if peak > 0.0 else np.zeros_like(mp)
+    return mp / peak if peak >= LEAST_PEAK else np.zeros_like(mp)
 
 
 def onset(result: Result) -> int:
