@@ -47,7 +47,8 @@ def plot_panels(
 ) -> Figure:
     """Panels, three in a row; a label has the same look in all of them.
 
-    With `dots`, every value has a mark, for curves of a few values.
+    With `dots`, every value has a mark, and with `log_x` a tick: both are for curves of a few
+    values.
     """
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
@@ -66,6 +67,9 @@ def plot_panels(
             entries += _draw(axes, panels[place], looks)
             if log_x:
                 axes.set_xscale("log")
+                values = np.unique(np.concatenate([x for x, _ in panels[place].curves.values()]))
+                axes.set_xticks(values, [f"{value:g}" for value in values])
+                axes.minorticks_off()
             if log_y:
                 axes.set_yscale("log")
             if place + per_row >= len(panels):
