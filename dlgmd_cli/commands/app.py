@@ -30,6 +30,7 @@ COMMANDS = (
     "evaluate",
     "calibrate",
     "bench",
+    "reproduce",
 )
 
 
