@@ -21,6 +21,7 @@ COMMANDS = (
     "batch",
     "plot",
     "compare",
+    "view",
     "sweep",
     "layers",
     "kernels",
