@@ -241,7 +241,7 @@ class Alarm:
         if is_gap:
             self._begin_anew()
         response = self.model.step(frame, time_s)
-        mp_abs = float(absolute(response.mp, frame.size, self.params.kappa))
+        mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self._spikes.step(mp_abs)
         self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)
         return self._last

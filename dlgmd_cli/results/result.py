@@ -87,9 +87,9 @@ class Result:
 
     @property
     def n_cells(self) -> int:
-        """Pixels of a processed frame, the cells that K sums over."""
+        """Pixels of a processed frame less those that a mask leaves out: what K sums over."""
         processed = self.record["processed"]
-        return int(processed["width"] * processed["height"])
+        return int(processed.get("cells", processed["width"] * processed["height"]))
 
     @property
     def n_valid(self) -> int:
@@ -348,7 +348,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
         sums = np.full(len(columns["frame"]), np.nan)
         shared = ("input", "options", "collision_frame")
         common: dict[str, Any] = {key: record[key] for key in shared if key in record}
-        size = {"width": own.get("width"), "height": own.get("height")}
+        size = {key: own[key] for key in ("width", "height", "cells") if key in own}
         results[label] = _result(
             folder / store.COMPARISON,
             {**columns, "p_sum": sums, "s_sum": sums},
@@ -379,7 +379,8 @@ def _result(
     try:
         if model is None:
             raise ParameterError("", f"unknown model {str(own.get('model'))[:40]!r}")
-        if not all(isinstance(processed[side], int) for side in ("width", "height")):  # type: ignore
+        sides = (processed["width"], processed["height"])  # type: ignore[index]
+        if not all(isinstance(n, int) for n in (*sides, processed.get("cells", 1))):  # type: ignore
             raise TypeError
         kind = model.parameters
         params = kind.from_mapping({key: own[key] for key in kind.specs() if key in own})

@@ -86,8 +86,8 @@ def test_python_runs_as_written(reader, monkeypatch, capsys):
         script.write_text(code, encoding="utf-8")
         runpy.run_path(str(script))
     first, second = capsys.readouterr().out.splitlines()
-    assert float(first.split()[0]) == pytest.approx(122 / 30)
-    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(122 / 30)
+    assert float(first.split()[0]) == pytest.approx(127 / 30)
+    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(127 / 30)
     assert (reader / "overview.pdf").read_bytes().startswith(b"%PDF")
 
 
