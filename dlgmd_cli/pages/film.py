@@ -24,6 +24,8 @@ from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_
 # A cell of G that is at least this share of the film's strongest one is tinted fully.
 _FULL_SHARE = 0.25
 _MOST_TINT = 0.75
+# What a mask leaves out is so many times darker.
+_DIMMED = 3
 # Magenta, in BGR: neither footage nor the curves have it.
 _TINT = np.array((0xC8, 0x2A, 0xFF), np.float32)
 # Stored values have nine digits; engines differ in the last of float32.
@@ -127,7 +129,8 @@ def render(
         tempfile.TemporaryDirectory(prefix="dlgmd-") as folder,
         opencv_threads(1),
     ):
-        size_wh = _film_size(video.info.width, video.info.height, width_px)
+        size_wh = _film_size(*video.source_wh, width_px)
+        hidden = video.hidden(size_wh)
         fps, file = playable_fps(video.rate_fps), Path(folder) / "film.mp4"
         pictures = ((video.frame(one), _shown(one, size_wh)) for one in video.pictures())
         g: FloatImage | None = None
@@ -143,6 +146,8 @@ def render(
                         model.reset()
                     layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
                     g = layers.g
+                if hidden is not None:
+                    picture[hidden] //= _DIMMED
                 tinted = _tinted(picture, g, strongest_g)
                 if row == thumbnail_row:
                     thumbnail = _jpeg(tinted)

@@ -5,9 +5,10 @@ import json
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from conftest import N_FRAMES, make_result, read_video
+from conftest import HEIGHT, N_FRAMES, WIDTH, make_result, read_video
 
 pytest.importorskip("jinja2", reason="pages need Jinja2")
 pytest.importorskip("plotly", reason="pages need Plotly")
@@ -43,9 +44,23 @@ def test_page_of_a_run(dlgmd, clips, tmp_path):
     assert one["alarms"] and one["onsets"] == [one["alarmed"][0]]
     rate, frames = film_of(tmp_path / "page.html", tmp_path)
     assert rate == 25.0 and len(frames) == N_FRAMES
-    # Tinted where the square grows, near the end, and as the input was before.
+    # Tinted where the square grows, near the end, and as the input was at the beginning.
     tints = [np.ptp(frame.astype(int), axis=2).max() for frame in frames]
     assert tints[1] < 20 and max(tints[-5:]) > 80
+
+
+def test_what_a_mask_hides_is_dark(dlgmd, clips, tmp_path):
+    pytest.importorskip("av", reason="films need PyAV")
+    mask = np.full((HEIGHT, WIDTH - 8), 255, np.uint8)
+    mask[:, :8] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    area = ["--crop", f"{WIDTH - 8}x{HEIGHT}+8+0", "--mask", "mask.png"]
+    dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", *area)
+    made = dlgmd("view", "dlgmd-out/loom", "--out", "page.html")
+    assert (made.exit_code, made.stderr) == (0, "")
+    _, frames = film_of(tmp_path / "page.html", tmp_path)
+    assert frames[0].shape == (HEIGHT, WIDTH - 8, 3)
+    assert frames[1][:, :7].mean() < 90 and frames[1][:, 9:].mean() > 150
 
 
 def test_comparison_and_run_share_a_page(dlgmd, clips, tmp_path):
