@@ -1,8 +1,9 @@
 """`dlgmd view`: stored results as web pages, with the film of the input."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -130,6 +131,11 @@ class _Job:
     no_film: bool
 
 
+def _link(name: str) -> str:
+    """A file's name, of whatever bytes, as part of a link."""
+    return quote(os.fsencode(name))
+
+
 def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool) -> None:
     """A page for each input in a folder beside the index, and the index at last."""
     from dlgmd_cli.pages.page import index_page
@@ -145,7 +151,7 @@ def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool)
     rows = []
     for one, page in zip(gathered.inputs, pages, strict=True):
         rows.append(_write_page(one, page, job, index=out.name))
-        rows[-1]["href"] = f"{quote(folder.name)}/{quote(page.name)}"
+        rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
     write_text(out, index_page(rows, gathered.failed))
     if gathered.failed:
         n_failed = len(gathered.failed)
@@ -168,9 +174,7 @@ def _write_page(one: "Input", out: Path, job: _Job, index: str = "") -> dict[str
         until = [replace(s, result=s.result.until(collisions[0])) for s in one.shown]
         one = replace(one, shown=tuple(until))
     parts = _parts(one, job)
-    for why in dict.fromkeys(part.no_film for part in parts if part.no_film and not job.no_film):
-        warn(f"{one.name}: the page has no film: {why.rstrip('.')}")
-    text = page(one, parts, collisions, index=f"../{quote(index)}" if index else "")
+    text = page(one, parts, collisions, index=f"../{_link(index)}" if index else "")
     if len(text) > _LARGE_BYTES:
         say(
             f"{printable(str(out))} has {len(text) / 1e6:.0f} MB. A smaller --film-width makes it "
@@ -186,11 +190,12 @@ def _parts(one: "Input", job: _Job) -> "Sequence[Part]":
     from dlgmd_cli.pages.page import Part, thumbnail_row
     from dlgmd_cli.video.writer import best_codec
 
-    parts = []
+    parts, no_film = [], "--no-film was given." if job.no_film else ""
+    if not no_film and best_codec() != "h264":
+        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        warn(f"{one.name}: no film: {no_film.rstrip('.')}")
     for shown in one.shown:
-        why, film = "--no-film was given." if job.no_film else "", None
-        if not why and best_codec() != "h264":
-            why = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        why, film = no_film, None
         if not why:
             n_frames = shown.result.record["input"].get("frames") or len(shown.result)
             try:
@@ -204,6 +209,8 @@ def _parts(one: "Input", job: _Job) -> "Sequence[Part]":
                         on_frame,
                     )
             except DlgmdError as error:
-                why = str(error)
+                warn(f"{one.name} · {shown.label}: no film: {str(error).rstrip('.')}")
+                # The page is for others, too: it does not say where the file was.
+                why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
         parts.append(Part(shown, film, why))
     return parts

@@ -204,7 +204,11 @@ def _drawer(part: Part) -> dict[str, Any]:
         "processed frames": len(result),
         "decoder": known.get("decoder"),
         "engine": record.get("engine"),
-        **_flat(record.get("options")),
+        **{
+            # Where a file lies is nobody else's business.
+            key: PurePath(str(value)).name if key == "mask" else value
+            for key, value in _flat(record.get("options")).items()
+        },
         **{f"version of {name}": one for name, one in _flat(record.get("versions")).items()},
     }
     warnings = list(result.warnings)

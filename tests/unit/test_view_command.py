@@ -86,7 +86,7 @@ def test_names_are_escaped_and_missing_inputs_said(dlgmd, tmp_path):
     made = dlgmd("view", "result", "--out", "page.html")
     assert made.exit_code == 0 and "there is no such file" in made.stderr
     text = (tmp_path / "page.html").read_text("utf-8")
-    assert "<script>alert" not in text and "No film:" in text
+    assert "<script>alert" not in text and "No film:" in text and "/nowhere" not in text
     assert data_of(tmp_path / "page.html")["results"][0]["label"] == evil
     assert data_of(tmp_path / "page.html")["results"][0]["fps"] is None
     assert 'http-equiv="Content-Security-Policy" content="default-src \'none\'' in text
