@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import GREY, LIGHT_GREY, house_style, new_figure
+from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure
 
 Kernel = npt.NDArray[np.float64]
 

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
@@ -12,6 +11,7 @@ from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strong
 from dlgmd_cli.plots.style import (
     GREY,
     LIGHT_GREY,
+    Figure,
     house_style,
     new_figure,
     plain,

@@ -8,11 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis as PlotAxis
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import GREY, Width, add_legend, house_style, new_figure, width_in
+from dlgmd_cli.plots.style import (
+    GREY,
+    Figure,
+    Width,
+    add_legend,
+    house_style,
+    new_figure,
+    width_in,
+)
 from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 

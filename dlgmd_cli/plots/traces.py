@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dlgmd_cli.plots.annotations import NONE, Annotations
@@ -20,6 +19,7 @@ from dlgmd_cli.plots.style import (
     SKY_BLUE,
     VERMILION,
     Entries,
+    Figure,
     Width,
     add_legend,
     house_style,

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import cv2
 import matplotlib
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from matplotlib.colors import to_rgb
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
 from dlgmd_cli.plots.kernels import plot_kernels
-from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files
+from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
 
@@ -253,3 +254,13 @@ def test_kernels_have_a_panel_each_and_one_scale_of_strength():
     limits = {axes.images[0].get_clim() for axes in maps[:-1]}
     assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
     assert maps[-1].images[0].get_clim()[0] == 0.0
+
+
+def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
+    figure = make_result().plot("overview")
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    figure.savefig(tmp_path / "words.svg")
+    save_figure(figure, tmp_path / "fine.png", dpi=400)
+    assert ">Frame</text>" in (tmp_path / "words.svg").read_text(encoding="utf-8")
+    height, width = cv2.imread(str(tmp_path / "fine.png")).shape[:2]
+    assert width == 1400 and height == pytest.approx(400 * figure.get_figheight(), abs=1)
