@@ -289,3 +289,13 @@ def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
     assert ">Frame</text>" in (tmp_path / "words.svg").read_text(encoding="utf-8")
     height, width = cv2.imread(str(tmp_path / "fine.png")).shape[:2]
     assert width == 1400 and height == pytest.approx(400 * figure.get_figheight(), abs=1)
+
+
+def test_a_kernel_s_least_value_is_said_where_it_means_something():
+    words = []
+    for number in (1, 9):
+        connections = connect(load_set(number))
+        figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
+        words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
+    assert words[0] == ["up to 1.1", "up to 0.6", "only 1"]
+    assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
