@@ -140,7 +140,7 @@ def plot(
         for axes in grid[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(axis="x", bottom=False)
-        figure.align_ylabels(axes_of)
+        figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
         between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
         figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
         add_legend(figure, _entries(found if kind != "spikes" else found[::-1]))
