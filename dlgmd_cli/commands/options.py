@@ -20,7 +20,7 @@ from dlgmd_cli.parameters import (
     PRESETS,
     parse_overrides,
 )
-from dlgmd_cli.video.base import DECODERS, REPEATS, parse_size
+from dlgmd_cli.video.base import DECODERS, REPEATS, Crop, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
@@ -39,6 +39,19 @@ class Size(click.ParamType):
         """`480x270` -> (480, 270)."""
         try:
             return parse_size(str(value))
+        except ParameterError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Rectangle(click.ParamType):
+    """A part of a picture in px, as 640x360+0+60."""
+
+    name = "WxH+X+Y"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Crop:
+        """`640x360+0+60` -> Crop(640, 360, 0, 60)."""
+        try:
+            return parse_crop(str(value))
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
@@ -126,7 +139,8 @@ param_option = click.option(
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(FORMULATIONS),
-    help="How delays that are not whole frames are rounded.  [default: default]",
+    help="How delays that are not whole frames are rounded. released also divides FFI by 200000 "
+    "whatever the frames' size, which leaves little of FFI-GD at 480x270.  [default: default]",
 )
 engine_option = click.option(
     "--engine",
@@ -262,6 +276,17 @@ input_options = option_group(
     decoder_option,
     click.option("--start", type=Time(), help="Seconds or HH:MM:SS.mmm."),
     click.option("--end", type=Time(), help="Seconds or HH:MM:SS.mmm, excluded."),
+    click.option(
+        "--crop",
+        type=Rectangle(),
+        help="Look at this part of the picture only; X and Y are its upper left corner, in px.",
+    ),
+    click.option(
+        "--mask",
+        type=click.Path(exists=True, dir_okay=False),
+        metavar="FILE",
+        help="Ignore what is black in this picture, which covers the input, or its --crop.",
+    ),
     click.option(
         "--normalise",
         type=click.Choice(["absolute", "sequence"]),

@@ -60,6 +60,8 @@ def run(
                 (result,) = runs.run_models(
                     video, [setup], options, identity=identity, on_frame=on_frame, tell=say
                 )
+            if sampling := video.sampling():
+                say(f"{input_path}: {sampling}.")
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
             runs.require_an_answer(input_path, video, [setup], [result], options)

@@ -39,7 +39,8 @@ class ImageDecoder:
                 "it cannot be read as a picture",
                 "Remove it from the sequence or convert it to PNG.",
             )
-        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths))
+        kind = self._path.suffix[1:].lower()
+        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of every picture in seconds."""

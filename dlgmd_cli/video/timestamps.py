@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 # Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
 MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
+_ODD_SHARE = 0.05
 
 
 def missing_frames(times: Sequence[float], fps: float) -> str | None:
@@ -34,6 +36,35 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     return (
         f"about {n_missing} frames are missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
         f"{more}, damaged file or dropped frames; do not trust the response there"
+    )
+
+
+class Rhythm(NamedTuple):
+    """How frames follow each other, in frames a second.
+
+    `mean_fps` is of all, the others are those of the longest and of the shortest interval. The
+    rate `varies` if more than one interval in twenty is not like the others.
+    """
+
+    mean_fps: float
+    least_fps: float
+    most_fps: float
+    varies: bool
+
+
+def rhythm(times: Sequence[float]) -> Rhythm | None:
+    """How the frames at these times follow each other; None of fewer than two."""
+    if len(times) < 2:
+        return None
+    intervals = np.diff(times)
+    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # one that there is
+    # Times may be whole milliseconds.
+    n_odd = np.count_nonzero(np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3)
+    return Rhythm(
+        len(intervals) / (times[-1] - times[0]),
+        1.0 / float(intervals.max()),
+        1.0 / float(intervals.min()),
+        bool(n_odd > max(2, _ODD_SHARE * len(intervals))),
     )
 
 
