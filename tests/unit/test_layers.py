@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation", "reproduce"},
+    {"evaluation", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -35,12 +35,13 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
+    "jinja2": {"pages"},
+    "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
 EXCEPTIONS = {
     ("results/result.py", "dlgmd_cli.plots.traces"),
     ("results/result.py", "dlgmd_cli.plots.style"),
-    ("results/result.py", "matplotlib.figure"),
 }
 
 
