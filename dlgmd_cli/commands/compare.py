@@ -21,6 +21,7 @@ from dlgmd_cli.commands.console import (
 from dlgmd_cli.commands.options import (
     Output,
     engine_option,
+    input_argument,
     input_options,
     json_option,
     labelled,
@@ -104,7 +105,7 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
     cls=Command,
     epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @setup_options(
     _setups,
     click.option(

@@ -10,7 +10,13 @@ import click
 
 from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import Output, input_options, model_options, output_options
+from dlgmd_cli.commands.options import (
+    Output,
+    input_argument,
+    input_options,
+    model_options,
+    output_options,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import SourceError
 
@@ -53,7 +59,7 @@ def _video_file(value: str) -> Path:
     cls=Command,
     epilog="Example: dlgmd layers flight.mp4 --frames 1,50,65,75,80 --video layers.mp4",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @click.option(
     "--frames",
     "wanted",

@@ -16,6 +16,7 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     Output,
+    input_argument,
     input_options,
     json_option,
     model_options,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     cls=Command,
     epilog="Example: dlgmd run flight.mp4 --set 9 --scale 0.5 --start 00:00:10 --format pdf",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @model_options
 @input_options
 @output_options

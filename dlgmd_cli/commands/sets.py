@@ -2,13 +2,27 @@
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_table
+from dlgmd_cli.commands.console import Command, Group, print_table
 from dlgmd_cli.parameters import MODELS, PRESETS, DlgmdParameters
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
 
-@click.group(invoke_without_command=True, epilog="Example: dlgmd sets show 9 > my.yaml")
+class _Sets(Group):
+    """`dlgmd sets 9` is short for `dlgmd sets show 9`."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does; what is no command is a name to show."""
+        return super().resolve_command(ctx, args if args[0] in self.commands else ["show", *args])
+
+
+@click.group(
+    cls=_Sets,
+    invoke_without_command=True,
+    epilog="Example: dlgmd sets show 9 > my.yaml",
+)
 @click.pass_context
 def sets(ctx: click.Context) -> None:
     """List the paper's parameter sets (Table II), the other models and the presets."""
@@ -53,7 +67,9 @@ def show(name: str) -> None:
         origin = f"{MODELS[name].parameters.source}, and defaults."
     else:
         config = load_preset(name)
-        origin = f"Set {name}; Table II of {DlgmdParameters.source}, and defaults."
+        origin = (
+            f"Set {name.removeprefix('set')}; Table II of {DlgmdParameters.source}, and defaults."
+        )
     params = parameters_of(config)
     click.echo(f"# {origin}")
     click.echo(f"model: {params.model}")

@@ -21,6 +21,7 @@ from dlgmd_cli.commands.options import (
     engine_option,
     input_options,
     option_group,
+    optional_input_argument,
     output_options,
     width_option,
 )
@@ -71,7 +72,7 @@ cube_options = option_group(
     cls=Command,
     epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25",
 )
-@click.argument("input_path", metavar="[INPUT]", required=False)
+@optional_input_argument
 @click.option("--x", metavar="AXIS", required=True, help=_AXIS_HELP)
 @click.option("--y", metavar="AXIS", required=True, help="As --x.")
 @cube_options
