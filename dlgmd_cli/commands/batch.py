@@ -167,7 +167,7 @@ def batch(
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Run the model over every video below folders.
+    """Run models over every video in folders.
 
     A FOLDER may also be a video, or a URL of either, such as s3://bucket/flights; so may OUT.
 

@@ -94,11 +94,11 @@ def bench(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Time the model, as the paper's Table IV does, on this machine.
+    """Measure how long the model takes, as in the paper's Table IV.
 
-    Runs set 7 with each radius at each scale over INPUT, or over a 1080p clip of a panning camera
-    that it renders. Shows how long a frame takes: the core (the model alone), decoding (with
-    conversion to grey and resizing), and the whole, in which both run at once.
+    Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p clip of a panning
+    camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
+    grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
     from dlgmd_cli.parameters import load_set
     from dlgmd_cli.results.store import appearing, refuse_existing
@@ -180,6 +180,6 @@ def _show(measured: dict[str, Any]) -> None:
     width, height = measured["input_wh"]
     click.echo(
         f"Decoding {measured['frames']} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole takes "
-        f"{', '.join(shares)}."
+        f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole pipeline "
+        f"takes {', '.join(shares)}."
     )

@@ -30,7 +30,8 @@ SECTIONS = {
     "General": "quiet verbose debug version help",
 }
 # What click adds to the help of numbers, such as [0<x<=1]; errors name the range.
-_RANGE = re.compile(r"\s*\[[^\s\[\]|]*x[<>]?=?[^\s\[\]|]*\]$")
+_BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
+_RANGE = re.compile(rf"; {_BOUNDS}(?=\]$)|\s*\[{_BOUNDS}\]$")
 # Extra arguments that an error lists.
 _MAX_LISTED = 3
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.console import Command, note, print_path, say, warn
 from dlgmd_cli.commands.options import (
     Output,
     input_argument,
@@ -65,15 +65,15 @@ def _video_file(value: str) -> Path:
     "wanted",
     type=_frame_numbers,
     metavar="N,N,…",
-    help="Frames of the sheet, numbers from 0 in the input.",
+    help="Frames to show, counted from 0.",
 )
-@click.option("--npz", is_flag=True, help="Write those frames' layers as arrays, too.")
+@click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
     "film_path",
     type=_video_file,
     metavar="FILE",
-    help="Render input, S, G and MP as an .mp4.",
+    help="Write an .mp4 of the input, S, G and the membrane potential.",
 )
 @model_options
 @input_options
@@ -87,12 +87,12 @@ def layers(
     given: dict[str, Any],
     output: Output,
 ) -> None:
-    """Show the input, P, S and G as heat maps.
+    """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
-    INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'.
+    INPUT is as in 'dlgmd run'.
 
-    --frames writes OUT/NAME/ with a contact sheet and layers.yaml, with --npz also layers.npz.
-    --video writes a film of input, S and G above the running membrane potential.
+    --frames writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz.
+    --video writes a film of the input, S and G above the membrane potential.
     """
     frames = wanted or ()
     if not frames and film_path is None:
@@ -135,6 +135,8 @@ def layers(
                 result.warnings.extend(result.doubts() if film_path else [])
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
+            for line in video.notes():
+                note(f"{input_path}: {line}")
             if folder is not None and sheet is not None:
                 files = _files(result, sheet, output.formats, npz)
                 store.commit(folder, store.LAYERS, files, is_new_input=is_new)

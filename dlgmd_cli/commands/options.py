@@ -323,8 +323,8 @@ input_options = option_group(
         "--scale",
         type=FiniteRange(min=0, min_open=True, max=1),
         metavar="S",
-        help="Scale frames by S, at most 1, before the model sees them.  [default: "
-        f"down to the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
+        help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
+        f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
     ),
     click.option("--size", type=Size(), help="Scale frames to this size in px instead."),
     click.option(

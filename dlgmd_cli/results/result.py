@@ -1,6 +1,7 @@
 """`Result`: what a model said about a video, and everything that follows from it."""
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -360,11 +361,17 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 def _existing(folder: str | Path) -> Path:
     """The folder, which must be there."""
+    if not isinstance(folder, str | os.PathLike):
+        why = f"expected the folder of a result, not {type(folder).__name__}"
+        raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
     folder = Path(folder)
     try:
+        if folder.is_file():
+            why = "it is a file, not the folder of a result"
+            mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
+            raise ResultError(str(folder), why, mend)
         if not folder.is_dir():
-            why = "it is not a folder" if folder.exists() else "there is no such folder"
-            raise ResultError(str(folder), why, "Give one that 'dlgmd run' wrote.")
+            raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ResultError(str(folder)[:200], f"it cannot be read ({error})") from None
     return folder

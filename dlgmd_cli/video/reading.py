@@ -17,7 +17,7 @@ from dlgmd_cli.video.images import ImageDecoder
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
-from dlgmd_cli.video.timestamps import FrameClock, missing_frames
+from dlgmd_cli.video.timestamps import FrameClock, missing_frames, variable_rate
 
 # What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and gives
 # its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
@@ -206,11 +206,12 @@ class Video:
         *,
         rate_fps: float,
         skips_repeats: bool = False,
+        is_capped: bool = False,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.progress = Progress()
+        self.progress, self._rhythm, self._is_capped = Progress(), "", is_capped
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen pictures as decoded, each valid until the next one, to the end or a fault.
@@ -261,12 +262,25 @@ class Video:
                 after_gap = False
         else:
             fault = fault or self._shortfall()
+        self._rhythm = variable_rate(times) or ""
         reports = (
             *(clock.report(), missing_frames(times, fps), self._repetition()),
             fault and self._ending(fault),
         )
         progress.warnings += [line for line in reports if line]
         decoder.close()
+
+    def notes(self) -> list[str]:
+        """What was done about the frame rate of a video that was read, if nobody asked for it."""
+        lines = [self._rhythm] if self._rhythm else []
+        every = round(self.info.fps / self.rate_fps)
+        if self._is_capped and every > 1:
+            kth = {2: "2nd", 3: "3rd"}.get(every, f"{every}th")
+            lines.append(
+                f"of {self.info.fps:.4g} frames a second, every {kth} was processed, "
+                f"{self.rate_fps:.4g} a second (--fps all takes every frame)"
+            )
+        return lines
 
     def _repetition(self) -> str:
         """The warning for many repeats."""

@@ -8,6 +8,8 @@ import numpy as np
 # Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
 MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
+# Fewer intervals say nothing of a rate; so large a share of odd ones is no accident.
+_LEAST_INTERVALS, _VARIABLE_SHARE = 10, 0.1
 
 
 def missing_frames(times: Sequence[float], fps: float) -> str | None:
@@ -34,6 +36,26 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     return (
         f"about {n_missing} frames are missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
         f"{more}, damaged file or dropped frames; do not trust the response there"
+    )
+
+
+def variable_rate(times: Sequence[float]) -> str | None:
+    """One line on a frame rate that changes, or None.
+
+    It does if a tenth of the intervals differ from the median by a quarter and 2 ms: stamps in
+    whole milliseconds jitter.
+    """
+    intervals = np.diff(times)
+    if intervals.size < _LEAST_INTERVALS:
+        return None
+    median = float(np.median(intervals))
+    is_odd = np.abs(intervals - median) > 0.25 * median + 2e-3
+    if np.mean(is_odd) < _VARIABLE_SHARE:
+        return None
+    slow, fast = 1.0 / np.percentile(intervals, [95, 5])
+    return (
+        f"the frame rate varies, mostly from {slow:.3g} to {fast:.3g} frames a second; "
+        "every frame keeps its own time"
     )
 
 

@@ -49,7 +49,7 @@ def test_every_column_holds_what_it_says(dlgmd, clips, monkeypatch):
     assert found["decoding_alone_ms"] == 2.0
     shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
     assert "alone takes 2.000 ms per frame (opencv)" in shown
-    assert "With r = 2, the whole takes 2.50 times as long at 16x12." in shown
+    assert "With r = 2, the whole pipeline takes 2.50 times as long at 16x12." in shown
 
 
 def test_own_clip_is_compared_with_the_paper(dlgmd):
