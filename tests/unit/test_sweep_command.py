@@ -114,7 +114,7 @@ def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
     write_video(tmp_path / "late.avi", frames[:1] * 14 + frames, fourcc="FFV1")
     grid = ["--set", 9, "--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
     result = succeed(dlgmd, "sweep", "late.avi", *grid, "--no-plots", "--false-positive-frame", 5)
-    assert "inf: no membrane potential within 5 frames of the false positive" in result.stdout
+    assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
     found = [row["distinguishability"] for row in rows("dlgmd-out/sweep-late/sweep.csv")]
     assert found == ["inf", "inf", "", ""]
 
