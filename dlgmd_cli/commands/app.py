@@ -29,6 +29,7 @@ COMMANDS = (
     "evaluate",
     "calibrate",
     "bench",
+    "completion",
 )
 
 

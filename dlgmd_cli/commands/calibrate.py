@@ -25,6 +25,7 @@ from dlgmd_cli.commands.evaluate import (
     run_over,
 )
 from dlgmd_cli.commands.options import (
+    complete_key,
     input_options,
     json_option,
     model_options,
@@ -70,6 +71,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
     "searched",
     multiple=True,
     metavar="KEY=LOW:HIGH",
+    shell_complete=complete_key,
     help="Also search a parameter, or width_px; repeatable. Needs dlgmd[calibrate].",
 )
 @click.option(

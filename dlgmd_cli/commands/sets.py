@@ -18,6 +18,11 @@ class _Sets(Group):
         """As click does; what is no command is a name to show."""
         return super().resolve_command(ctx, args if args[0] in self.commands else ["show", *args])
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """What `show` takes, too."""
+        names = _complete_name(ctx, self.params[0], incomplete)
+        return [*super().shell_complete(ctx, incomplete), *names]
+
 
 @click.group(
     cls=_Sets,
