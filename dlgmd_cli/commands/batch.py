@@ -239,7 +239,7 @@ def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
     from dlgmd_cli.results.store import place
 
     if not out.strip():
-        raise ParameterError("--out", "it is empty", "Give the name of a folder.")
+        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
     if len(setups) == 1:
         return (out,)
     return tuple(str(place(out) / one.label) for one in setups)

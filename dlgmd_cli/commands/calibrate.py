@@ -184,7 +184,7 @@ def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int
     finally:
         search.close()
     if not trials:
-        raise Failed("no trial had parameters that go together.", EXIT_FAILED)
+        raise Failed("no trial had a valid combination of parameters.", EXIT_FAILED)
     return of_trials(work, courses, trials)
 
 
@@ -222,7 +222,7 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
             EXIT_FAILED,
         )
     if n_with < 20:
-        warn(f"{n_with} videos with a collision are few: what is found may not hold for others")
+        warn(f"only {n_with} videos have a collision; the calibration may not generalise")
 
 
 def _preset(

@@ -273,8 +273,8 @@ def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> 
     """After a stop, say what `target` holds and exit as interrupted."""
     if not cancel.requested():
         return
-    kept = "the whole result" if complete else f"the {n_frames} frames processed before the stop"
-    say(f"Interrupted. {target} holds {kept}.")
+    kept = f"the {n_frames} frames processed before the interruption"
+    say(f"Interrupted. {target} holds {'the whole result' if complete else kept}.")
     raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 
 

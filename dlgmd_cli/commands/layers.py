@@ -97,7 +97,7 @@ def layers(
     frames = wanted or ()
     if not frames and film_path is None:
         raise click.UsageError(
-            "nothing to make. Give --frames 1,50,65 for a sheet, --video film.mp4 for a video."
+            "nothing to do. Give --frames 1,50,65 for a figure, or --video film.mp4 for a film."
         )
     if not frames and npz:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")

@@ -62,7 +62,7 @@ class Time(click.ParamType):
         hours, minutes, seconds = (float(part or 0) for part in match.groups())
         time_s = hours * 3600 + minutes * 60 + seconds
         if not math.isfinite(time_s):
-            self.fail("no video is as long as that.", param, ctx)
+            self.fail("no video is that long.", param, ctx)
         return time_s
 
 
@@ -373,7 +373,7 @@ class Output:
 def _output(out: str, formats: tuple[str, ...], no_plots: bool, overwrite: bool) -> Output:
     """What the options ask for, each format once."""
     if not out.strip():
-        raise ParameterError("--out", "it is empty", "Give the name of a folder.")
+        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
     return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), overwrite)
 
 

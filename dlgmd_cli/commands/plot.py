@@ -198,7 +198,7 @@ def _read(
     are_compared = []
     for path, folder in zip(paths, folders, strict=True):
         if path.suffix.lower() == ".csv" and path.name != "compare.csv":
-            why = "it is one file of a result"
+            why = "is one file of a result"
             raise ResultError(str(path), why, "Give the folder that holds it.")
         has_run, has_comparison = (
             (folder / record).exists() for record in (store.RUN, store.COMPARISON)

@@ -219,7 +219,7 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
         if key in parse_overrides(asked["pairs"]):
             raise click.UsageError(f"--param sets {key}, which is an axis. Leave it out.")
         if key == "formulation" and asked["formulation"] is not None:
-            raise click.UsageError("--formulation sets what is an axis. Leave it out.")
+            raise click.UsageError("--formulation is an axis of the sweep. Leave it out.")
     return Grid(*axes)
 
 

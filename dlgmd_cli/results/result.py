@@ -312,7 +312,7 @@ def read_result(folder: str | Path) -> Result:
     record = read_record(folder / store.RUN)
     if not record:
         raise ResultError(
-            str(folder), f"it holds no result (no {store.RUN})", "Run 'dlgmd run' first."
+            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
         )
     columns: dict[str, Series] = {}
     for name in ("mp.csv", "attenuation.csv"):
@@ -337,7 +337,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     record = read_record(folder / store.COMPARISON)
     models = record.get("models")
     if not isinstance(models, list):
-        why = f"it holds no comparison (no {store.COMPARISON})"
+        why = f"contains no comparison (no {store.COMPARISON})"
         raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
     by_label = csv.read_comparison_columns(folder / "compare.csv")
     described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
@@ -367,13 +367,13 @@ def _existing(folder: str | Path) -> Path:
     folder = Path(folder)
     try:
         if folder.is_file():
-            why = "it is a file, not the folder of a result"
+            why = "is a file, not the folder of a result"
             mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
             raise ResultError(str(folder), why, mend)
         if not folder.is_dir():
             raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ResultError(str(folder)[:200], f"it cannot be read ({error})") from None
+        raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
     return folder
 
 
@@ -393,7 +393,7 @@ def _result(
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):
-        raise ResultError(str(path), "it does not say the processed size", "Run again.") from None
+        raise ResultError(str(path), "does not state the processed size", "Run again.") from None
     result = Result(
         columns["frame"].astype(np.int64),
         columns["time_s"],

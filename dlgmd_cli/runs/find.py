@@ -157,7 +157,7 @@ class _Search:
         try:
             is_folder = stat.S_ISDIR(Path(absolute).stat().st_mode)
         except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-            why = f"it cannot be read ({failure_text(error)})"
+            why = f"cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the path.") from None
         if is_folder:
             self._left_out.discard(_key_of(absolute))
@@ -172,10 +172,10 @@ class _Search:
             base.fs.invalidate_cache()
             listed = base.fs.find(top, detail=True)
         except Exception as error:  # every kind of URL has its own
-            why = f"it cannot be read ({failure_text(error)})"
+            why = f"cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the URL.") from None
         if not listed:
-            raise SourceError(root, "there is nothing", "Check the URL.")
+            raise SourceError(root, "nothing was found there", "Check the URL.")
         for path, facts in sorted(listed.items()):
             below = str(path)[len(top) :].removeprefix("/")
             name = "/".join(filter(None, (prefix, below))) or posixpath.basename(str(path))
@@ -315,7 +315,7 @@ def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
         try:
             there.fs.get_file(there.path, str(copy))  # type: ignore[union-attr]
         except Exception as error:
-            why = f"it cannot be copied to this machine ({failure_text(error)})"
+            why = f"cannot be copied to this machine ({failure_text(error)})"
             raise SourceError(path, why, "Check the URL, or make room.") from None
         yield str(copy)
 

@@ -301,21 +301,21 @@ def _check_readable(path: Path) -> None:
     if not path.exists():
         raise SourceError(name, "there is no such file or folder", "Check the path.")
     if path.is_fifo():
-        raise SourceError(name, "it is a pipe; only files are read", _RECORD)
+        raise SourceError(name, "is a pipe; only files are read", _RECORD)
     if path.is_char_device():
-        raise SourceError(name, "it is a device, such as a camera; only files are read", _RECORD)
+        raise SourceError(name, "is a device, such as a camera; only files are read", _RECORD)
     if not path.is_file():
-        raise SourceError(name, "it is neither a file nor a folder", "Give a video file.")
+        raise SourceError(name, "is neither a file nor a folder", "Give a video file.")
     try:
         with path.open("rb") as file:
             start = file.read(8)
     except OSError as error:
-        raise SourceError(name, f"it cannot be read ({error.strerror})") from None
+        raise SourceError(name, f"cannot be read ({error.strerror})") from None
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(_LISTS):
         raise SourceError(
-            name, "it is a list of other files, not a video", "Give one of the videos it names."
+            name, "is a list of other files, not a video", "Give one of the videos it names."
         )
 
 

@@ -36,7 +36,7 @@ class ImageDecoder:
         if first is None:
             raise SourceError(
                 str(self._path),
-                "it cannot be read as a picture",
+                "cannot be read as a picture",
                 "Remove it from the sequence or convert it to PNG.",
             )
         self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths))
@@ -85,7 +85,7 @@ def pictures_at(path: Path) -> list[Path] | None:
         try:
             found = list(path.iterdir())
         except OSError as error:
-            raise SourceError(str(path), f"it cannot be read ({error.strerror})") from None
+            raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
         why = "there is no picture in this folder"
         mend = "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG."

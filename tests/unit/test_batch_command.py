@@ -375,7 +375,7 @@ USAGE = [
     (["flights", "--jobs", 2, "--scheduler", "tcp://x:1"], "--jobs does not work with --sche"),
     (["flights", "--timeout", 2, "--scheduler", "tcp://x:1"], "--timeout does not work with"),
     (["flights", "--scheduler", "x y"], "'x y' is neither an address nor a scheduler file"),
-    (["flights", "--out", ""], "--out: it is empty"),
+    (["flights", "--out", ""], "--out: must not be empty"),
     (["flights", "--out", "nope://b/x"], "there is no kind of URL called nope://"),
     (["nope://b/x"], "there is no kind of URL called nope://"),
     (["flights", "--scale", 1, "--size", "9x9"], "--scale and --size exclude each other"),
@@ -399,7 +399,7 @@ def test_nothing_to_do(dlgmd, tmp_path):
             "there is no video. Give folders with .mp4, .avi, .mkv and the like, or with pictures "
             "of one size.",
         ),
-        ("none", "it cannot be read (No such file or directory). Check the path."),
+        ("none", "cannot be read (No such file or directory). Check the path."),
     ):
         result = dlgmd("batch", name)
         assert (result.exit_code, result.stderr) == (1, f"Error: {name}: {why}\n")
@@ -411,7 +411,7 @@ def test_an_unusable_out(dlgmd, flights):
     for out in ("file", "file/below"):
         result = dlgmd("batch", flights, *QUICK, "--out", out)
         assert result.exit_code == 1
-        assert result.stderr.startswith(f"Error: {out}: it cannot be written (")
+        assert result.stderr.startswith(f"Error: {out}: cannot be written (")
 
 
 def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
@@ -422,7 +422,7 @@ def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
     assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
     row = summary()["loom.avi"]
     assert row["status"] == "failed"
-    assert row["error"].startswith("it holds other files, such as thesis.tex")
+    assert row["error"].startswith("contains other files, such as thesis.tex")
     assert os.listdir("dlgmd-out/loom") == ["thesis.tex"]
 
 
@@ -485,7 +485,7 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     refused = {1}  # before it takes the time to compute
     result = dlgmd("batch", flights, *QUICK, "--force")
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
-    assert "summary.csv: it cannot be written (No space left on device)" in result.stderr
+    assert "summary.csv: cannot be written (No space left on device)" in result.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")

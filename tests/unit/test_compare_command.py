@@ -320,7 +320,7 @@ def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
     folder = tmp_path / "dlgmd-out" / "loom"
     assert record(folder)["complete"] is False
     assert [len(found) for found in rows(folder).values()] == [12, 12]
-    assert "holds the 12 frames processed before the stop" in result.stderr
+    assert "holds the 12 frames processed before the interruption" in result.stderr
     assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
 
 

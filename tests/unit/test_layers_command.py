@@ -155,7 +155,7 @@ def test_nothing_to_show(dlgmd, clips, options, why):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ([], "nothing to make. Give --frames 1,50,65 for a sheet, --video film.mp4 for a video."),
+        ([], "nothing to do. Give --frames 1,50,65 for a figure, or --video film.mp4 for a film."),
         (["--npz", "--video", "x.mp4"], "--npz writes the layers of --frames."),
         (["--frames", "1,,2"], "'' is not a frame number. Write 1,50,65."),
         (["--frames", "1.5"], "'1.5' is not a frame number."),

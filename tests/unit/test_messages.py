@@ -18,8 +18,8 @@ from dlgmd_cli.video.timestamps import variable_rate
         ("udp://0.0.0.0:5600", "live streams are not read", 2),
         ("https://example.org/flight.mp4", "URLs are not read here", 2),
         ("-", "standard input is not read", 2),
-        ("pipe", "it is a pipe", 1),
-        ("/dev/null", "it is a device", 1),
+        ("pipe", "is a pipe", 1),
+        ("/dev/null", "is a device", 1),
     ],
 )
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
