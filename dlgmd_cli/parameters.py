@@ -253,7 +253,7 @@ class DlgmdParameters(DistributedParameters):
     m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
-    kappa: float = _key(0.000251, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
+    kappa: float = _key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = _key(
         *("default", "–", "–", "how delays that are not whole frames are rounded"),
         choices=FORMULATIONS,
@@ -360,7 +360,7 @@ class EmdLgmdParameters(Parameters):
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
     kappa: float = _key(
-        0.00191, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
+        0.0021, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
     )
 
 

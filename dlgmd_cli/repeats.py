@@ -52,9 +52,12 @@ class RepeatDetector:
     than there were before: one at first, and as many as such a run had when the change rose again
     after it, as it does when a repeat is over. Nothing is a repeat before the first change, and no
     more than 11 pictures in a row are.
+
+    Pixels where `hidden`, (H, W), is True are not looked at.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hidden: npt.NDArray[np.bool_] | None = None) -> None:
+        self._hidden = hidden
         self.reset()
 
     def reset(self) -> None:
@@ -66,7 +69,10 @@ class RepeatDetector:
     def step(self, image: npt.NDArray[Any]) -> bool:
         """Whether a picture, (H, W) or (H, W, 3) of any type, repeats the one before."""
         before = self._rows
-        rows = self._rows = np.array(image[:: max(1, len(image) // _N_ROWS)])
+        every = max(1, len(image) // _N_ROWS)
+        rows = self._rows = np.array(image[::every])
+        if self._hidden is not None:
+            rows[self._hidden[::every]] = 0
         if before is None or before.shape != rows.shape or before.dtype != rows.dtype:
             return False
         change = cv2.norm(rows, before)

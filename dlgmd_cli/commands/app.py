@@ -18,6 +18,7 @@ from dlgmd_cli.commands.console import (
 
 COMMANDS = (
     "run",
+    "info",
     "batch",
     "plot",
     "compare",
@@ -29,6 +30,7 @@ COMMANDS = (
     "evaluate",
     "calibrate",
     "bench",
+    "reproduce",
     "completion",
 )
 

@@ -167,8 +167,8 @@ def compare(
             warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
             for warning in warnings:
                 warn(f"{input_path}: {warning}")
-            for line in video.notes():
-                note(f"{input_path}: {line}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
             record = _record(results, warnings, annotations)
             column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
             files = _files(results, record, output, partial(_figure, annotations, column, width))
@@ -181,7 +181,9 @@ def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> lis
     """What is doubtful, a line each; with the label where it is not so of every result."""
     lines = []
     for one in setups:
-        left_out = [key for key in one.options.to_record() if key not in ("scale", "size")]
+        left_out = [
+            key for key in one.options.to_record() if key not in ("scale", "size", "mask_sha256")
+        ]
         if left_out:
             lines.append(
                 f"{one.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
@@ -207,13 +209,13 @@ def _record(
         if annotations.false_positive_frame is not None:
             ratio = result.distinguishability(annotations.false_positive_frame)
             summary["distinguishability"] = _defined(ratio)
+        processed = result.record["processed"]
         models.append(
             {
                 "label": label,
                 "model": result.record["model"],
                 "engine": result.record["engine"],
-                "width": result.record["processed"]["width"],
-                "height": result.record["processed"]["height"],
+                **{key: processed[key] for key in ("width", "height", "cells") if key in processed},
                 **result.params.to_dict(),
                 "summary": summary,
             }

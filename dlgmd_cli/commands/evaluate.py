@@ -286,7 +286,8 @@ def given_record(given: Mapping[str, Any]) -> dict[str, Any]:
 def _described(field: "Field", label: str) -> dict[str, Any]:
     """What the record says of a candidate."""
     one = field.candidates[label]
-    size = {key: one.record["processed"][key] for key in ("width", "height")}
+    processed = one.record["processed"]
+    size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
     if one.params is None:
         return {"label": label, "n_sp": one.n_sp, **size}
     return {"label": label, "model": one.params.model, **one.params.to_dict(), **size}

@@ -135,8 +135,8 @@ def layers(
                 result.warnings.extend(result.doubts() if film_path else [])
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
-            for line in video.notes():
-                note(f"{input_path}: {line}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
             if folder is not None and sheet is not None:
                 files = _files(result, sheet, output.formats, npz)
                 store.commit(folder, store.LAYERS, files, is_new_input=is_new)

@@ -22,7 +22,7 @@ from dlgmd_cli.parameters import (
     parse_overrides,
     preset_names,
 )
-from dlgmd_cli.video.base import DECODERS, REPEATS, parse_size
+from dlgmd_cli.video.base import DECODERS, REPEATS, Crop, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
@@ -41,6 +41,19 @@ class Size(click.ParamType):
         """`480x270` -> (480, 270)."""
         try:
             return parse_size(str(value))
+        except ParameterError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Rectangle(click.ParamType):
+    """A part of a picture in px, as 640x360+0+60."""
+
+    name = "WxH+X+Y"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Crop:
+        """`640x360+0+60` -> Crop(640, 360, 0, 60)."""
+        try:
+            return parse_crop(str(value))
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
@@ -186,8 +199,9 @@ MODEL_HELP = "A model with its published parameters; dlgmd means set 9."
 FORMULATION_HELP = (
     "How inhibition is computed where its delay is not a whole number of frames. default: delays "
     "are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
-    "released: exactly as in the released code. equations: interpolated, as the paper's equations "
-    "read literally."
+    "released: exactly as in the released code, which also divides FFI by 200000 whatever the "
+    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
+    "equations read literally."
 )
 
 
@@ -349,6 +363,17 @@ input_options = option_group(
         help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
     ),
     decoder_option,
+    click.option(
+        "--crop",
+        type=Rectangle(),
+        help="Use only this part of the picture; X and Y are its upper left corner in px.",
+    ),
+    click.option(
+        "--mask",
+        type=click.Path(exists=True, dir_okay=False),
+        metavar="FILE",
+        help="Ignore what is black in this picture, which is scaled to the input or to --crop.",
+    ),
     click.option(
         "--normalise",
         type=click.Choice(["absolute", "sequence"]),

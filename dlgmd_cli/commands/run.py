@@ -66,8 +66,8 @@ def run(
                 )
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
-            for line in video.notes():
-                note(f"{input_path}: {line}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
             for line in details(result):
                 detail(line)
             runs.require_an_answer(input_path, video, [setup], [result], options)

@@ -15,6 +15,7 @@ from dlgmd_cli.parameters import BASELINES, MODELS, DlgmdParameters, Parameters,
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
+Flags = npt.NDArray[np.bool_]
 
 CACHE_LINE = 64
 _TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
@@ -104,6 +105,24 @@ class Model:
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""
         self._receptors.reset()
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Leave out some cells of all frames to come, which `reset` does not change.
+
+        Such cells have P = 0 and S = 0 whatever they show, and do not count as cells: they are
+        treated as the surroundings of the frame are.
+
+        Parameters
+        ----------
+        hidden : ndarray, shape (H, W), bool, or None
+            True where a cell is left out; None if all cells count.
+        """
+        self._receptors.hide(hidden)
+
+    @property
+    def n_cells(self) -> int:
+        """How many cells of the newest frame count."""
+        return self._receptors.n_cells
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
@@ -207,6 +226,8 @@ class Photoreceptors:
         The newest frame and the one before it; `previous` from frame 1 on.
     stack : ndarray, shape (depth, H, W), of the frames' type unless `_stack_type` says another
         The P, in levels of 0..255 or of 0..1; the newest takes the place of the oldest.
+    hidden : ndarray, shape (H, W), bool, or None
+        True where a cell is left out, see `Model.ignore`.
     """
 
     _stack_type: npt.DTypeLike | None = None
@@ -214,6 +235,8 @@ class Photoreceptors:
     current: Grey
     previous: Grey
     stack: Grey
+    hidden: Flags | None = None
+    _n_hidden = 0
 
     def __init__(self, depth: int) -> None:
         self._depth = depth
@@ -225,6 +248,21 @@ class Photoreceptors:
         self._newest = 0
         self._p_sums: deque[float] = deque(maxlen=self._depth)
 
+    def hide(self, hidden: Flags | None) -> None:
+        """Leave out the cells where this is True, see `Model.ignore`."""
+        self.hidden = None if hidden is None else np.ascontiguousarray(hidden, np.bool_)
+        self._n_hidden = 0 if hidden is None else int(np.count_nonzero(hidden))
+
+    @property
+    def n_cells(self) -> int:
+        """How many cells of the newest frame are not hidden."""
+        return self.current.size - self._n_hidden
+
+    def clear(self, image: Grey) -> None:
+        """Write 0 into the hidden cells of an image, (H, W)."""
+        if self.hidden is not None:
+            image[self.hidden] = 0
+
     def take(self, luminance: Grey) -> None:
         """Look at the next frame; raises FrameError as `Model.step` does."""
         self._check(luminance)
@@ -234,6 +272,7 @@ class Photoreceptors:
             self.stack = aligned((self._depth, *shape), self._stack_type or dtype)
         self.current, self.previous = self.previous, self.current
         np.copyto(self.current, luminance)
+        self.clear(self.current)
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth
@@ -270,6 +309,9 @@ class Photoreceptors:
                 "(H, W)",
                 "Give luminance in 0..1, for example gray.astype(np.float32) / 255.",
             )
+        if self.hidden is not None and self.hidden.shape != luminance.shape:
+            why = f"the cells to ignore are {self.hidden.shape}, the frame is {luminance.shape}"
+            raise FrameError("frame", why, "Give both in the same shape.")
         if self.frame < 0:
             return
         for name, given, before in (

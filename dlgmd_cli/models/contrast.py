@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import (
+    Flags,
     FloatImage,
     Grey,
     Photoreceptors,
@@ -76,16 +77,21 @@ class ContrastDLGMD(Distributed):
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         params = checked_params(params, ContrastParameters)
-        super().__init__(params, engine, tell)
+        super().__init__(params, engine, tell, least_delay=1)  # F(t) looks one frame back
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Leave out some cells, see `Model.ignore`; σ, ν and w are those of the others."""
+        super().ignore(hidden)
+        self._weights = None
 
     def _respond(self, images: Images | None) -> Response:
         """S and G of the newest frame, and their sums."""
         receptors, threshold = self._receptors, self._threshold()
         shape = receptors.current.shape
         if self._weights is None or self._weights.shape != shape:
-            self._weights = centre_weights(shape, self.params.sigma_c)
+            self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
             self._spare = aligned(shape), aligned(shape)
         s, g = images or self._spare
         s_sum, _ = self._engine.respond(receptors, Counting(threshold), (s, g))
@@ -99,8 +105,10 @@ class ContrastDLGMD(Distributed):
         return max(self.params.c_s * self._receptors.sigma, self.params.s_min)
 
 
-def centre_weights(shape: tuple[int, ...], sigma: float) -> FloatImage:
+def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = None) -> FloatImage:
     """How much each cell counts, (H, W): a Gaussian about the centre, 1 on average.
+
+    Where `hidden`, (H, W), is True, it is 0; the average is that of the other cells.
 
     `sigma` is its standard deviation in halves of the longer side.
     """
@@ -108,13 +116,23 @@ def centre_weights(shape: tuple[int, ...], sigma: float) -> FloatImage:
     longer = max(shape)
     y, x = ((np.arange(side) - (side - 1) / 2) / (longer / 2) for side in (height, width))
     weights = np.outer(np.exp(-(y**2) / (2 * sigma**2)), np.exp(-(x**2) / (2 * sigma**2)))
+    if hidden is not None:
+        weights[hidden] = 0.0
+        return np.asarray(weights / weights[~hidden].mean(), np.float32)
     return np.asarray(weights / weights.mean(), np.float32)
 
 
-def lower_quartile(image: Grey) -> float:
-    """What three quarters of the values reach, over some of the cells where there are many."""
+def lower_quartile(image: Grey, hidden: Flags | None = None) -> float:
+    """What three quarters of the values reach, over some of the cells where there are many.
+
+    Where `hidden`, (H, W), is True, a cell does not count.
+    """
     step = max(1, math.isqrt(image.size // MAX_QUARTILE_CELLS))
     values = image[::step, ::step].ravel()
+    if hidden is not None:
+        values = values[~hidden[::step, ::step].ravel()]
+        if values.size == 0:  # so few cells that none of those looked at is among them
+            values = image[~hidden]
     return float(np.partition(values, values.size // 4)[values.size // 4])
 
 
@@ -161,7 +179,7 @@ class ContrastReceptors(Photoreceptors):
             self.sigma = self._deviation(self.previous)
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
         change = cv2.absdiff(self.current, self.previous)
-        self.noise = smoothed(self.noise, lower_quartile(change) * self.unit, weight)
+        self.noise = smoothed(self.noise, lower_quartile(change, self.hidden) * self.unit, weight)
         np.subtract(change, np.float32(self._floor() / self.unit), out=out)
         cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
         p_sum = cv2.sumElems(out)[0]
@@ -179,4 +197,5 @@ class ContrastReceptors(Photoreceptors):
 
         As float32, so that it stays the same to the last bit when all cells get brighter alike.
         """
-        return float(np.float32(cv2.meanStdDev(frame)[1][0, 0] * self.unit))
+        counted = None if self.hidden is None else (~self.hidden).view(np.uint8)
+        return float(np.float32(cv2.meanStdDev(frame, mask=counted)[1][0, 0] * self.unit))

@@ -78,7 +78,7 @@ class DLGMD(Distributed):
         is_literal = params.formulation == "equations"
         t_de = 0.0
         if params.ffi_gd:
-            cells = RELEASED_CELLS if self._released else receptors.current.size * params.m
+            cells = RELEASED_CELLS if self._released else receptors.n_cells * params.m
             t_de = receptors.p_sum(self._ffi_delay) * params.t0 / cells
         if not is_literal:
             t_de = min(t_de, MAX_T_DE)

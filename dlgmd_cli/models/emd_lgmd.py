@@ -90,7 +90,7 @@ class EmdLGMD(Model):
         np.maximum(motion, 0.0, out=motion)
         s_sum = cv2.sumElems(motion)[0]
         size = np.abs(change)
-        ffi = np.count_nonzero(size > np.float32(self.params.f_active)) / size.size
+        ffi = np.count_nonzero(size > np.float32(self.params.f_active)) / receptors.n_cells
         gain = math.exp(-self.params.c * ffi)
         shown = Layers(change, motion, motion * np.float32(gain)) if layers else None
         return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown)

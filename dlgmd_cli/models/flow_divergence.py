@@ -57,11 +57,13 @@ class FlowDivergence(Model):
         divergence = np.zeros(flow.shape[:2], np.float32)
         divergence[:, 1:-1] += (flow[:, 2:, 0] - flow[:, :-2, 0]) / 2
         divergence[1:-1] += (flow[2:, :, 1] - flow[:-2, :, 1]) / 2
+        receptors.clear(divergence)
         duration_s = 1.0
         if time_s is not None and before_s is not None and time_s > before_s:
             duration_s = time_s - before_s
         mp = max(float(divergence.sum(dtype=np.float64)), 0.0) / duration_s
         speed = np.hypot(flow[..., 0], flow[..., 1])
+        receptors.clear(speed)
         shown = None
         if layers:
             p = receptors.p(0).astype(np.float32) * np.float32(receptors.unit)

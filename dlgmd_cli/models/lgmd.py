@@ -75,8 +75,9 @@ class LGMD(Model):
         if self._receptors.frame < self.first_valid_frame:
             return undefined(p_sum, Layers(p.copy()) if layers else None)
         s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=cv2.BORDER_CONSTANT)
+        self._receptors.clear(s)
         g = self._group(s)
-        ffi = cv2.norm(self._p[1], cv2.NORM_L1) / p.size
+        ffi = cv2.norm(self._p[1], cv2.NORM_L1) / self.n_cells
         if ffi > self.params.t_ffi:
             g[:] = 0.0
         mp = cv2.norm(g, cv2.NORM_L1)
@@ -102,6 +103,7 @@ class LGMD(Model):
     def _group(self, s: FloatImage) -> FloatImage:
         """G̃ of S."""
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)
+        self._receptors.clear(ce)
         omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega
         g = cv2.multiply(s, ce, dst=ce, scale=1.0 / omega)
         cv2.threshold(g, just_below(self._threshold), 0.0, cv2.THRESH_TOZERO, dst=g)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import Grey, Photoreceptors, Response, aligned, checked_params
+from dlgmd_cli.models.base import Flags, Grey, Photoreceptors, Response, aligned, checked_params
 from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import AUTO, Counting
@@ -55,6 +55,12 @@ class OnOffDLGMD(DLGMD):
         super().reset()
         for pathway in self._pathways:
             pathway.reset()
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Leave out some cells, see `Model.ignore`."""
+        super().ignore(hidden)
+        for pathway in self._pathways:
+            pathway.hide(hidden)
 
     def _take(self, luminance: Grey) -> None:
         """Show the next frame to both pathways, too."""

@@ -92,7 +92,7 @@ def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
     Raises
     ------
     ResultError
-        If it cannot be read, has another header, or holds something else than frames in order.
+        If cannot be read, has another header, or holds something else than frames in order.
     """
     return _checked(path, header, [row for _, row in _rows(path, header)])
 

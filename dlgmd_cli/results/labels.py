@@ -52,7 +52,7 @@ def read_labels(path: Path) -> list[Label]:
     Raises
     ------
     ResultError
-        If it cannot be read, or holds something else.
+        If cannot be read, or holds something else.
     """
     try:
         # Spreadsheets may begin a file with a byte order mark.

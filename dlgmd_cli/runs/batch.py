@@ -212,10 +212,11 @@ def _differing(record: Mapping[str, Any], setup: Setup, options: InputOptions) -
         asked["engine"] = setup.engine
     wanted, found = options.to_record(), record.get("options")
     found = found if isinstance(found, dict) else {}
+    differing = [key for key in {**wanted, **found} if wanted.get(key) != found.get(key)]
+    # The mask's file has changed, or there was another.
+    named = dict.fromkeys(key.removesuffix("_sha256").replace("_", "-") for key in differing)
     return [key for key, value in asked.items() if record.get(key) != value] + [
-        f"--{key}".replace("_", "-")
-        for key in {**wanted, **found}
-        if wanted.get(key) != found.get(key)
+        f"--{name}" for name in named
     ]
 
 

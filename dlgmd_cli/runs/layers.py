@@ -42,6 +42,7 @@ def run_layers(
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
     repeated = bytearray()
     stops_early = False
+    model.ignore(video.hidden())
     # The decoder has threads of its own; OpenCV's would only be in its way.
     with opencv_threads(1), read_ahead(video) as ahead:
         for frame in ahead:

@@ -87,7 +87,7 @@ class Setup:
         """Width and height in px at which it sees a video: as asked for, else its own."""
         asked = self.options if options.scale is None and options.size is None else options
         return processed_size(
-            *(video.info.width, video.info.height),
+            *video.source_wh,
             scale=asked.scale,
             size_wh=asked.size,
             width_px=self.width_px,
@@ -232,8 +232,8 @@ def run(
     on_frame : callable, optional
         Called after each frame with the number of frames of the input that are done.
     options
-        `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds) and
-        `normalise`, as `dlgmd run --help` explains them.
+        `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds), `crop`,
+        `mask` and `normalise`, as `dlgmd run --help` explains them.
 
     Returns
     -------
@@ -345,6 +345,8 @@ def run_models(
     """
     models = [create_model(one.params, engine=one.engine, tell=tell) for one in setups]
     sizes = [one.size_on(video, options) for one in setups]
+    for model, size_wh in zip(models, sizes, strict=True):
+        model.ignore(video.hidden(size_wh))
     rows, repeated = [array("d") for _ in setups], bytearray()
     complete = _feed(video, models, sizes, rows, repeated, on_frame)
     if not complete and not rows[0]:
@@ -460,6 +462,9 @@ def input_record(
     repeats: dict[str, Any] = {}
     if progress.n_repeats is not None:
         repeats["repeats"] = sum(repeated) if n_read else progress.n_repeats
+    processed = {"width": size_wh[0], "height": size_wh[1], "frames": n_processed}
+    if (hidden := video.hidden(size_wh)) is not None:
+        processed["cells"] = int(np.count_nonzero(~hidden))
     if any(repeated):
         repeats["repeated_rows"] = packed_flags(repeated)
     return {
@@ -474,7 +479,7 @@ def input_record(
             **repeats,
             **identity,
         },
-        "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n_processed},
+        "processed": processed,
     }
 
 

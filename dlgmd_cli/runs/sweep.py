@@ -149,6 +149,7 @@ class _Probe:
     columns: tuple[str, ...]
     options: Mapping[str, Any]
     false_positive_frame: int | None
+    hidden: npt.NDArray[np.bool_] | None = None
 
     def __call__(self, batch: Sequence[Point], tell: Tell = _nothing) -> list[tuple[int, Values]]:
         """The numbers of some points, and for each clip the values of the columns."""
@@ -158,6 +159,7 @@ class _Probe:
     def _values(self, params: Parameters, tell: Tell) -> Values:
         """For each clip, the values of the columns."""
         model = create_model(params, engine=self.engine, tell=tell)
+        model.ignore(self.hidden)
         values = []
         for clip in self.clips:
             model.reset()
@@ -182,7 +184,9 @@ class _Probe:
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
         height, width = frames["grey"].shape[1:]
-        record = {"processed": {"width": width, "height": height}, "options": self.options}
+        n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
+        size = {"width": width, "height": height, "cells": width * height - n_hidden}
+        record = {"processed": size, "options": self.options}
         clock, sums = (frames["frame"], frames["time_s"]), (p_sum, s_sum, attenuation_db)
         result = Result(*clock, mp, *sums, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
@@ -320,6 +324,7 @@ class Sweep:
                     tuple(self.result.columns),
                     subject.asked.to_record(),
                     subject.settings.get("false_positive_frame"),
+                    None if subject.video is None else subject.video.hidden(),
                 )
                 with (
                     progress(f"sweep {subject.name}", len(self.points), "point") as on_point,

@@ -31,11 +31,24 @@ _FORMATS = (
 FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FORMATS)}
 
 
+class Crop(NamedTuple):
+    """A rectangle of a picture, in px; `x` and `y` are those of its upper left corner."""
+
+    width: int
+    height: int
+    x: int
+    y: int
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}+{self.x}+{self.y}"
+
+
 class Facts(NamedTuple):
     """What a decoder learns when it opens an input; None where the input states nothing.
 
     `width` and `height` are those of its first frame as it is shown. `shown_s` is the length of
     the part that is shown, in seconds, where an edit list may hide the rest; infinite otherwise.
+    `codec` is FFmpeg's name of it, or the four letters in the file where that is all there is.
     """
 
     width: int
@@ -43,6 +56,7 @@ class Facts(NamedTuple):
     fps: float | None
     n_frames: int | None
     shown_s: float = math.inf
+    codec: str = ""
 
 
 class Unreadable(Exception):  # noqa: N818
@@ -63,6 +77,15 @@ def parse_size(text: str) -> tuple[int, int]:
     if match is None:
         raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
     return int(match[1]), int(match[2])
+
+
+def parse_crop(text: str) -> Crop:
+    """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
+    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})\+(\d{1,6})\+(\d{1,6})", text.strip(), re.ASCII)
+    if match is None or not int(match[1]) or not int(match[2]):
+        mend = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
+        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT+X+Y", mend)
+    return Crop(*map(int, match.groups()))
 
 
 def plausible_fps(fps: float) -> float | None:

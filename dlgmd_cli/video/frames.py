@@ -6,7 +6,7 @@ import numbers
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,17 @@ from dlgmd_cli.video.base import (
     DEFAULT_DECODER,
     FALLBACK_FPS,
     REPEATS,
+    Crop,
     Unreadable,
     openable,
+    parse_crop,
     parse_size,
 )
 from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
 from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo, least_gap
+from dlgmd_cli.video.region import Region, read_mask
 
 __all__ = [
     "Frame",
@@ -67,7 +70,9 @@ class InputOptions:
     """What is read of an input, and which normalised membrane potential is thresholded.
 
     None stands for the default everywhere. `scale`, `size` and so on are those of `open_video`;
-    `fps` may be `all`, `normalise` is `absolute` or `sequence`.
+    `fps` may be `all`, `normalise` is `absolute` or `sequence`. A `crop` may be given as text; a
+    `mask` is held as an absolute path. `mask_sha256` is always that of the file, so that a record
+    tells whether the mask has changed.
 
     Raises
     ------
@@ -83,12 +88,21 @@ class InputOptions:
     decoder: str | None = None
     start: float | None = None
     end: float | None = None
+    crop: Crop | None = None
+    mask: str | None = None
+    mask_sha256: str | None = field(default=None, repr=False)
     normalise: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
             text = self.size if isinstance(self.size, str) else shown(self.size)
             object.__setattr__(self, "size", parse_size(text))
+        if not isinstance(self.crop, Crop | None):
+            text = self.crop if isinstance(self.crop, str) else shown(self.crop)
+            object.__setattr__(self, "crop", parse_crop(text))
+        if isinstance(self.mask, str | os.PathLike):
+            object.__setattr__(self, "mask", os.path.abspath(self.mask))
+        object.__setattr__(self, "mask_sha256", _digest(self.mask))
         for name, value in vars(self).items():
             why = "" if value is None else _why_wrong(name, value)
             if why:
@@ -102,7 +116,7 @@ class InputOptions:
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
         """The options that a record holds; raises ParameterError, which names `origin`."""
-        known = {field.name for field in fields(cls)}
+        known = {one.name for one in fields(cls)}
         for key in record:
             if key not in known:
                 raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
@@ -120,7 +134,11 @@ class InputOptions:
     def to_record(self) -> dict[str, Any]:
         """The options that are not left to the default, as a record holds them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
-        return values | ({} if self.size is None else {"size": "{}x{}".format(*self.size)})
+        if self.size is not None:
+            values["size"] = "{}x{}".format(*self.size)
+        if self.crop is not None:
+            values["crop"] = str(self.crop)
+        return values
 
     def open(
         self,
@@ -146,7 +164,17 @@ class InputOptions:
             repeats=self.repeats or (None if model_fps else "keep"),
             input_fps=self.input_fps,
             decoder=self.decoder or DEFAULT_DECODER,
+            crop=self.crop,
+            mask=self.mask,
         )
+
+
+def _digest(mask: Any) -> str | None:
+    """The SHA-256 of a file; None if there is none, which is for `open_video` to say."""
+    try:
+        return hashlib.sha256(Path(mask).read_bytes()).hexdigest()
+    except (OSError, TypeError, ValueError):
+        return None
 
 
 def _why_wrong(name: str, value: Any) -> str:
@@ -157,6 +185,8 @@ def _why_wrong(name: str, value: Any) -> str:
         low, high, words = _RANGES[name]
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         return "" if is_number and low <= value <= high else words
+    if name == "mask":
+        return "" if isinstance(value, str) else "a picture's file"
     choices = _CHOICES.get(name, (value,))
     return "" if value in choices else f"one of {', '.join(choices)}"
 
@@ -175,6 +205,8 @@ def open_video(
     max_frames: int | None = None,
     input_fps: float | None = None,
     decoder: str = DEFAULT_DECODER,
+    crop: Crop | str | None = None,
+    mask: str | os.PathLike[str] | None = None,
 ) -> Video:
     """Frames of a video, a folder or a pattern, ready for a model.
 
@@ -205,6 +237,12 @@ def open_video(
         Frames per second of pictures, or of a video that does not state it; 30 unless given.
     decoder : {"opencv", "pyav"}
         What decodes a video; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
+    crop : str, optional
+        The rectangle of each picture that is read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and
+        `width_px` are relative to it.
+    mask : path, optional
+        A picture whose black marks what models are to ignore, see `Video.hidden`; it covers the
+        rectangle, and is scaled if it has another size.
 
     Returns
     -------
@@ -214,12 +252,16 @@ def open_video(
     Raises
     ------
     SourceError
-        If nothing can be decoded.
+        If nothing can be decoded, or the crop reaches outside the picture.
     ParameterError
-        If an option is out of range, or the path is that of a stream.
+        If an option is out of range, the path is that of a stream, or the mask is no picture or
+        leaves nothing.
     MissingExtraError
         If the decoder's package is not installed.
     """
+    if isinstance(crop, str):
+        crop = parse_crop(crop)
+    masked = None if mask is None else read_mask(os.fspath(mask))
     Selection(start_s, end_s)  # complains before the input is opened
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
@@ -244,22 +286,27 @@ def open_video(
         decoder = DEFAULT_DECODER
     opened = reopen()
     try:
-        width, height, fps, n_frames, _ = opened.facts
+        width, height, fps, n_frames, *_ = opened.facts
         fps = fps or input_fps or FALLBACK_FPS
-        is_capped = max_fps is None and model_fps is not None and pictures is None
         if max_fps is None:
+            is_capped = model_fps is not None and pictures is None
             max_fps = _SLACK * model_fps if is_capped else math.inf  # type: ignore[operator]
         every, least_gap_s = least_gap(fps, max_fps)
         info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
-        size = processed_size(width, height, scale=scale, size_wh=size_wh, width_px=width_px)
+        if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
+            why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
+            raise SourceError(str(path), why, "Choose a rectangle inside them.")
+        region = Region((width, height), crop, masked)
+        size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
+        region.hidden(size)  # complains if nothing is left
     except BaseException:
         opened.close()
         raise
     video = Video(
         *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, least_gap_s)),
+        region=region,
         rate_fps=fps / every,
         skips_repeats=repeats == "skip" or (repeats is None and pictures is None),
-        is_capped=is_capped,
     )
     if pictures is not None and input_fps is None:
         line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"

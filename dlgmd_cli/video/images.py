@@ -39,7 +39,8 @@ class ImageDecoder:
                 "cannot be read as a picture",
                 "Remove it from the sequence or convert it to PNG.",
             )
-        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths))
+        kind = self._path.suffix[1:].lower()
+        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
         """The time of every picture in seconds."""
@@ -63,7 +64,7 @@ class ImageDecoder:
 
 
 def read_image(path: Path) -> Image | None:
-    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
+    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if cannot be read."""
     try:
         # Not imread: it cannot open every file name.
         data = np.frombuffer(path.read_bytes(), np.uint8)

@@ -56,6 +56,7 @@ class OpenCVDecoder:
             plausible_fps(capture.get(cv2.CAP_PROP_FPS)),
             int(count) if 0 < count < 1e9 else None,
             _shown_s(Path(name), capture.get(cv2.CAP_PROP_BITRATE)),
+            _four_letters(int(capture.get(cv2.CAP_PROP_FOURCC))),
         )
 
     def _first(self) -> Image:
@@ -95,6 +96,12 @@ class OpenCVDecoder:
     def close(self) -> None:
         """Free the file; may be called twice."""
         self._capture.release()
+
+
+def _four_letters(code: int) -> str:
+    """A FOURCC as text, without what is not printable."""
+    letters = (code & 0xFFFFFFFF).to_bytes(4, "little").decode("latin-1")
+    return "".join(filter(str.isprintable, letters)).strip()
 
 
 def _shown_s(file: Path, kbit_per_s: float) -> float:

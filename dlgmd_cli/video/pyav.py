@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Generator, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +26,19 @@ if TYPE_CHECKING:
 
 # As many as OpenCV accepts. A stream cut out of another begins with many that give no picture.
 _MAX_BAD_PACKETS = 4096
+# A stream says of each frame whether its two fields were taken one after the other.
+_N_FIELD_FRAMES = 8
 _COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
 _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+
+
+class Details(NamedTuple):
+    """How a stream is encoded: `pixel_format` is FFmpeg's name, `n_bits` those of a sample."""
+
+    codec: str
+    pixel_format: str
+    n_bits: int
+    is_interlaced: bool
 
 
 class PyAVDecoder:
@@ -121,6 +132,14 @@ class PyAVDecoder:
             raise Unreadable(f"the picture size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame)
 
+    def details(self) -> Details:
+        """How the stream is encoded, after the first few frames; these are taken."""
+        some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
+        is_interlaced = any(frame.interlaced_frame for frame in some)
+        pixels = self._frame.format
+        n_bits = max(component.bits for component in pixels.components)
+        return Details(self.facts.codec, pixels.name, n_bits, is_interlaced)
+
     def close(self) -> None:
         """Free the file; may be called twice."""
         # What still reads from the container has to end first, or it would crash.
@@ -180,7 +199,8 @@ def _facts(container: "InputContainer", stream: "VideoStream", size: tuple[int, 
     length_s = _length_s(container, stream)
     n_frames = stream.frames or round(length_s * (fps or 0.0))
     has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
-    return Facts(*size, fps, n_frames or None, length_s if has_edits else math.inf)
+    shown_s = length_s if has_edits else math.inf
+    return Facts(*size, fps, n_frames or None, shown_s, stream.codec_context.name)
 
 
 def _length_s(container: "InputContainer", stream: "VideoStream") -> float:

@@ -17,7 +17,8 @@ from dlgmd_cli.video.images import ImageDecoder
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
-from dlgmd_cli.video.timestamps import FrameClock, missing_frames, variable_rate
+from dlgmd_cli.video.region import Region
+from dlgmd_cli.video.timestamps import FrameClock, Rhythm, missing_frames, rhythm
 
 # What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and gives
 # its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
@@ -77,7 +78,8 @@ class Progress:
     """How far the reading has come, and what went wrong.
 
     `n_new` counts the frames that were handed on as new pictures, `n_repeats` all that repeat the
-    frame before; None if nobody looked.
+    frame before; None if nobody looked. At the end, `damage` says where frames are missing or
+    cannot be decoded, which is among the `warnings`, and `rhythm` how all frames follow each other.
     """
 
     n_decoded: int = 0
@@ -85,6 +87,8 @@ class Progress:
     n_new: int = 0
     n_repeats: int | None = None
     warnings: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+    rhythm: Rhythm | None = None
 
 
 @dataclass(frozen=True)
@@ -192,6 +196,10 @@ class Video:
         Width and height of the frames, in px.
     rate_fps : float
         Nominal frames per second of those that are taken.
+    source_wh : (int, int)
+        Width and height of what is looked at of a picture, in px: of the crop, if there is one.
+    stated : Facts
+        What the input itself says.
     progress : Progress
         How many frames were decoded so far, the time of the last one, and warnings.
     """
@@ -204,14 +212,15 @@ class Video:
         size_wh: tuple[int, int],
         selection: Selection,
         *,
+        region: Region,
         rate_fps: float,
         skips_repeats: bool = False,
-        is_capped: bool = False,
     ) -> None:
         self._decoder, self._reopen, self._is_read = decoder, reopen, False
         self._selection, self._skips_repeats = selection, skips_repeats
+        self._region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.progress, self._rhythm, self._is_capped = Progress(), "", is_capped
+        self.stated, self.progress = decoder.facts, Progress()
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen pictures as decoded, each valid until the next one, to the end or a fault.
@@ -225,7 +234,8 @@ class Video:
         self._is_read = True
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
-        repeats, gaps = RepeatDetector() if self._skips_repeats else None, GapDetector()
+        hidden, gaps = self.hidden(self.source_wh), GapDetector()
+        repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
         fault, after_gap = "", False
@@ -246,6 +256,7 @@ class Video:
                 except Unreadable as error:
                     fault = str(error)
                     break
+                image = self._region.of(image)
                 is_repeat = repeats is not None and repeats.step(image)
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
@@ -262,25 +273,30 @@ class Video:
                 after_gap = False
         else:
             fault = fault or self._shortfall()
-        self._rhythm = variable_rate(times) or ""
-        reports = (
-            *(clock.report(), missing_frames(times, fps), self._repetition()),
-            fault and self._ending(fault),
-        )
+        missing, ending = missing_frames(times, fps), fault and self._ending(fault)
+        reports = (clock.report(), missing, self._repetition(), ending)
         progress.warnings += [line for line in reports if line]
+        progress.damage = [line for line in (missing, ending) if line]
+        progress.rhythm = rhythm(times)
         decoder.close()
 
-    def notes(self) -> list[str]:
-        """What was done about the frame rate of a video that was read, if nobody asked for it."""
-        lines = [self._rhythm] if self._rhythm else []
-        every = round(self.info.fps / self.rate_fps)
-        if self._is_capped and every > 1:
-            kth = {2: "2nd", 3: "3rd"}.get(every, f"{every}th")
-            lines.append(
-                f"of {self.info.fps:.4g} frames a second, every {kth} was processed, "
-                f"{self.rate_fps:.4g} a second (--fps all takes every frame)"
+    def sampling(self) -> str:
+        """What was done about an unusual frame rate, after reading; empty if it is none."""
+        fps, progress, every = self.info.fps, self.progress, round(self.info.fps / self.rate_fps)
+        if progress.rhythm is not None and progress.rhythm.varies:
+            mean_fps, least_fps, most_fps, _ = progress.rhythm
+            return (
+                f"the frame rate varies from {least_fps:.3g} to {most_fps:.3g} frames/s "
+                f"({mean_fps:.3g} on average); the model saw {progress.n_new} of "
+                f"{progress.n_decoded} frames, each at its own time"
             )
-        return lines
+        if every == 1:
+            return ""
+        nth = {2: "2nd", 3: "3rd"}.get(every, f"{every}th")
+        return (
+            f"{fps:.4g} frames/s; every {nth} frame was processed, {self.rate_fps:.4g} a second "
+            "(--fps all processes every frame)"
+        )
 
     def _repetition(self) -> str:
         """The warning for many repeats."""
@@ -314,6 +330,13 @@ class Video:
         """What models take of a picture, at the video's `size_wh` unless another is given."""
         grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
         return Frame(picture.index, picture.time_s, grey, picture.is_repeat, picture.after_gap)
+
+    def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
+        """Which cells of a frame the mask leaves out, (H, W), for `Model.ignore`; None for none.
+
+        The frame is of the video's `size_wh` unless another is given.
+        """
+        return self._region.hidden(size_wh or self.size_wh)
 
     def __iter__(self) -> Iterator[Frame]:
         return map(self.frame, self.pictures())

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 # Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
 MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
-# Fewer intervals say nothing of a rate; so large a share of odd ones is no accident.
-_LEAST_INTERVALS, _VARIABLE_SHARE = 10, 0.1
+_ODD_SHARE = 0.05
 
 
 def missing_frames(times: Sequence[float], fps: float) -> str | None:
@@ -39,23 +39,32 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     )
 
 
-def variable_rate(times: Sequence[float]) -> str | None:
-    """One line on a frame rate that changes, or None.
+class Rhythm(NamedTuple):
+    """How frames follow each other, in frames a second.
 
-    It does if a tenth of the intervals differ from the median by a quarter and 2 ms: stamps in
-    whole milliseconds jitter.
+    `mean_fps` is of all, the others are those of the longest and of the shortest interval. The
+    rate `varies` if more than one interval in twenty is not like the others.
     """
+
+    mean_fps: float
+    least_fps: float
+    most_fps: float
+    varies: bool
+
+
+def rhythm(times: Sequence[float]) -> Rhythm | None:
+    """How the frames at these times follow each other; None of fewer than two."""
+    if len(times) < 2:
+        return None
     intervals = np.diff(times)
-    if intervals.size < _LEAST_INTERVALS:
-        return None
-    median = float(np.median(intervals))
-    is_odd = np.abs(intervals - median) > 0.25 * median + 2e-3
-    if np.mean(is_odd) < _VARIABLE_SHARE:
-        return None
-    slow, fast = 1.0 / np.percentile(intervals, [95, 5])
-    return (
-        f"the frame rate varies, mostly from {slow:.3g} to {fast:.3g} frames a second; "
-        "every frame keeps its own time"
+    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # one that there is
+    # Times may be whole milliseconds.
+    n_odd = np.count_nonzero(np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3)
+    return Rhythm(
+        len(intervals) / (times[-1] - times[0]),
+        1.0 / float(intervals.max()),
+        1.0 / float(intervals.min()),
+        bool(n_odd > max(2, _ODD_SHARE * len(intervals))),
     )
 
 

@@ -99,7 +99,7 @@ def run(frames, *, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, *
                 answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
                 answer.usual = (1 - w_m) * before + w_m * m
         history.append(answer.p)
-        if t < 1 + max(inhibit, default=0):
+        if t < 1 + max([1, *inhibit]):
             continue
         answer.s, answer.t_de = summation(history, excite, inhibit, t), max(s_min, c_s * sigma)
         answer.s_sum = total(answer.s)

@@ -136,7 +136,7 @@ def test_a_video_by_two_processes(dlgmd, tmp_path, engine):
     if engine == "numba":
         pytest.importorskip("numba", reason="the numba engine needs numba")
     write_video(tmp_path / "loom.avi", looming_frames(120, 320, 240))
-    grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--engine", engine]
+    grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--set", 9, "--engine", engine]
     for jobs in (1, 2):
         options = ["--jobs", jobs, "--out", f"out{jobs}", "--no-plots"]
         result = dlgmd("sweep", "loom.avi", *grid, *options)

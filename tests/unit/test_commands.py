@@ -122,7 +122,7 @@ def test_sets_table(dlgmd):
     assert result.exit_code == 0
     rows = [line.split() for line in result.stdout.splitlines()]
     (nine,) = [row for row in rows if row[:1] == ["9"]]
-    assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.000251"]
+    assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.0028"]
 
 
 @pytest.mark.parametrize("number", range(1, 10))

@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation"},
+    {"evaluation", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -26,6 +26,7 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
+    "jinja2": {"reproduce"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},

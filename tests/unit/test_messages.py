@@ -8,7 +8,6 @@ from conftest import looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError
-from dlgmd_cli.video.timestamps import variable_rate
 
 
 @pytest.mark.parametrize(
@@ -77,17 +76,6 @@ def test_a_high_frame_rate_is_named(dlgmd, tmp_path, fps, words):
     assert (words in result.stderr) and ("Note:" in result.stderr) == bool(words)
     assert "Note:" not in dlgmd(*arguments, "--overwrite", "-q").stderr
     assert "Note:" not in dlgmd(*arguments, "--overwrite", "--fps", "all").stderr
-
-
-def test_a_variable_frame_rate_is_named():
-    steady = [number / 30 for number in range(100)]
-    assert variable_rate(steady) is None
-    assert variable_rate([round(time, 3) for time in steady]) is None
-    assert variable_rate([time + 0.5 * (time > 1) for time in steady]) is None  # one gap
-    odd = [0.0]
-    for number in range(100):
-        odd.append(odd[-1] + (1 / 30 if number % 3 else 1 / 12))
-    assert "mostly from 12 to 30 frames a second" in variable_rate(odd)
 
 
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):

@@ -20,6 +20,7 @@ N_FRAMES = 9
 # Exceptions by nature; a model in none of these sets keeps to everything.
 SIGNED = {"lgmd", "emd-lgmd"}  # works on signed changes, not on |dL|
 DIRECTIONAL = {"emd-lgmd"}  # tells outward from inward motion
+CENTRED = {"emd-lgmd"}  # looks from each cell towards the centre of the frame
 FLOORED = {"dlgmd-contrast"}  # its layer P is what exceeds a floor, p_sum is of all
 
 CASES = {name: (name, {}) for name in MODELS} | {
@@ -170,6 +171,44 @@ class TestEveryModel:
             frame.flags.writeable = False
         for clip in layouts.values():
             assert_same(run(case, clip), expected)
+
+    def test_what_ignored_cells_show_makes_no_difference(self, case):
+        hidden = np.zeros((24, 30), np.bool_)
+        hidden[:7], hidden[12:17, 4:19], hidden[20, 20] = True, True, True
+        noise, frames = np.random.default_rng(3), moving()
+        other = [np.where(hidden, noise.random((24, 30), np.float32), one) for one in frames]
+        answers = []
+        for clip in (frames, other):
+            model = create(case)
+            model.ignore(hidden)
+            answers.append(steps(model, clip[:2]))
+            model.reset()  # which does not end it
+            answers[-1] += steps(model, clip, layers=True)
+        assert_same(*answers)
+        assert model.n_cells == np.count_nonzero(~hidden)
+        assert all((layer[hidden] == 0.0).all() for layer in images(answers[1][-1]))
+        assert max(one.s_sum for one in answers[1] if one.is_valid) > 1.0
+        model.ignore(None)
+        model.reset()
+        assert_same(steps(model, frames), run(case, frames))
+        model.ignore(hidden[:5])
+        with pytest.raises(FrameError, match=r"ignore are \(5, 30\), the frame is \(24, 30\)"):
+            model.step(frames[0])
+
+    def test_an_ignored_border_is_as_if_cut_off(self, case):
+        if case in CENTRED:
+            pytest.skip("the centre of the frame would move")
+        hidden, levels = np.ones((24, 30), np.bool_), levels_of(moving())
+        inside = np.s_[3:21, 4:28]
+        hidden[inside] = False
+        model = create(case)
+        model.ignore(hidden)
+        answers, expected = steps(model, levels), run(case, [one[inside].copy() for one in levels])
+        # The contrast model's weights are about the centre of the frame, in halves of its side.
+        names = SUMS if case != "dlgmd-contrast" else ("p_sum", "s_sum", "ffi", "t_de")
+        for name in names:
+            values, others = ([getattr(one, name) for one in all_] for all_ in (answers, expected))
+            np.testing.assert_allclose(values, others, rtol=1e-5, atol=1e-5)
 
     @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (4, 1), (2, 3)])
     def test_frames_may_be_tiny(self, case, shape):

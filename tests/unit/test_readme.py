@@ -57,6 +57,7 @@ def reader(tmp_path_factory, clips):
 
 # Smaller work in place of what takes long; CI runs the first two commands as written.
 QUICKER = {
+    "reproduce --quick": "reproduce --quick --only fig3,fig5",
     "sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25": "sigma_e=1,2 --y sigma_i=2,5 --frames 15",
     "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
     "batch sample_videos": "batch flight.mp4",
@@ -87,8 +88,8 @@ def test_python_runs_as_written(reader, monkeypatch, capsys):
         script.write_text(code, encoding="utf-8")
         runpy.run_path(str(script))
     first, second = capsys.readouterr().out.splitlines()
-    assert float(first.split()[0]) == pytest.approx(122 / 30)
-    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(122 / 30)
+    assert float(first.split()[0]) == pytest.approx(127 / 30)
+    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(127 / 30)
     assert (reader / "overview.pdf").read_bytes().startswith(b"%PDF")
 
 

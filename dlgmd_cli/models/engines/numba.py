@@ -30,7 +30,7 @@ MAX_ROWS = 32  # of a block
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
 COUNT = 0.0  # the gain that stands for counting cells: no grouping has it
-_NOWHERE = np.empty((0, 0), np.float32)
+_NOWHERE, _NONE_HIDDEN = np.empty((0, 0), np.float32), np.empty((0, 0), np.bool_)
 
 # Sums may be rearranged into the lanes of a vector; nothing else is taken lightly.
 _OPTIONS: dict[str, Any] = {
@@ -103,6 +103,13 @@ def _move_up(image, distance, n):
 
 
 @njit(**_OPTIONS)
+def _clear(s, hidden):
+    """S = 0 in the hidden cells of a row, in place."""
+    for x in range(s.size):
+        s[x] = np.float32(0.0) if hidden[x] else s[x]
+
+
+@njit(**_OPTIONS)
 def _rectify(s):
     """S = max(S, 0) in place on a row, and its sum."""
     total = np.float32(0.0)
@@ -146,7 +153,19 @@ def _count(s, stride, g, above):
 
 
 def _sum_layers(
-    first, end, stack, newer, older, plan, shape, memory, row_memory, grouping, s_out, g_out
+    first,
+    end,
+    stack,
+    newer,
+    older,
+    hidden,
+    plan,
+    shape,
+    memory,
+    row_memory,
+    grouping,
+    s_out,
+    g_out,
 ):
     """ΣS and ΣG of the rows `first` up to `end`; `NumbaEngine` prepares every argument.
 
@@ -175,6 +194,8 @@ def _sum_layers(
                 s[at : at + stride] = 0.0
                 continue
             s[at], s[at + 1 + width : at + stride] = 0.0, 0.0
+            if hidden.size:
+                _clear(s[at + 1 : at + 1 + width], hidden[y])
             total = _rectify(s[at + 1 : at + 1 + width])
             if first <= y < end:
                 s_sum += total
@@ -241,6 +262,7 @@ class NumbaEngine:
         else:
             gain, cap = readout.gain, readout.cap
             below = just_below(readout.t_de) if readout.t_de > 0.0 else -1.0
+        hidden = _NONE_HIDDEN if receptors.hidden is None else receptors.hidden
         constants = np.float32(gain), np.float32(below), np.float32(cap)
 
         def work(band: int, compute: Callable[..., tuple[float, float]]) -> tuple[float, float]:
@@ -248,6 +270,7 @@ class NumbaEngine:
                 *self._bands[band : band + 2],
                 receptors.stack,
                 *places,
+                hidden,
                 self._plan,
                 self._shape,
                 *self._memory[band],

@@ -67,6 +67,8 @@ class OpencvEngine:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
             self._summate(receptors, tile, s, part, g)
+            if receptors.hidden is not None:
+                s[receptors.hidden[tile.window]] = 0.0
             s_sum += cv2.sumElems(s[tile.core])[0]
             if isinstance(readout, Counting):
                 above = float(np.float32(readout.above))

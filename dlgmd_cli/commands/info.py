@@ -1,0 +1,161 @@
+"""`dlgmd info`: what an input is, and what follows from it for a run."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dlgmd_cli.commands.console import (
+    EXIT_FAILED,
+    Command,
+    print_json,
+    print_path,
+    print_table,
+    say,
+    warn,
+)
+from dlgmd_cli.commands.options import FiniteRange, complete_file, decoder_option
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import DlgmdError, SourceError, printable
+
+if TYPE_CHECKING:
+    from dlgmd_cli.video.survey import Survey
+
+
+@click.command(cls=Command, epilog="Example: dlgmd info flight.mp4 --write-mask mask.png")
+@click.argument(
+    "input_paths", metavar="INPUT...", nargs=-1, required=True, shell_complete=complete_file
+)
+@click.option(
+    "--write-mask",
+    "mask_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier mask.")
+@click.option(
+    "--input-fps",
+    type=FiniteRange(min=0, min_open=True, max=100_000),
+    metavar="F",
+    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
+)
+@decoder_option
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
+def info(
+    input_paths: tuple[str, ...],
+    mask_path: Path | None,
+    overwrite: bool,
+    input_fps: float | None,
+    decoder: str | None,
+    as_json: bool,
+) -> None:
+    """Describe videos: size, codec, frame rate, repeated frames, damage.
+
+    INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
+    options of 'dlgmd run', or what to do with the file first.
+    """
+    if mask_path is not None and len(input_paths) > 1:
+        raise click.UsageError("--write-mask works with one INPUT.")
+    if mask_path is not None and mask_path.suffix.lower() != ".png":
+        raise click.UsageError(f"--write-mask {mask_path} does not end in .png.")
+    from dlgmd_cli.results.store import refuse_existing
+    from dlgmd_cli.video.survey import survey
+
+    if mask_path is not None:
+        refuse_existing(mask_path, overwrite=overwrite, option="--write-mask")
+    found: list[dict[str, Any]] = []
+    failures = []
+    for path in input_paths:
+        try:
+            with progress(path, None) as on_frame:
+                facts = survey(
+                    path, decoder=decoder or "opencv", input_fps=input_fps, on_frame=on_frame
+                )
+        except DlgmdError as error:
+            if len(input_paths) == 1:
+                raise
+            say(f"Error: {error}")
+            failures.append(path)
+            found.append({"path": path, "error": printable(str(error))})
+            continue
+        found.append(facts.to_dict())
+        if not as_json:
+            _show(facts, found[-1]["advice"])
+        if mask_path is not None:
+            _write_mask(mask_path, facts)
+    if as_json:
+        print_json({"inputs": found})
+    elif mask_path is not None:
+        print_path(mask_path)
+    if failures:
+        n_others = len(input_paths) - len(failures)
+        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed, {n_others} were read.")
+        raise click.exceptions.Exit(EXIT_FAILED)
+
+
+def _write_mask(path: Path, facts: "Survey") -> None:
+    """Paint what never changes black, the rest white."""
+    import cv2
+    import numpy as np
+
+    from dlgmd_cli.results.store import appearing
+
+    if facts.still is None:
+        why = "no pixels stay the same while the others change"
+        raise SourceError(facts.path, why, "Paint a mask yourself, or leave it out.")
+    image = np.where(facts.still, np.uint8(0), np.uint8(255))
+    _, encoded = cv2.imencode(".png", image)
+    with appearing(path, option="--write-mask") as (file,):
+        file.write_bytes(encoded.tobytes())
+
+
+def _show(facts: "Survey", advice: Sequence[str]) -> None:
+    """The facts on stdout, with the advice below; warnings on stderr."""
+    print_table(("", printable(facts.path)), _rows(facts))
+    for line in advice:
+        click.echo(printable(line))
+    for warning in facts.warnings:
+        warn(f"{facts.path}: {warning}")
+
+
+def _rows(facts: "Survey") -> list[tuple[str, str]]:
+    """The table's rows."""
+    codec = facts.codec or "unknown"
+    if facts.pixel_format:
+        codec += f", {facts.pixel_format}, {facts.bits} bits"
+    elif facts.fps_stated is not None:
+        codec += " (FOURCC; the package 'av' of dlgmd[fast] would tell more)"
+    interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
+    repeats = "none"
+    if facts.repeats:
+        repeats = f"{facts.repeats} of {facts.frames} ({100 * facts.repeats / facts.frames:.0f} %)"
+    rows = [
+        ("size", f"{facts.width}x{facts.height}"),
+        ("codec", codec),
+        ("frames", f"{facts.frames}, {facts.duration_s:.3f} s"),
+        ("frame rate", _rate(facts)),
+        ("repeated frames", repeats),
+        ("interlaced", interlaced[facts.is_interlaced]),
+        ("decoder", facts.decoder),
+    ]
+    if facts.gaps:
+        rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
+    rows += [("damage", line) for line in facts.damage or ["none found"]]
+    if facts.crop is not None:
+        rows.append(("without black borders", str(facts.crop)))
+    if facts.still is not None:
+        rows.append(("never changes", f"{100 * facts.still_share:.2g} % of the pixels"))
+    return rows
+
+
+def _rate(facts: "Survey") -> str:
+    """The frame rate, stated and true, in words."""
+    if facts.fps_true is None or facts.fps_range is None:
+        return "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g} stated"
+    stated = "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g}"
+    kind = "constant"
+    if facts.is_variable:
+        kind = "variable, {:.3g} to {:.3g}".format(*facts.fps_range)
+    return f"{stated} stated, {facts.fps_true:.6g} true, {kind}"

@@ -1,0 +1,81 @@
+"""What of a picture is looked at: a rectangle of it, less what a mask leaves out."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.video.base import Crop
+from dlgmd_cli.video.images import read_image
+from dlgmd_cli.video.luma import resized
+
+Image = npt.NDArray[Any]
+Flags = npt.NDArray[np.bool_]
+
+# Of 255, for a cell that no black pixel of the mask reaches into; less for rounding.
+_WHOLE = 254.95
+
+
+def read_mask(path: str) -> Flags:
+    """Where the picture at `path` is black, (H, W): darker than a medium grey in every channel.
+
+    Raises ParameterError if it is no picture.
+    """
+    image = read_image(Path(path))
+    if image is None:
+        why = "cannot be read as a picture" if Path(path).is_file() else "does not exist"
+        raise ParameterError("", f"--mask {path} {why}", "Give a PNG whose black is left out.")
+    brightest = image.max(axis=2) if image.ndim == 3 else image
+    return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
+
+
+class Region:
+    """A rectangle of a picture, all of it unless `crop` is given, less the black of a mask.
+
+    Parameters
+    ----------
+    picture_wh : (int, int)
+        Width and height of the picture, in px.
+    crop : Crop, optional
+        A rectangle inside the picture.
+    masked : ndarray, bool, optional
+        True for black, as `read_mask` gives it, of any size: it covers the rectangle.
+
+    Attributes
+    ----------
+    size_wh : (int, int)
+        Width and height of the rectangle, in px.
+    """
+
+    def __init__(
+        self,
+        picture_wh: tuple[int, int],
+        crop: Crop | None = None,
+        masked: Flags | None = None,
+    ) -> None:
+        width, height, x, y = crop or Crop(*picture_wh, 0, 0)
+        self.size_wh = width, height
+        self._place = np.s_[y : y + height, x : x + width]
+        self._masked = masked
+        self.hidden = lru_cache(maxsize=16)(self._hidden)
+
+    def of(self, image: Image) -> Image:
+        """The rectangle of a picture, (H, W) or (H, W, 3); a view."""
+        return image[self._place]
+
+    def _hidden(self, size_wh: tuple[int, int]) -> Flags | None:
+        """Which cells are left out if the rectangle is seen at a size, (H, W); None for none.
+
+        A cell is left out if any of it is black. Raises ParameterError if no cell remains.
+        """
+        if self._masked is None or not self._masked.any():
+            return None
+        shown = np.where(self._masked, np.float32(0.0), np.float32(255.0))
+        hidden = np.asarray(resized(shown, size_wh) < _WHOLE)
+        if hidden.all():
+            why = f"--mask leaves no cell of {size_wh[0]}x{size_wh[1]}"
+            raise ParameterError("", why, "Paint white what the model is to see.")
+        return hidden
