@@ -26,6 +26,7 @@ from dlgmd_cli.commands.console import (
 from dlgmd_cli.commands.options import (
     FiniteRange,
     complete_file,
+    dpi_option,
     engine_option,
     format_option,
     formulation_option,
@@ -133,6 +134,7 @@ class _Pool:
 @input_options
 @out_option
 @format_option
+@dpi_option
 @no_plots_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
@@ -168,6 +170,7 @@ def batch(
     given: dict[str, Any],
     out: str,
     formats: tuple[str, ...],
+    dpi: int,
     no_plots: bool,
     overwrite: bool,
     force: bool,
@@ -200,7 +203,7 @@ def batch(
     found = _find(folders, out, exclude)
     labels = [one.label for one in setups]
     formats = () if no_plots else tuple(dict.fromkeys(formats))
-    job = Job(tuple(setups), places, options, formats, overwrite or force)
+    job = Job(tuple(setups), places, options, formats, dpi, overwrite or force)
     if dry_run:
         _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
         return

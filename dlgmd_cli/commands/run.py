@@ -71,7 +71,7 @@ def run(
             for line in details(result):
                 detail(line)
             runs.require_an_answer(input_path, video, [setup], [result], options)
-            files = result.files(output.formats)
+            files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
     _show(result, folder, as_json)
     end_if_interrupted(folder, len(result), complete=result.record["complete"])

@@ -169,7 +169,9 @@ def sweep(
             from dlgmd_cli.plots.style import figure_files
             from dlgmd_cli.plots.sweeps import plot_sweep
 
-            figures = figure_files({FIGURE: partial(plot_sweep, result, width)}, output.formats)
+            figures = figure_files(
+                {FIGURE: partial(plot_sweep, result, width)}, output.formats, output.dpi
+            )
         swept.finish(figures)
     if as_json:
         facts = {"result": str(folder), "complete": True, "points": n_points}

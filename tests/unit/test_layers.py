@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation", "reproduce"},
+    {"evaluation", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -26,7 +26,6 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
-    "jinja2": {"reproduce"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -35,12 +34,13 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
+    "jinja2": {"pages", "reproduce"},
+    "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
 EXCEPTIONS = {
     ("results/result.py", "dlgmd_cli.plots.traces"),
     ("results/result.py", "dlgmd_cli.plots.style"),
-    ("results/result.py", "matplotlib.figure"),
 }
 
 
