@@ -306,7 +306,7 @@ class Video:
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
         return (
             f"{n_repeats} of {n_frames} frames repeat the one before: the video shows about "
-            f"{rate_fps:.2g} new new pictures a second, not {self.info.fps:.4g}; the model skips "
+            f"{rate_fps:.2g} new pictures a second, not {self.info.fps:.4g}; the model skips "
             "the repeats (--repeats keep shows them to it)"
         )
 
