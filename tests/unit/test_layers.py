@@ -26,6 +26,10 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
+<<<<<<< HEAD
+=======
+    "jinja2": {"pages", "reproduce"},
+>>>>>>> main
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -34,7 +38,10 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
+<<<<<<< HEAD
     "jinja2": {"pages", "reproduce"},
+=======
+>>>>>>> main
     "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
