@@ -10,7 +10,7 @@ from urllib.parse import quote
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import overwrite_option
+from dlgmd_cli.commands.options import complete_file, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered
@@ -33,12 +33,14 @@ def _page_file(value: str) -> Path:
 
 @click.command(
     cls=Command,
+    short_help="Make a web page of results.",
     epilog="Example: dlgmd view dlgmd-out/flight --collision-frame 140 --out page.html",
 )
 @click.argument(
     "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
 @click.option(
+    "-o",
     "--out",
     type=_page_file,
     metavar="FILE",
@@ -51,19 +53,20 @@ def _page_file(value: str) -> Path:
     type=click.IntRange(0, 999_999_999),
     metavar="N",
     multiple=True,
-    help="Where the camera truly collides; repeatable.",
+    help="Frame of a true collision; repeatable.",
 )
 @click.option(
     "--labels",
     "labels_path",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="A labels.csv that lists the collisions of the videos.",
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'.",
 )
 @click.option(
     "--input",
     "input_path",
     metavar="PATH",
+    shell_complete=complete_file,
     help="Where the input is now, if it was moved since the run.",
 )
 @click.option(

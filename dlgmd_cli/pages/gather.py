@@ -124,7 +124,7 @@ def _below(folder: Path) -> list[Path]:
     if not found:
         raise ResultError(
             str(folder),
-            f"it holds no result (no {store.RUN} or {store.COMPARISON})",
+            f"contains no result (no {store.RUN} or {store.COMPARISON})",
             "Run 'dlgmd run' or 'dlgmd batch' first.",
         )
     return found

@@ -127,7 +127,7 @@ def test_index_of_a_batch(dlgmd, clips, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["view", "empty"], 1, "it holds no result (no run.yaml or compare.yaml)"),
+        (["view", "empty"], 1, "contains no result (no run.yaml or compare.yaml)"),
         (["view", "missing"], 1, "there is no such folder"),
         (["view", "empty", "--out", "page.pdf"], 2, "does not end in .html"),
         (["view", "empty", "--labels", "missing.csv"], 1, "missing.csv"),
