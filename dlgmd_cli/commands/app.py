@@ -22,6 +22,7 @@ COMMANDS = (
     "batch",
     "plot",
     "compare",
+    "view",
     "sweep",
     "layers",
     "kernels",

@@ -1,7 +1,7 @@
 """Frames to a video file, which appears whole or not at all; by OpenCV, or by PyAV for H.264."""
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
 from functools import partial
@@ -26,6 +26,8 @@ MAX_TICKS_PER_S = 65_535
 PLAYABLE_FPS = (1.0, 240.0)
 
 _X264_COLOUR = {"preset": "veryfast", "crf": "20"}
+# For a page that holds the film: small, and quick to jump about in.
+PAGE_FILM = {"preset": "medium", "crf": "27", "g": "15", "bf": "0"}
 # x264's output depends on the number of threads; and with its macroblock tree, small frames come
 # out differently once in some hundred times.
 _X264_GREY = {"preset": "faster", "crf": "18", "threads": "1", "x264-params": "mbtree=0"}
@@ -49,6 +51,11 @@ def playable_fps(fps: float) -> float:
     return round(rate, 3 if rate * 1000 <= MAX_TICKS_PER_S else 2)
 
 
+def encoded_rate(fps: float) -> Fraction:
+    """The frame rate that H.264 is written with: 29.97 is 30000/1001."""
+    return Fraction(fps).limit_denominator(1001)
+
+
 @contextmanager
 def video_writer(
     path: Path,
@@ -59,6 +66,7 @@ def video_writer(
     is_colour: bool = False,
     target: Path | None = None,
     option: str = "--out",
+    x264: Mapping[str, str] | None = None,
 ) -> Iterator[Write]:
     """A context that yields a function to call with each frame; leaving it completes the file.
 
@@ -75,13 +83,15 @@ def video_writer(
         FFV1 is lossless; H.264 needs PyAV, and the same grey frames always give the same file.
     target, option : Path, str, optional
         The file that an error names, `path` unless given, and the option to change.
+    x264 : mapping, optional
+        Options of the H.264 encoder, in place of ours.
 
     Raises
     ------
     OutputError
         If the file cannot be written, or if the disk is full.
     """
-    start = _by_pyav if codec == "h264" else partial(_by_opencv, _FOURCC[codec])
+    start = partial(_by_pyav, x264) if codec == "h264" else partial(_by_opencv, _FOURCC[codec])
     n_frames = 0
     try:
         with tempfile.TemporaryDirectory(prefix=".dlgmd-", dir=path.parent) as folder:
@@ -145,7 +155,9 @@ def _by_opencv(
 
 
 @contextmanager
-def _by_pyav(name: str, shape: tuple[int, int], fps: float, is_colour: bool) -> Iterator[Write]:
+def _by_pyav(
+    x264: Mapping[str, str] | None, name: str, shape: tuple[int, int], fps: float, is_colour: bool
+) -> Iterator[Write]:
     """H.264 with the colours of HD video, and the index in front, so that browsers can stream."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
@@ -162,12 +174,10 @@ def _by_pyav(name: str, shape: tuple[int, int], fps: float, is_colour: bool) -> 
 
     try:
         with av.open(name, "w", format="mp4", options={"movflags": "+faststart"}) as container:
-            stream: Any = container.add_stream(
-                "libx264", rate=Fraction(fps).limit_denominator(1001)
-            )
+            stream: Any = container.add_stream("libx264", rate=encoded_rate(fps))
             stream.height, stream.width = shape
             stream.pix_fmt = "yuv420p"
-            stream.options = _X264_COLOUR if is_colour else _X264_GREY
+            stream.options = dict(x264 or (_X264_COLOUR if is_colour else _X264_GREY))
             # Players take video of this size for BT.709 unless it says otherwise; so it says so.
             context = stream.codec_context
             context.color_range, context.colorspace = ColorRange.MPEG, Colorspace.ITU709

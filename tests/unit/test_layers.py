@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation", "reproduce"},
+    {"evaluation", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -35,6 +35,8 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
+    "jinja2": {"pages"},
+    "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
 EXCEPTIONS = {

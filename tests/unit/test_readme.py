@@ -61,6 +61,7 @@ QUICKER = {
     "batch sample_videos": "batch flight.mp4",
     "synth random --count 20": "synth random --count 1 --size 64x36 --frames 30",
     "calibrate flights": "calibrate footage",
+    "looming-cube --out looming-cube.html": "looming-cube --no-film --out looming-cube.html",
     "bench --radius 6 --scale 0.25": "bench flight.mp4 --radius 6 --scale 0.25",
 }
 

@@ -1,0 +1,216 @@
+"""`dlgmd view`: stored results as web pages, with the film of the input."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import click
+
+from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.options import overwrite_option
+from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import DlgmdError, printable
+from dlgmd_cli.names import numbered
+
+if TYPE_CHECKING:
+    from dlgmd_cli.pages.gather import Gathered, Input
+    from dlgmd_cli.pages.page import Part
+
+# Longer names are cut off, and a page above this many bytes is too large for most mailboxes.
+_MAX_NAME, _LARGE_BYTES = 80, 25_000_000
+
+
+def _page_file(value: str) -> Path:
+    """A path that ends in .html."""
+    path = Path(value)
+    if path.suffix.lower() != ".html":
+        raise click.BadParameter(f"{value[:80]!r} does not end in .html. Write page.html.")
+    return path
+
+
+@click.command(
+    cls=Command,
+    epilog="Example: dlgmd view dlgmd-out/flight --collision-frame 140 --out page.html",
+)
+@click.argument(
+    "paths", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "--out",
+    type=_page_file,
+    metavar="FILE",
+    help="The page, ending in .html.  [default: dlgmd-out/view-NAME.html]",
+)
+@overwrite_option
+@click.option(
+    "--collision-frame",
+    "frames",
+    type=click.IntRange(0, 999_999_999),
+    metavar="N",
+    multiple=True,
+    help="Where the camera truly collides; repeatable.",
+)
+@click.option(
+    "--labels",
+    "labels_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A labels.csv that lists the collisions of the videos.",
+)
+@click.option(
+    "--input",
+    "input_path",
+    metavar="PATH",
+    help="Where the input is now, if it was moved since the run.",
+)
+@click.option(
+    "--film-width",
+    "width_px",
+    type=click.IntRange(64, 1920),
+    default=480,
+    show_default=True,
+    metavar="PX",
+    help="Greatest width of the film.",
+)
+@click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
+def view(
+    paths: tuple[Path, ...],
+    out: Path | None,
+    overwrite: bool,
+    frames: tuple[int, ...],
+    labels_path: Path | None,
+    input_path: str | None,
+    width_px: int,
+    no_film: bool,
+) -> None:
+    """Make a web page of results: the film beside MP, attenuation and spikes.
+
+    RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd batch' wrote. Results of the same
+    input share a page. Several inputs get a page each, and an index that links to them.
+
+    Every page is one file that needs no network. Its film shows the input and, tinted, the cells
+    of layer G, for which the model is run once more. Needs dlgmd[view].
+    """
+    from dlgmd_cli.pages.gather import gather, read_collisions
+    from dlgmd_cli.pages.page import require_packages
+    from dlgmd_cli.results.store import fitting, refuse_existing
+
+    require_packages()
+    labels = read_collisions(labels_path) if labels_path else {}
+    gathered = gather(paths)
+    is_one = len(gathered.inputs) == 1 and not gathered.is_batch
+    if frames and len(gathered.inputs) > 1:
+        raise click.UsageError(
+            "--collision-frame works only with results of one input. Give a table with --labels."
+        )
+    if input_path and len(gathered.inputs) > 1:
+        raise click.UsageError("--input works only with results of one input.")
+    name = gathered.inputs[0].name if is_one else paths[0].absolute().name
+    stem = fitting(Path(name).stem[:_MAX_NAME].replace("/", "-")) or "results"
+    out = out or Path("dlgmd-out") / f"view-{stem}.html"
+    refuse_existing(out, overwrite=overwrite)
+    job = _Job(frames, labels, input_path, width_px, no_film)
+    if is_one:
+        _write_page(gathered.inputs[0], out, job)
+    else:
+        _write_index(gathered, out, job, overwrite=overwrite)
+    print_path(out)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What is the same for every page."""
+
+    frames: tuple[int, ...]
+    labels: dict[str, list[int]]
+    input_path: str | None
+    width_px: int
+    no_film: bool
+
+
+def _link(name: str) -> str:
+    """A file's name, of whatever bytes, as part of a link."""
+    return quote(os.fsencode(name))
+
+
+def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool) -> None:
+    """A page for each input in a folder beside the index, and the index at last."""
+    from dlgmd_cli.pages.page import index_page
+    from dlgmd_cli.results.store import fitting, refuse_existing, write_text
+
+    folder = out.with_name(f"{out.stem}-pages")
+    flat = [one.name.replace("/", "-").replace("\\", "-") for one in gathered.inputs]
+    pages = [
+        folder / f"{fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])
+    ]
+    for page in pages:
+        refuse_existing(page, overwrite=overwrite)
+    rows = []
+    for one, page in zip(gathered.inputs, pages, strict=True):
+        rows.append(_write_page(one, page, job, index=out.name))
+        rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
+    write_text(out, index_page(rows, gathered.failed))
+    if gathered.failed:
+        n_failed = len(gathered.failed)
+        those = "1 failed video is" if n_failed == 1 else f"{n_failed} failed videos are"
+        say(f"{those} listed at the end of the index.")
+
+
+def _write_page(one: "Input", out: Path, job: _Job, index: str = "") -> dict[str, Any]:
+    """Write the page of an input; returns its row of an index."""
+    from dlgmd_cli.pages.gather import collisions_of
+    from dlgmd_cli.pages.page import index_row, page
+    from dlgmd_cli.results.store import write_text
+
+    collisions = collisions_of(one, job.frames, job.labels)
+    first, last = int(one.shown[0].result.frame[0]), int(one.shown[0].result.frame[-1])
+    for frame in collisions:
+        if not first <= frame <= last:
+            warn(f"{one.name}: the collision at frame {frame} is outside frames {first} to {last}")
+    if len(collisions) == 1:  # what follows it is the recoil
+        until = [replace(s, result=s.result.until(collisions[0])) for s in one.shown]
+        one = replace(one, shown=tuple(until))
+    parts = _parts(one, job)
+    text = page(one, parts, collisions, index=f"../{_link(index)}" if index else "")
+    if len(text) > _LARGE_BYTES:
+        say(
+            f"{printable(str(out))} has {len(text) / 1e6:.0f} MB. A smaller --film-width makes it "
+            "smaller."
+        )
+    write_text(out, text)
+    return dict(index_row(one, out.name, parts, collisions))
+
+
+def _parts(one: "Input", job: _Job) -> "Sequence[Part]":
+    """Every result of an input, with its film or the reason why there is none."""
+    from dlgmd_cli.pages.film import render
+    from dlgmd_cli.pages.page import Part, thumbnail_row
+    from dlgmd_cli.video.writer import best_codec
+
+    parts, no_film = [], "--no-film was given." if job.no_film else ""
+    if not no_film and best_codec() != "h264":
+        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        warn(f"{one.name}: no film: {no_film.rstrip('.')}")
+    for shown in one.shown:
+        why, film = no_film, None
+        if not why:
+            n_frames = shown.result.record["input"].get("frames") or len(shown.result)
+            try:
+                with progress(f"{one.name} · {shown.label}", 2 * n_frames) as on_frame:
+                    film = render(
+                        shown.result,
+                        shown.peers,
+                        job.input_path or one.path,
+                        job.width_px,
+                        thumbnail_row(shown.result),
+                        on_frame,
+                    )
+            except DlgmdError as error:
+                warn(f"{one.name} · {shown.label}: no film: {str(error).rstrip('.')}")
+                # The page is for others, too: it does not say where the file was.
+                why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
+        parts.append(Part(shown, film, why))
+    return parts

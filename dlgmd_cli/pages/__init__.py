@@ -1,0 +1,1 @@
+"""Web pages of stored results, each in one file that needs no network."""

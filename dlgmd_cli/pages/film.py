@@ -1,0 +1,211 @@
+"""The film of a page: the input with the cells of G that the model finds active, as H.264."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.plots.heat import BgrImage, FloatImage, strongest
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.runs.layers import run_layers
+from dlgmd_cli.runs.run import OnFrame, Setup, open_input
+from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.reading import Picture
+from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
+
+# A cell of G that is at least this share of the film's strongest one is tinted fully.
+_FULL_SHARE = 0.25
+_MOST_TINT = 0.75
+# What a mask leaves out is so many times darker.
+_DIMMED = 3
+# Magenta, in BGR: neither footage nor the curves have it.
+_TINT = np.array((0xC8, 0x2A, 0xFF), np.float32)
+# Stored values have nine digits; engines differ in the last of float32.
+_MP_TOLERANCE = 1e-3
+_THUMBNAIL_PX = 192
+
+
+@dataclass(frozen=True)
+class Film:
+    """A film with one picture for every row of a result.
+
+    Attributes
+    ----------
+    data : bytes
+        The file, MP4.
+    fps : float
+        Its frame rate.
+    size_wh : (int, int)
+        Width and height in px.
+    thumbnail : bytes
+        One of its pictures as JPEG, the one that was asked for.
+    is_as_stored : bool
+        Whether the model, run once more, gave the membrane potential that the result holds.
+    """
+
+    data: bytes
+    fps: float
+    size_wh: tuple[int, int]
+    thumbnail: bytes
+    is_as_stored: bool
+
+
+def render(
+    result: Result,
+    peers: Sequence[Result],
+    path: str,
+    width_px: int,
+    thumbnail_row: int,
+    on_frame: OnFrame,
+) -> Film:
+    """Run a result's model over its input once more, and show the input with G on top.
+
+    Parameters
+    ----------
+    result : Result
+        Its record says how the input is to be read.
+    peers : sequence of Result
+        All that were computed in one go with it, itself among them: they share the frame rate.
+    path : str
+        Where the input is now.
+    width_px : int
+        The film's greatest width.
+    thumbnail_row : int
+        The row of the result that the thumbnail shows.
+    on_frame : callable
+        Called with the number of frames done; there are twice as many as the input has.
+
+    Raises
+    ------
+    SourceError
+        If the input cannot be decoded, or is another one.
+    ParameterError
+        If the record's options are not valid.
+    Interrupted
+        If the stop flag is set.
+    """
+    processed = result.record["processed"]
+    options = replace(
+        InputOptions.from_record(result.record.get("options") or {}),
+        scale=None,
+        size=(processed["width"], processed["height"]),
+    )
+    setups = [_setup(one) for one in (result, *peers)]
+    model = create_model(result.params)
+    n_rows, n_expected = len(result), int(result.record["input"].get("frames") or len(result))
+    with open_input(path, setups, options) as video:
+        again, _, ranges = run_layers(
+            *(video, setups[0], model, options, ()),
+            whole=True,
+            identity={},
+            on_frame=on_frame,
+        )
+    if cancel.requested():
+        raise cancel.Interrupted
+    if not np.array_equal(again.frame[:n_rows], result.frame):
+        raise SourceError(path, "its frames are not those of the result", "Run again.")
+    is_as_stored = np.allclose(
+        again.mp[:n_rows],
+        result.mp,
+        rtol=_MP_TOLERANCE,
+        atol=_MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0)),
+        equal_nan=True,
+    )
+    strongest_g = max(abs(bound) for bound in ranges["g"])
+    if not np.isfinite(strongest_g):  # no layer G was ever defined
+        strongest_g = 0.0
+    model.reset()
+    thumbnail = b""
+    with (
+        open_input(path, setups, options) as video,
+        tempfile.TemporaryDirectory(prefix="dlgmd-") as folder,
+        opencv_threads(1),
+    ):
+        size_wh = _film_size(*video.source_wh, width_px)
+        hidden = video.hidden(size_wh)
+        fps, file = playable_fps(video.rate_fps), Path(folder) / "film.mp4"
+        pictures = ((video.frame(one), _shown(one, size_wh)) for one in video.pictures())
+        g: FloatImage | None = None
+        with (
+            read_ahead(pictures) as ahead,
+            video_writer(
+                *(file, size_wh[::-1], fps), codec="h264", is_colour=True, x264=PAGE_FILM
+            ) as write,
+        ):
+            for row, (frame, picture) in zip(range(n_rows), ahead, strict=False):
+                if not frame.is_repeat:
+                    if frame.after_gap:
+                        model.reset()
+                    layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
+                    g = layers.g
+                if hidden is not None:
+                    picture[hidden] //= _DIMMED
+                tinted = _tinted(picture, g, strongest_g)
+                if row == thumbnail_row:
+                    thumbnail = _jpeg(tinted)
+                write(tinted)
+                on_frame(n_expected + frame.index + 1)
+                if cancel.requested():
+                    raise cancel.Interrupted
+        data = file.read_bytes()
+    return Film(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+
+
+def _setup(result: Result) -> Setup:
+    """The model of a result."""
+    made_for = {
+        key: result.record[key] for key in ("width_px", "model_fps") if key in result.record
+    }
+    return Setup(result.params, result.params.model, **made_for)
+
+
+def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
+    """Width and height of the film, even, never larger than the input and a pixel."""
+    scale = min(1.0, width_px / max(width, 1))
+    return max(2, round(width * scale / 2) * 2), max(2, round(height * scale / 2) * 2)
+
+
+def _shown(picture: Picture, size_wh: tuple[int, int]) -> BgrImage:
+    """A picture in 8 bits and BGR at the film's size."""
+    image: Any = picture.image
+    is_small = image.shape[1] >= size_wh[0] and image.shape[0] >= size_wh[1]
+    way = cv2.INTER_AREA if is_small else cv2.INTER_LINEAR
+    image = cv2.resize(image, size_wh, interpolation=way)
+    if picture.levels is not None or image.dtype != np.uint8:
+        black, white = picture.levels or (0, 255 if image.dtype == np.uint8 else 65_535)
+        levels = (image.astype(np.float32) - black) * (255.0 / (white - black))
+        image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+
+
+def _tinted(picture: BgrImage, g: FloatImage | None, strongest_g: float) -> BgrImage:
+    """A picture, (H, W, 3), with G, of any size, on top; None where G is not defined.
+
+    The tint tells how a cell compares with `strongest_g`, the strongest of the film.
+    """
+    if g is None or strongest_g == 0.0:
+        return picture
+    height, width = picture.shape[:2]
+    cells = np.abs(strongest(g, height, width)) / (_FULL_SHARE * strongest_g)
+    tint: Any = _MOST_TINT * np.sqrt(np.minimum(cells, 1.0)).astype(np.float32)
+    if not tint.any():
+        return picture
+    tint = cv2.resize(tint, (width, height), interpolation=cv2.INTER_NEAREST)[..., None]
+    return np.rint(picture + tint * (_TINT - picture)).astype(np.uint8)
+
+
+def _jpeg(picture: BgrImage) -> bytes:
+    """A small picture of a picture."""
+    height, width = picture.shape[:2]
+    scale = min(1.0, _THUMBNAIL_PX / width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()

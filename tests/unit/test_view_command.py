@@ -1,0 +1,145 @@
+"""`dlgmd view`: what a page holds, without a browser; tests/system/test_pages.py has one."""
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import HEIGHT, N_FRAMES, WIDTH, make_result, read_video
+
+pytest.importorskip("jinja2", reason="pages need Jinja2")
+pytest.importorskip("plotly", reason="pages need Plotly")
+
+
+def data_of(page: Path) -> dict:
+    """What the page's script works with."""
+    (text,) = re.findall(
+        r'<script type="application/json" id="data">(.*?)</script>', page.read_text("utf-8"), re.S
+    )
+    return json.loads(text)
+
+
+def film_of(page: Path, folder: Path, number=0):
+    """Frame rate and frames of a film in a page."""
+    (text,) = re.findall(
+        rf'<script type="text/plain" id="film-{number}">(.*?)</script>', page.read_text("utf-8")
+    )
+    (folder / "film.mp4").write_bytes(base64.b64decode(text))
+    return read_video(folder / "film.mp4")
+
+
+def test_page_of_a_run(dlgmd, clips, tmp_path):
+    pytest.importorskip("av", reason="films need PyAV")
+    spiking = ["--normalise", "sequence", "--param", "n_sp=1"]
+    dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", *spiking)
+    made = dlgmd("view", "dlgmd-out/loom", "--collision-frame", 19, "--out", "page.html")
+    assert (made.exit_code, made.output) == (0, "page.html\n")
+    data = data_of(tmp_path / "page.html")
+    (one,) = data["results"]
+    assert data["collisions"] == [19] and data["video"] == "loom.avi" and one["label"] == "set9"
+    assert one["frame"] == list(range(N_FRAMES)) and one["fps"] == 25.0
+    assert one["alarms"] and one["onsets"] == [one["alarmed"][0]]
+    rate, frames = film_of(tmp_path / "page.html", tmp_path)
+    assert rate == 25.0 and len(frames) == N_FRAMES
+    # Tinted where the square grows, near the end, and as the input was at the beginning.
+    tints = [np.ptp(frame.astype(int), axis=2).max() for frame in frames]
+    assert tints[1] < 20 and max(tints[-5:]) > 80
+
+
+def test_what_a_mask_hides_is_dark(dlgmd, clips, tmp_path):
+    pytest.importorskip("av", reason="films need PyAV")
+    mask = np.full((HEIGHT, WIDTH - 8), 255, np.uint8)
+    mask[:, :8] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    area = ["--crop", f"{WIDTH - 8}x{HEIGHT}+8+0", "--mask", "mask.png"]
+    dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", *area)
+    made = dlgmd("view", "dlgmd-out/loom", "--out", "page.html")
+    assert (made.exit_code, made.stderr) == (0, "")
+    _, frames = film_of(tmp_path / "page.html", tmp_path)
+    assert frames[0].shape == (HEIGHT, WIDTH - 8, 3)
+    assert frames[1][:, :7].mean() < 90 and frames[1][:, 9:].mean() > 150
+
+
+def test_comparison_and_run_share_a_page(dlgmd, clips, tmp_path):
+    dlgmd("compare", clips / "loom.mp4", "--set", 3, "--model", "lgmd", "--no-plots")
+    dlgmd("run", clips / "loom.mp4", "--set", 3, "--no-plots")
+    dlgmd("run", clips / "loom.mp4", "--set", 3, "--no-plots", "--out", "again")
+    made = dlgmd("view", "dlgmd-out/loom", "again/loom", "--no-film")
+    assert made.exit_code == 0, made.output
+    page = tmp_path / made.stdout.strip()
+    labels = [one["label"] for one in data_of(page)["results"]]
+    assert len(set(labels)) == 4 and labels[2] == "lgmd"
+    assert [label.split(" ")[0] for label in labels] == ["set3", "set3", "lgmd", "set3"]
+    assert "--no-film was given" in page.read_text("utf-8")
+
+
+def test_names_are_escaped_and_missing_inputs_said(dlgmd, tmp_path):
+    evil = "</script><script>alert(1)</script>&\"'=x"
+    result = make_result(np.linspace(1, 2, 8))
+    result.record["input"]["path"] = f"/nowhere/{evil}.mp4"
+    result.record["warnings"].append(evil)
+    result.record["preset"] = evil
+    result.save(tmp_path / "result")
+    made = dlgmd("view", "result", "--out", "page.html")
+    assert made.exit_code == 0 and "there is no such file" in made.stderr
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert "<script>alert" not in text and "No film:" in text and "/nowhere" not in text
+    assert data_of(tmp_path / "page.html")["results"][0]["label"] == evil
+    assert data_of(tmp_path / "page.html")["results"][0]["fps"] is None
+    assert 'http-equiv="Content-Security-Policy" content="default-src \'none\'' in text
+
+
+def test_a_moved_input_and_another_one(dlgmd, clips, tmp_path):
+    pytest.importorskip("av", reason="films need PyAV")
+    dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots")
+    record = tmp_path / "dlgmd-out/loom/run.yaml"
+    record.write_text(record.read_text().replace(str(clips), "/moved"))
+    made = dlgmd("view", "dlgmd-out/loom", "--input", clips / "loom.avi", "--out", "a.html")
+    assert made.exit_code == 0 and not made.stderr and film_of(tmp_path / "a.html", tmp_path)[1]
+    made = dlgmd("view", "dlgmd-out/loom", "--input", clips / "short.avi", "--out", "b.html")
+    assert made.exit_code == 0 and "are not those of the result" in made.stderr
+
+
+def test_index_of_a_batch(dlgmd, clips, tmp_path):
+    (tmp_path / "in").mkdir()
+    for name in ("a.avi", "b%20#.avi"):
+        (tmp_path / "in" / name).write_bytes((clips / "loom.avi").read_bytes())
+    (tmp_path / "in/<b>.avi").write_bytes(b"no video")
+    (tmp_path / "in/labels.csv").write_text("video,collision_frame,target\na.avi,19,\n")
+    assert (
+        dlgmd("batch", "in", "--set", 9, "--no-plots", "--jobs", 1, "--out", "res").exit_code == 1
+    )
+    made = dlgmd("view", "res", "--labels", "in/labels.csv", "--no-film", "--out", "all.html")
+    assert made.exit_code == 0 and "1 failed video is listed" in made.stderr
+    text = (tmp_path / "all.html").read_text("utf-8")
+    assert "&lt;b&gt;.avi" in text and "<b>.avi" not in text
+    assert text.count("<polyline") == 2 and "no film" in text and "1 collision" in text
+    assert 'href="all-pages/b%2520%23.avi.html"' in text
+    assert data_of(tmp_path / "all-pages/a.avi.html")["collisions"] == [19]
+    assert data_of(tmp_path / "all-pages/b%20#.avi.html")["collisions"] == []
+    again = dlgmd("view", "res", "--no-film", "--out", "all.html")
+    assert again.exit_code == 2 and "--overwrite" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["view", "empty"], 1, "it holds no result (no run.yaml or compare.yaml)"),
+        (["view", "missing"], 1, "there is no such folder"),
+        (["view", "empty", "--out", "page.pdf"], 2, "does not end in .html"),
+        (["view", "empty", "--labels", "missing.csv"], 1, "missing.csv"),
+    ],
+)
+def test_errors(dlgmd, tmp_path, arguments, code, words):
+    (tmp_path / "empty").mkdir()
+    made = dlgmd(*arguments)
+    assert made.exit_code == code and words in made.stderr
+
+
+def test_without_the_packages(dlgmd, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
+    made = dlgmd("view", "anything")
+    assert made.exit_code == 1 and "pip install 'dlgmd[view]'" in made.stderr
