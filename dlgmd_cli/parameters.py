@@ -483,11 +483,11 @@ def load_config(path: str | Path) -> Config:
         return replace(load_config(presets_dir() / f"{name}.yaml"), named={"preset": name})
     document = parse(name, read(path))
     if document is None:
-        raise ParameterError(name, "it is empty", "Give at least one 'key: value'.")
+        raise ParameterError(name, "is empty", "Give at least one 'key: value'.")
     if not isinstance(document, dict):
         kinds: dict[type, str] = {list: "a list", str: "plain text"}
         kind = kinds.get(type(document), "one value")
-        raise ParameterError(name, f"it holds {kind}, not 'key: value' lines", SHOW_HINT)
+        raise ParameterError(name, f"contains {kind}, not 'key: value' lines", SHOW_HINT)
     for key in document:
         if not isinstance(key, str):
             raise ParameterError(name, f"unknown parameter {shown(key)!r}", SHOW_HINT)

@@ -19,7 +19,7 @@ def read(path: Path) -> str:
     name = str(path)
     try:
         if not path.is_file():
-            why = "it is not a file" if path.exists() else "there is no such file"
+            why = "is not a file" if path.exists() else "there is no such file"
             raise ParameterError(name, why, "Check the path given to --config.")
         with path.open("rb") as file:  # some are longer than they say
             data = file.read(MAX_CONFIG_BYTES + 1)
@@ -29,10 +29,10 @@ def read(path: Path) -> str:
             raise ParameterError(name, why, SHOW_HINT)
         return data.decode("utf-8")
     except UnicodeDecodeError:
-        raise ParameterError(name, "it is not UTF-8 text", SHOW_HINT) from None
+        raise ParameterError(name, "is not UTF-8 text", SHOW_HINT) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ParameterError(name, f"it cannot be read ({reason})") from None
+        raise ParameterError(name, f"cannot be read ({reason})") from None
 
 
 def parse(name: str, text: str) -> Any:
@@ -55,9 +55,9 @@ def parse(name: str, text: str) -> Any:
         where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         if isinstance(error, yaml.constructor.ConstructorError):  # a key twice, or of no use as one
             raise ParameterError(name, f"{str(error.problem)[:200]}{where}", _PLAIN) from None
-        raise ParameterError(name, f"it is not valid YAML{where}", SHOW_HINT) from None
+        raise ParameterError(name, f"is not valid YAML{where}", SHOW_HINT) from None
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
-        raise ParameterError(name, "it is not valid YAML", SHOW_HINT) from None
+        raise ParameterError(name, "is not valid YAML", SHOW_HINT) from None
 
 
 @lru_cache(maxsize=1)

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from dlgmd_cli import __version__
 from dlgmd_cli.commands.console import (
+    Group,
     Settings,
     errors_as_one_line,
     show_traceback,
@@ -32,10 +32,11 @@ COMMANDS = (
     "calibrate",
     "bench",
     "reproduce",
+    "completion",
 )
 
 
-class LazyGroup(click.Group):
+class LazyGroup(Group):
     """Commands by name, each imported from its own module when it is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -83,13 +84,13 @@ class LazyGroup(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="Example: dlgmd run flight.mp4 --set 9",
 )
-@click.option("--quiet", is_flag=True, help="No progress bar.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-@click.version_option(__version__, prog_name="dlgmd")
 @click.pass_context
-def cli(ctx: click.Context, quiet: bool, debug: bool) -> None:
-    """Watch a drone's video the way a locust's collision-detecting neuron does (D-LGMD)."""
-    ctx.obj = Settings(quiet=quiet, debug=debug)
+def cli(ctx: click.Context) -> None:
+    """Detect looming objects in video with a model of a locust's neuron (D-LGMD).
+
+    The general options may also follow the command. 'dlgmd COMMAND --help' explains a command.
+    """
+    ctx.ensure_object(Settings)
 
 
 def main() -> None:

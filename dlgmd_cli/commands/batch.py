@@ -16,6 +16,7 @@ from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
     Failed,
+    note,
     print_json,
     print_path,
     print_table,
@@ -24,6 +25,7 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     FiniteRange,
+    complete_file,
     dpi_option,
     engine_option,
     format_option,
@@ -125,34 +127,41 @@ class _Pool:
     cls=Command,
     epilog="Example: dlgmd batch flights --set 7 --set 9 --jobs 4 --timeout 600 --out results",
 )
-@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True)
+@click.argument(
+    "folders", metavar="FOLDER...", nargs=-1, required=True, shell_complete=complete_file
+)
 @setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
 @out_option
 @format_option
 @dpi_option
 @no_plots_option
+@click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
+@click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option(
-    "--overwrite", is_flag=True, help="Replace results of other parameters or of another input."
+    "--exclude",
+    multiple=True,
+    metavar="PATTERN",
+    help="Leave out files and folders of this name or path, such as 'raw*'; repeatable.",
 )
-@click.option("--force", is_flag=True, help="Compute again what is done already.")
+@click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")
 @click.option(
     "--jobs",
     type=click.IntRange(1, 512),
     metavar="N",
-    help="Videos at a time, each in a process of its own.  [default: all processors]",
+    help="Number of videos to process at a time.  [default: all processors]",
 )
 @click.option(
     "--timeout",
     "timeout_s",
     type=FiniteRange(min=0, min_open=True),
     metavar="S",
-    help="Seconds that one video may take.  [default: no limit]",
+    help="Give up on a video after S seconds.  [default: no limit]",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Use a Dask cluster: tcp://HOST:PORT or a scheduler file. Needs dlgmd[cluster].",
+    help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON object.")
 def batch(
@@ -165,21 +174,24 @@ def batch(
     no_plots: bool,
     overwrite: bool,
     force: bool,
+    exclude: tuple[str, ...],
+    dry_run: bool,
     jobs: int | None,
     timeout_s: float | None,
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Run the model over every video below folders.
+    """Run models over every video in folders.
 
-    A FOLDER may also be a video, or a URL of either, such as s3://bucket/flights; so may OUT.
+    A FOLDER may also be a video, or the URL of either, such as s3://bucket/flights. OUT may be a
+    URL, too. A folder that holds only pictures, eight or more of one size, counts as a video.
 
     Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
-    videos, and summary.csv, one row per video. Several models are run on one decoding; each has
-    a tree and a summary of its own, OUT/set7, OUT/set9 and so on.
+    videos, and summary.csv, one row per video. Several models share one decoding; each has a tree
+    and a summary of its own: OUT/set7, OUT/set9 and so on.
 
-    A video that fails is a row, not an end. What is done already with the same input and
-    parameters is skipped, so that after an interrupt the same command continues.
+    A video that fails does not stop the others. Videos that were done before with the same
+    parameters are skipped: after an interruption, the same command continues.
     """
     from tempfile import TemporaryDirectory
 
@@ -188,16 +200,18 @@ def batch(
 
     who = _Pool(jobs, timeout_s, scheduler)
     options, places = _options(setups, given), _places(setups, out)
-    found = _find(folders, out)
+    found = _find(folders, out, exclude)
+    labels = [one.label for one in setups]
+    formats = () if no_plots else tuple(dict.fromkeys(formats))
+    job = Job(tuple(setups), places, options, formats, dpi, overwrite or force)
+    if dry_run:
+        _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
+        return
     with store.locked(store.place(out)), ExitStack() as stack:
-        scratch = None
         if any(store.is_url(video.path) for video in found.videos):
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
-        formats = () if no_plots else tuple(dict.fromkeys(formats))
-        may_replace = overwrite or force
-        job = Job(tuple(setups), places, options, formats, dpi, may_replace, scratch)
+            job = replace(job, scratch=scratch)
         plan = _plan(found, job, force)
-        labels = [one.label for one in setups]
         complete = _work(who, job, plan, labels)
         statuses = {video.name: _status(plan, video.name) for video in found.videos}
         _show(plan, statuses, labels, complete=complete, as_json=as_json)
@@ -228,24 +242,24 @@ def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
     from dlgmd_cli.results.store import place
 
     if not out.strip():
-        raise ParameterError("--out", "it is empty", "Give the name of a folder.")
+        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
     if len(setups) == 1:
         return (out,)
     return tuple(str(place(out) / one.label) for one in setups)
 
 
-def _find(folders: tuple[str, ...], out: str) -> "Found":
+def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Found":
     """The videos; says what was left out."""
     from dlgmd_cli.results.store import is_url
     from dlgmd_cli.runs.find import find_videos
 
-    found = find_videos(folders, [] if is_url(out) else [Path(out)])
+    found = find_videos(folders, [] if is_url(out) else [Path(out)], exclude)
     for remark in found.remarks:
-        say(f"Note: {remark}.")
+        note(remark)
     for fault in found.faults:
         warn(f"{fault}; its videos are left out")
     if not found.videos:
-        mend = "Give folders with .mp4, .avi, .mkv and the like."
+        mend = "Give folders with .mp4, .avi, .mkv and the like, or with pictures of one size."
         raise SourceError(", ".join(folders), "there is no video", mend)
     return found
 
@@ -259,7 +273,10 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
     if n_before:
         say(f"{n_before} of {len(found.videos)} videos are done already.")
     if made.n_other_version:
-        warn(f"{made.n_other_version} results are of another version; --force computes all again")
+        warn(
+            f"{made.n_other_version} results are from another version of dlgmd; "
+            "--force processes all videos again"
+        )
     return made
 
 
@@ -314,6 +331,7 @@ def _show(
             "videos": len(statuses),
             "already_done": len(statuses) - len(plan.tasks),
             "status": {DONE: 0, **Counter(status for status in statuses.values() if status)},
+            "warnings": _warnings(plan),
         }
         print_json(facts)
     else:
@@ -321,12 +339,76 @@ def _show(
             _print_rows(summary.rows, label if len(labels) > 1 else "video")
         for path in paths:
             print_path(path)
+        click.echo(_counts(plan, statuses))
     if not complete:
         n_done = sum(status == DONE for status in statuses.values())
         say(
             f"Interrupted. {n_done} of {len(statuses)} videos are done; the same command continues "
             "from there."
         )
+
+
+def _warnings(plan: "Plan") -> dict[str, list[str]]:
+    """What is doubtful about each video, in any model; videos without doubts are left out."""
+    from dlgmd_cli.runs.batch import warnings_of
+
+    found: dict[str, list[str]] = {}
+    for summary in plan.summaries:
+        for video, row in summary.rows.items():
+            found[video] = list(dict.fromkeys([*found.get(video, []), *warnings_of(row)]))
+    return {video: lines for video, lines in sorted(found.items()) if lines}
+
+
+def _counts(plan: "Plan", statuses: dict[str, str]) -> str:
+    """One line that says how many videos there are, and what became of them."""
+    n_before = len(statuses) - len(plan.tasks)
+    by_status = Counter(statuses.values())
+    done = f"{by_status.pop(DONE, 0)} done"
+    parts = [f"{done} ({n_before} before)" if n_before else done]
+    n_open = by_status.pop("", 0)
+    parts += [f"{n} {status}" for status, n in sorted(by_status.items())]
+    parts += [f"{n_open} not processed"] if n_open else []
+    alarmed = {
+        video
+        for summary in plan.summaries
+        for video, row in summary.rows.items()
+        if row.record.get("summary", {}).get("alarms")
+    }
+    n_warned = len(_warnings(plan))
+    parts += [f"{len(alarmed)} with alarms"] + ([f"{n_warned} with warnings"] if n_warned else [])
+    return f"{_of_videos(len(statuses))}: {', '.join(parts)}."
+
+
+def _of_videos(n: int) -> str:
+    return f"{n} video{'s' * (n != 1)}"
+
+
+def _show_plan(
+    found: "Found", plan: "Plan", job: "Job", labels: list[str], *, as_json: bool
+) -> None:
+    """What a batch would do, for --dry-run."""
+    from dlgmd_cli.results import store
+
+    wanted = {task.video.name: task.wanted for task in plan.tasks}
+    videos = {
+        video.name: {
+            labels[number]: str(store.place(job.places[number]) / video.folder)
+            for number in wanted.get(video.name, ())
+        }
+        for video in found.videos
+    }
+    if as_json:
+        print_json({"dry_run": True, "videos": len(videos), "to_do": videos})
+        return
+    rows = [
+        (name, ", ".join(folders.values()) or "– (done before)") for name, folders in videos.items()
+    ]
+    print_table(("video", "would be written to"), rows)
+    n_open = len(wanted)
+    click.echo(
+        f"{_of_videos(len(videos))}: {n_open} to process, {len(videos) - n_open} done before. "
+        "Nothing was written."
+    )
 
 
 def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
@@ -344,7 +426,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
     summary: dict[str, Any] = row.record.get("summary", {})
     if not summary:
         return ("–",) * 5
-    peak = f"{summary['mp_max']:.6g}" if summary["mp_max"] else "–"
+    peak = "–" if summary["mp_max"] is None else f"{summary['mp_max']:.6g}"
     first = "–"
     if summary["first_alarm_frame"] is not None:
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)

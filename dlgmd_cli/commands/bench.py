@@ -9,7 +9,12 @@ from typing import Any
 import click
 
 from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
-from dlgmd_cli.commands.options import FiniteRange, decoder_option, engine_option
+from dlgmd_cli.commands.options import (
+    FiniteRange,
+    decoder_option,
+    engine_option,
+    optional_input_argument,
+)
 from dlgmd_cli.commands.progress import progress
 
 TABLE_IV_SET = 7
@@ -31,7 +36,7 @@ _COLUMNS = {
 
 
 @click.command(cls=Command, epilog="Example: dlgmd bench --radius 6 --scale 1 --scale 0.25")
-@click.argument("input_path", metavar="[INPUT]", required=False)
+@optional_input_argument
 @click.option(
     "--radius",
     "radii",
@@ -46,7 +51,7 @@ _COLUMNS = {
     type=FiniteRange(min=0, min_open=True, max=1),
     multiple=True,
     metavar="S",
-    help="Linear scale; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
+    help="Scale of the processed frames; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
 )
 @click.option(
     "--frames",
@@ -54,7 +59,8 @@ _COLUMNS = {
     type=click.IntRange(12, 100_000),
     default=120,
     show_default=True,
-    help="How many frames to run.",
+    metavar="N",
+    help="Number of frames to process.",
 )
 @click.option(
     "--repeat",
@@ -62,7 +68,8 @@ _COLUMNS = {
     type=click.IntRange(1, 1000),
     default=3,
     show_default=True,
-    help="How often everything is measured; medians are shown.",
+    metavar="N",
+    help="How often each measurement is repeated; medians are shown.",
 )
 @engine_option
 @decoder_option
@@ -71,7 +78,7 @@ _COLUMNS = {
     "csv_path",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Also write the table as CSV.",
+    help="Also write the table to a CSV file.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an earlier CSV.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of a table.")
@@ -87,11 +94,11 @@ def bench(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Time the model, as the paper's Table IV does, on this machine.
+    """Measure how long the model takes, as in the paper's Table IV.
 
-    Runs set 7 with each radius at each scale over INPUT, or over a 1080p clip of a panning camera
-    that it renders. Shows how long a frame takes: the core (the model alone), decoding (with
-    conversion to grey and resizing), and the whole, in which both run at once.
+    Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p clip of a panning
+    camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
+    grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
     from dlgmd_cli.parameters import load_set
     from dlgmd_cli.results.store import appearing, refuse_existing
@@ -169,6 +176,6 @@ def _show(measured: dict[str, Any]) -> None:
     width, height = measured["input_wh"]
     click.echo(
         f"Decoding {measured['frames']} frames of {width}x{height} alone takes {alone_ms:.3f} ms "
-        f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole takes "
-        f"{', '.join(shares)}."
+        f"per frame ({measured['decoder']}). With r = {rows[0]['radius']}, the whole pipeline "
+        f"takes {', '.join(shares)}."
     )

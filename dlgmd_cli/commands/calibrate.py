@@ -25,6 +25,7 @@ from dlgmd_cli.commands.evaluate import (
     run_over,
 )
 from dlgmd_cli.commands.options import (
+    complete_key,
     input_options,
     json_option,
     model_options,
@@ -63,14 +64,15 @@ _KEPT = ("scale", "size", "fps", "repeats")
     default=5,
     show_default=True,
     metavar="K",
-    help="Of the cross-validation over videos.",
+    help="Number of folds of the cross-validation over videos.",
 )
 @click.option(
     "--search",
     "searched",
     multiple=True,
     metavar="KEY=LOW:HIGH",
-    help="Also search a parameter, or width_px; repeatable. Needs dlgmd[calibrate].",
+    shell_complete=complete_key,
+    help="Also search a parameter, or width_px; repeatable; needs dlgmd[calibrate].",
 )
 @click.option(
     "--trials",
@@ -79,14 +81,14 @@ _KEPT = ("scale", "size", "fps", "repeats")
     default=50,
     show_default=True,
     metavar="N",
-    help="Parameters to try with --search, earlier ones included.",
+    help="With --search: number of trials, earlier ones included.",
 )
 @click.option(
     "--name",
     default="calibrated",
     show_default=True,
     metavar="NAME",
-    help="What the preset is called.",
+    help="Name of the preset.",
 )
 @jobs_option
 @out_option
@@ -106,20 +108,20 @@ def calibrate(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Find the threshold that announces labelled collisions best, and write it as a preset.
+    """Find the thresholds that announce labelled collisions best.
 
-    LABELS.csv and what counts as a hit are as in 'dlgmd evaluate'. Found are κ (T_MP of the LGMD)
-    and n_sp, 1 to 4: the greatest recall with at most --max-false-per-min; of equal ones, the
-    fewest false alarms, then the longest lead.
+    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds κ (for the LGMD: T_MP) and
+    n_sp, 1 to 4, with the highest recall at no more than --max-false-per-min. Ties are decided by
+    the fewest false alarms, then by the longest lead.
 
-    What is reported is held out: the videos are dealt into folds, and each fold is scored with
-    what does best on the others. The preset holds what does best on all videos.
+    The reported performance is held out: the videos are split into folds, and each fold is scored
+    with the parameters that do best on the others. The preset has the parameters that do best on
+    all videos.
 
-    With --search, Optuna tries values of other parameters. Every trial runs the model over all
-    videos; at the end, the best of all folds run once more. Trials are kept in OUT/trials.db, and
-    the same command continues from them.
+    With --search, Optuna also tries values of other parameters. Every trial runs the model over all
+    videos. Trials are kept in OUT/trials.db: after an interruption, the same command continues.
 
-    Writes OUT/NAME.yaml, which --config takes, and which says what it was calibrated on.
+    Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
     from dlgmd_cli.evaluation.calibration import Rules
     from dlgmd_cli.evaluation.footage import Field, read_cases
@@ -182,7 +184,7 @@ def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int
     finally:
         search.close()
     if not trials:
-        raise Failed("no trial had parameters that go together.", EXIT_FAILED)
+        raise Failed("no trial had a valid combination of parameters.", EXIT_FAILED)
     return of_trials(work, courses, trials)
 
 
@@ -220,7 +222,7 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
             EXIT_FAILED,
         )
     if n_with < 20:
-        warn(f"{n_with} videos with a collision are few: what is found may not hold for others")
+        warn(f"only {n_with} videos have a collision; the calibration may not generalise")
 
 
 def _preset(

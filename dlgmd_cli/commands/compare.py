@@ -12,6 +12,7 @@ import click
 from dlgmd_cli.commands.console import (
     Command,
     end_if_interrupted,
+    note,
     print_json,
     print_path,
     print_table,
@@ -21,6 +22,7 @@ from dlgmd_cli.commands.console import (
 from dlgmd_cli.commands.options import (
     Output,
     engine_option,
+    input_argument,
     input_options,
     json_option,
     labelled,
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
 
 # What the default is compared with.
 BESIDE = ("lgmd", "emd-lgmd")
-_INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
+_INFINITE = "inf: the membrane potential is 0 within 5 frames of the false positive."
 
 
 def _setups(
@@ -104,7 +106,7 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
     cls=Command,
     epilog="Example: dlgmd compare flight.mp4 --set 3 --set 9 --model lgmd --collision-frame 120",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @setup_options(
     _setups,
     click.option(
@@ -112,9 +114,13 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         "formulations",
         multiple=True,
         type=click.Choice(FORMULATIONS),
-        help="Add every D-LGMD in this formulation; repeatable.",
+        help="Also run each D-LGMD in this formulation, see 'dlgmd run --help'; repeatable.",
     ),
-    click.option("--no-ffi-gd", is_flag=True, help="Add every D-LGMD without the threshold of G."),
+    click.option(
+        "--no-ffi-gd",
+        is_flag=True,
+        help="Also run each D-LGMD without the threshold of G (FFI-GD).",
+    ),
     engine_option,
 )
 @input_options
@@ -131,14 +137,14 @@ def compare(
     output: Output,
     as_json: bool,
 ) -> None:
-    """Run many models over one video, which is decoded once.
+    """Run several models over one video.
 
     INPUT is as in 'dlgmd run'. Without --set, --config and --model, the preset flight is compared
-    with LGMD and EMD-LGMD.
+    with the LGMD and the EMD-LGMD.
 
-    Writes OUT/NAME/compare.csv, a figure of the membrane potentials, each normalised by its own
-    sequence unless --normalise says otherwise, one of the attenuations, and compare.yaml. Spikes
-    and alarms in the summary are those of 'dlgmd run'.
+    Writes OUT/NAME/ with compare.csv, figures of the membrane potentials and of the attenuations,
+    and compare.yaml. The figure scales each membrane potential to its own extremes, unless
+    --normalise absolute is given. Spikes and alarms are those of 'dlgmd run'.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
@@ -161,6 +167,8 @@ def compare(
             warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
             for warning in warnings:
                 warn(f"{input_path}: {warning}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
             record = _record(results, warnings, annotations)
             column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
             files = _files(results, record, output, partial(_figure, annotations, column, width))
@@ -265,7 +273,8 @@ def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
         for one in infinite:  # JSON has no number for it
             one["summary"]["distinguishability"] = "inf"
         summaries = {one["label"]: one["summary"] for one in record["models"]}
-        print_json({"result": str(folder), "complete": record["complete"], "models": summaries})
+        facts = {"result": str(folder), "complete": record["complete"]}
+        print_json({**facts, "warnings": record["warnings"], "models": summaries})
         return
     columns = {
         "mp_max_frame": ("peak frame", "{}"),

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -14,17 +15,76 @@ from typing import Any
 
 import click
 
-from dlgmd_cli import cancel
+from dlgmd_cli import __version__, cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
 
-class Settings:
-    """The options that stand before the command."""
+# Sections of the help, each with its options in their order there, the common ones first. What
+# stands in none of them belongs to one command alone, and comes before them all.
+SECTIONS = {
+    "Model": "set config model param formulation no-ffi-gd normalise engine",
+    "Input": "scale size fps start end crop mask repeats input-fps decoder",
+    "Output": "out overwrite force format no-plots width dpi json",
+    "General": "quiet verbose debug version help",
+}
+# What click adds to the help of numbers, such as [0<x<=1]; errors name the range.
+_BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
+_RANGE = re.compile(rf"; {_BOUNDS}(?=\]$)|\s*\[{_BOUNDS}\]$")
+# Extra arguments that an error lists.
+_MAX_LISTED = 3
 
-    def __init__(self, quiet: bool = False, debug: bool = False) -> None:
-        self.quiet, self.debug = quiet, debug
+
+class Settings:
+    """The general options, which stand before or after the name of the command."""
+
+    quiet = verbose = debug = False
+
+
+def _setter(name: str) -> Any:
+    """What takes a general option down."""
+
+    def take(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        if value:
+            setattr(ctx.ensure_object(Settings), name, True)
+
+    return take
+
+
+def general_options() -> list[click.Parameter]:
+    """The options of the tool and of each of its commands."""
+    flags: tuple[tuple[str, list[str], str], ...] = (
+        ("quiet", ["-q"], "Show no progress bar and no notes."),
+        ("verbose", ["-v"], "Say what is read, and with which parameters."),
+        ("debug", [], "Show the traceback of an error."),
+    )
+    return [
+        *(
+            click.Option(
+                [*short, f"--{name}"],
+                is_flag=True,
+                expose_value=False,
+                callback=_setter(name),
+                help=text,
+            )
+            for name, short, text in flags
+        ),
+        click.Option(
+            ["-V", "--version"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=_print_version,
+            help="Show the version and exit.",
+        ),
+    ]
+
+
+def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        click.echo(f"dlgmd, version {__version__}")
+        ctx.exit()
 
 
 class Failed(click.ClickException):
@@ -41,14 +101,42 @@ def settings() -> Settings:
     return found or Settings()
 
 
+def note(message: str) -> None:
+    """What the user may want to know, on stderr, unless they want quiet."""
+    if not settings().quiet:
+        say(f"Note: {message}.")
+
+
+def detail(message: str) -> None:
+    """What only --verbose tells, on stderr."""
+    if settings().verbose:
+        say(f"{message}.")
+
+
 class Command(click.Command):
-    """A command whose errors, the library's and bugs alike, end as one line and an exit code."""
+    """A command with the general options, whose help has sections, and whose errors are one line.
+
+    The library's errors, and bugs, end with an exit code. An option with the attribute `section`
+    stands in that section of the help.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params += general_options()
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections, those of the command's own options first."""
+        write_sections(self, ctx, formatter)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click does, after a look at what no operating system could have handed over."""
+        """As click does, but brief where a shell has expanded a pattern."""
         if any("\0" in arg for arg in args):
-            raise click.UsageError("an argument holds a NUL, which no name does.", ctx)
-        return super().parse_args(ctx, args)
+            raise click.UsageError("an argument contains a NUL character.", ctx)
+        is_strict, ctx.allow_extra_args = not ctx.allow_extra_args, True
+        rest = super().parse_args(ctx, args)
+        if is_strict and rest and not ctx.resilient_parsing:
+            raise click.UsageError(_too_many(rest), ctx)
+        return rest
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
@@ -58,6 +146,60 @@ class Command(click.Command):
             once = cache(warn)
             warnings.showwarning = lambda message, *_, **__: once(str(message))
             return super().invoke(ctx)
+
+
+class Group(click.Group):
+    """A group with the general options; the help begins with the commands."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params += general_options()
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, then the sections of the options."""
+        self.format_commands(ctx, formatter)
+        write_sections(self, ctx, formatter)
+
+
+def _too_many(extra: list[str]) -> str:
+    """What to say of arguments that a command does not take."""
+    n_extra = len(extra)
+    endings = {Path(name).suffix.lower() for name in extra}
+    if n_extra >= _MAX_LISTED and len(endings) == 1 and all(map(os.path.exists, extra)):
+        pattern = Path(extra[0]).parent / f"*{Path(extra[0]).suffix}"
+        return (
+            f"{n_extra + 1} files were given instead of one. If they are the frames of one video, "
+            f"quote the pattern: '{pattern}'. For several videos, use 'dlgmd batch'."
+        )
+    more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
+    listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
+    return f"unexpected argument{'s' * (n_extra > 1)}: {listed}{more}."
+
+
+def write_sections(
+    command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
+) -> None:
+    """The options of a command in the sections of the help."""
+    ranks = {
+        f"--{name}": (section, rank)
+        for section, names in SECTIONS.items()
+        for rank, name in enumerate(names.split())
+    }
+    lines: dict[str, list[tuple[int, tuple[str, str]]]] = {"Options": []}
+    for param in command.get_params(ctx):
+        record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
+        if record is None:
+            continue
+        section, rank = ranks.get(max(param.opts, key=len), ("Options", 0))
+        if hasattr(param, "section"):
+            section, rank = param.section, 0
+        names, text = record
+        lines.setdefault(section, []).append((rank, (names, _RANGE.sub("", text))))
+    for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
+        if lines.get(title):
+            with formatter.section(title):
+                ordered = sorted(lines[title], key=lambda line: line[0])
+                formatter.write_dl([record for _, record in ordered])
 
 
 @contextmanager
@@ -131,8 +273,8 @@ def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> 
     """After a stop, say what `target` holds and exit as interrupted."""
     if not cancel.requested():
         return
-    kept = "the whole result" if complete else f"the {n_frames} frames processed before the stop"
-    say(f"Interrupted. {target} holds {kept}.")
+    kept = f"the {n_frames} frames processed before the interruption"
+    say(f"Interrupted. {target} holds {'the whole result' if complete else kept}.")
     raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 
 

@@ -46,7 +46,7 @@ jobs_option = click.option(
     "--jobs",
     type=click.IntRange(1, 512),
     metavar="N",
-    help="Videos at a time, each in a process of its own.  [default: all processors]",
+    help="Number of videos to process at a time.  [default: all processors]",
 )
 rule_options = option_group(
     "rules",
@@ -58,7 +58,7 @@ rule_options = option_group(
         default=1.0,
         show_default=True,
         metavar="S",
-        help="An alarm so many seconds before a collision announces it.",
+        help="An alarm up to S seconds before a collision is a hit.",
     ),
     click.option(
         "--max-false-per-min",
@@ -66,7 +66,7 @@ rule_options = option_group(
         default=1.0,
         show_default=True,
         metavar="F",
-        help="False alarms a minute that the best threshold may raise.",
+        help="False alarms per minute that the best threshold may have.",
     ),
 )
 
@@ -82,14 +82,14 @@ rule_options = option_group(
     "--results",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Score what 'dlgmd batch' wrote there, instead of running models.",
+    help="Score the results of 'dlgmd batch' in DIR instead of running models.",
 )
 @rule_options
 @click.option(
     "--baselines/--no-baselines",
     default=True,
     show_default=True,
-    help="Also score ΣP alone and the divergence of optical flow.",
+    help="Also score two baselines: the sum of P, and the divergence of optical flow.",
 )
 @jobs_option
 @width_option
@@ -107,24 +107,24 @@ def evaluate(
     output: Output,
     as_json: bool,
 ) -> None:
-    """Score how well the alarms of models announce labelled collisions.
+    """Score how well alarms announce labelled collisions.
 
-    LABELS.csv has the columns video (relative to it), collision_frame (empty: no collision) and,
-    if wanted, target; a video with several collisions has several rows.
+    LABELS.csv has the columns video (a path relative to the file), collision_frame (empty: no
+    collision) and, optionally, target. A video with several collisions has several rows.
 
-    An alarm counts when it is raised. Within the horizon before a collision it is a hit, and its
-    lead is the time left. Up to 3 frames after the collision it is at contact, neither a hit nor
-    false; after that it is ignored until the horizon before the video's next collision. Every
-    other alarm is false; within 2 s before the collision it is also early. Minutes run to the
-    first collision, or to the end of the video.
+    An alarm counts at the frame that raises it. Within --horizon before a collision, it is a hit,
+    and its lead is the time left. Up to 3 frames after a collision, it is at contact: neither a hit
+    nor false. Later alarms are ignored until --horizon before the video's next collision. Every
+    other alarm is false; up to 2 s before a collision it is also counted as early. Rates per minute
+    refer to the time before the first collision, or to the whole video.
 
-    Each model is scored at its default threshold and at the best one, that of the greatest recall
-    with at most --max-false-per-min; the best one is chosen on the same videos, so that it is
-    optimistic. Baselines have only that. Intervals are 95 % of 1000 resamples of the videos.
+    Each model is scored at its default threshold and at the best one: the threshold with the
+    highest recall at no more than --max-false-per-min. The best threshold is chosen on the same
+    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos.
 
     Writes into OUT evaluate.csv (one row per model, threshold and target), curves.csv (recall and
-    false alarms at all thresholds), alarms.csv (every alarm: hit, contact, false or early; and
-    every missed collision), figures of the trade-off and of the leads, and evaluate.yaml.
+    false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
+    of the trade-off and of the leads, and evaluate.yaml.
     """
     from dlgmd_cli.evaluation.footage import Field, read_cases
     from dlgmd_cli.evaluation.report import evaluated

@@ -15,7 +15,7 @@ from dlgmd_cli.commands.console import (
     say,
     warn,
 )
-from dlgmd_cli.commands.options import FiniteRange, decoder_option
+from dlgmd_cli.commands.options import FiniteRange, complete_file, decoder_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, SourceError, printable
 
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=Command, epilog="Example: dlgmd info flight.mp4 --write-mask mask.png")
-@click.argument("input_paths", metavar="INPUT...", nargs=-1, required=True)
+@click.argument(
+    "input_paths", metavar="INPUT...", nargs=-1, required=True, shell_complete=complete_file
+)
 @click.option(
     "--write-mask",
     "mask_path",
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     "--input-fps",
     type=FiniteRange(min=0, min_open=True, max=100_000),
     metavar="F",
-    help="Frame rate of pictures, or of a video that states none.  [default: 30]",
+    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
 )
 @decoder_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
@@ -51,9 +53,8 @@ def info(
 ) -> None:
     """Describe videos: size, codec, frame rate, repeated frames, damage.
 
-    INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'. It
-    is read whole, as 'dlgmd run' reads it. Below its facts stands what follows from them: options
-    of 'dlgmd run', or what to do with the file first.
+    INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
+    options of 'dlgmd run', or what to do with the file first.
     """
     if mask_path is not None and len(input_paths) > 1:
         raise click.UsageError("--write-mask works with one INPUT.")

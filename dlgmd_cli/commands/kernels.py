@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 @parameter_options
 @output_options
 def kernels(setup: "Setup", output: Output) -> None:
-    """Write what a cell is connected to: excitation, inhibition, latency.
+    """Show the kernels of a D-LGMD: excitation, inhibition and latency.
 
-    Makes OUT/kernels-NAME.csv and a figure. The CSV has one row per tap: its place in px, its
-    latency in frames, and its strengths.
+    Writes OUT/kernels-NAME.csv and a figure. The CSV has one row per connection: its offset in px,
+    its latency in frames, and its strengths.
     """
     params = setup.params
     if not isinstance(params, DistributedParameters):

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import Output, input_options, model_options, output_options
+from dlgmd_cli.commands.console import Command, note, print_path, say, warn
+from dlgmd_cli.commands.options import (
+    Output,
+    input_argument,
+    input_options,
+    model_options,
+    output_options,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import SourceError
 
@@ -54,22 +60,22 @@ def _video_file(value: str) -> Path:
     cls=Command,
     epilog="Example: dlgmd layers flight.mp4 --frames 1,50,65,75,80 --video layers.mp4",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @click.option(
     "--frames",
     "wanted",
     type=_frame_numbers,
     metavar="N,N,…",
-    help="Frames of the sheet, numbers from 0 in the input.  [default, without --video: those "
-    "with the strongest responses, spread out]",
+    help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
+    "responses, spread out]",
 )
-@click.option("--npz", is_flag=True, help="Write those frames' layers as arrays, too.")
+@click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
     "film_path",
     type=_video_file,
     metavar="FILE",
-    help="Render input, S, G and MP as an .mp4.",
+    help="Write an .mp4 of the input, S, G and the membrane potential.",
 )
 @click.option(
     "--overlay",
@@ -90,13 +96,13 @@ def layers(
     given: dict[str, Any],
     output: Output,
 ) -> None:
-    """Show the input, P, S and G as heat maps.
+    """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
-    INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'.
+    INPUT is as in 'dlgmd run'.
 
-    Writes OUT/NAME/ with a contact sheet and layers.yaml, with --npz also layers.npz. --video
-    writes a film of input, S and G above the running membrane potential; the sheet is left out
-    then, unless --frames is given.
+    Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
+    writes a film of the input, S and G above the membrane potential; the figure is left out then,
+    unless --frames is given.
     """
     if overlay and film_path is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
@@ -140,6 +146,8 @@ def layers(
                 result.warnings.extend(result.doubts() if film_path else [])
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
             if folder is not None and sheet is not None:
                 files = _files(result, sheet, output, npz)
                 store.commit(folder, store.LAYERS, files, is_new_input=is_new)

@@ -4,11 +4,12 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.names import numbered
@@ -19,6 +20,7 @@ from dlgmd_cli.parameters import (
     MODELS,
     PRESETS,
     parse_overrides,
+    preset_names,
 )
 from dlgmd_cli.video.base import DECODERS, REPEATS, Crop, parse_crop, parse_size
 
@@ -73,7 +75,7 @@ class Time(click.ParamType):
         hours, minutes, seconds = (float(part or 0) for part in match.groups())
         time_s = hours * 3600 + minutes * 60 + seconds
         if not math.isfinite(time_s):
-            self.fail("no video is as long as that.", param, ctx)
+            self.fail("no video is that long.", param, ctx)
         return time_s
 
 
@@ -127,41 +129,124 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     return decorate
 
 
+# What the shell completes.
+
+
+def complete_file(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Files and folders."""
+    return [CompletionItem(incomplete, type="file")]
+
+
+def complete_folder(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Folders."""
+    return [CompletionItem(incomplete, type="dir")]
+
+
+def complete_key(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Keys of parameters, those of the model if one is named, each with an equals sign."""
+    named = ctx.params.get("model")
+    kinds = [MODELS[named]] if named in MODELS else MODELS.values()
+    specs = {key: spec for kind in kinds for key, spec in kind.parameters.specs().items()}
+    return [
+        CompletionItem(f"{key}=", help=spec.meaning)
+        for key, spec in specs.items()
+        if key.startswith(incomplete)
+    ]
+
+
+def complete_config(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Presets, else files."""
+    names = [name for name in PRESETS if incomplete and name.startswith(incomplete)]
+    return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
+
+
+class SetName(click.ParamType):
+    """One of the paper's sets: 9, or set9."""
+
+    name = "set"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """`set9` -> 9; whether there is such a set is seen later."""
+        return str(value).removeprefix("set")
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names of all sets."""
+        return [CompletionItem(name) for name in preset_names() if name.startswith(incomplete)]
+
+
+input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
+optional_input_argument = click.argument(
+    "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
+)
+
 # The model and its parameters.
 
+PARAM_HELP = "Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them."
+CONFIG_HELP = (
+    "YAML file of parameters, or the name of a preset. The run.yaml of a result repeats its run."
+)
+MODEL_HELP = "A model with its published parameters; dlgmd means set 9."
+FORMULATION_HELP = (
+    "How inhibition is computed where its delay is not a whole number of frames. default: delays "
+    "are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
+    "released: exactly as in the released code, which also divides FFI by 200000 whatever the "
+    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
+    "equations read literally."
+)
+
+
+def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """The one value of an option that others of its kind would override silently."""
+    if len(values) > 1:
+        raise click.UsageError(
+            f"{param.opts[0]} is given {len(values)} times, but this command runs one model. "
+            "'dlgmd compare' and 'dlgmd batch' run several.",
+            ctx,
+        )
+    return values[0] if values else None
+
+
+once = partial(click.option, multiple=True, callback=_only_one)
 param_option = click.option(
     "--param",
     "pairs",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Override one parameter; repeatable.",
+    shell_complete=complete_key,
+    help=PARAM_HELP,
 )
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(FORMULATIONS),
-    help="How delays that are not whole frames are rounded. released also divides FFI by 200000 "
-    "whatever the frames' size, which leaves little of FFI-GD at 480x270.  [default: default]",
+    help=f"{FORMULATION_HELP}  [default: default]",
 )
 engine_option = click.option(
     "--engine",
     type=click.Choice(ENGINES),
-    help="What computes the model; numba needs dlgmd[fast].  "
+    help="Library that computes the D-LGMD; numba needs dlgmd[fast].  "
     "[default: numba for large frames if installed, else opencv]",
 )
 ONE_MODEL = (
-    click.option("--set", "set_name", metavar="N", help="The paper's set, 1 to 9."),
-    click.option(
+    once("--set", "set_name", type=SetName(), metavar="N", help="The paper's set N, 1 to 9."),
+    once(
         "--config",
         type=click.Path(path_type=Path),
-        help="A preset's name, or a YAML file of parameters; a run.yaml repeats its run.  "
-        f"[default: {PRESETS[0]}]",
+        metavar="FILE",
+        shell_complete=complete_config,
+        help=f"{CONFIG_HELP}  [default: {PRESETS[0]}]",
     ),
     param_option,
-    click.option(
-        "--model",
-        type=click.Choice(list(MODELS)),
-        help="A model with its published values; dlgmd stands for set 9.",
-    ),
+    once("--model", type=click.Choice(list(MODELS)), help=MODEL_HELP),
     formulation_option,
 )
 
@@ -196,23 +281,25 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
             "--set",
             "set_names",
             multiple=True,
+            type=SetName(),
             metavar="N",
-            help="One of the paper's sets, 1 to 9; repeatable.",
+            help="The paper's set N, 1 to 9; repeatable.",
         ),
         click.option(
             "--config",
             "configs",
             multiple=True,
             type=click.Path(path_type=Path),
-            help="A preset's name, or a YAML file of parameters; repeatable.  "
-            f"[default: {PRESETS[0]}]",
+            metavar="FILE",
+            shell_complete=complete_config,
+            help=f"{CONFIG_HELP} Repeatable.  [default: {PRESETS[0]}]",
         ),
         click.option(
             "--model",
             "models",
             multiple=True,
             type=click.Choice(list(MODELS)),
-            help="A model with its published values; dlgmd stands for set 9; repeatable.",
+            help=f"{MODEL_HELP} Repeatable.",
         ),
         *more,
     )
@@ -241,7 +328,7 @@ _RATE = FiniteRange(min=0, min_open=True, max=100_000)
 decoder_option = click.option(
     "--decoder",
     type=click.Choice(DECODERS),
-    help="What decodes a video; pyav needs dlgmd[fast].  [default: opencv]",
+    help="Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]",
 )
 input_options = option_group(
     "given",
@@ -250,47 +337,49 @@ input_options = option_group(
         "--scale",
         type=FiniteRange(min=0, min_open=True, max=1),
         metavar="S",
-        help="Linear scale of the processed frame.  [default: fits the width to the preset's, "
-        f"{DEFAULT_WIDTH_PX} px for the paper's sets]",
+        help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
+        f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
     ),
-    click.option("--size", type=Size(), help="An exact processed size instead."),
+    click.option("--size", type=Size(), help="Scale frames to this size in px instead."),
     click.option(
         "--fps",
         type=RateOrAll(min=0, min_open=True, max=100_000),
         metavar="F|all",
-        help="Process at most F frames a second, every k-th; times stay true.  [default: "
-        f"{DEFAULT_MODEL_FPS:g}, the preset's, in videos; all of pictures]",
+        help="Process at most F frames a second, by taking every k-th. Times stay true.  "
+        f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
     ),
+    click.option("--start", type=Time(), help="Start here: seconds, or HH:MM:SS.mmm."),
+    click.option("--end", type=Time(), help="Stop before this time: seconds, or HH:MM:SS.mmm."),
     click.option(
         "--repeats",
         type=click.Choice(REPEATS),
-        help="Frames that merely repeat the one before: skip them, or show them to the model.  "
+        help="Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
     click.option(
         "--input-fps",
         type=_RATE,
         metavar="F",
-        help="Frame rate of pictures, or of a video that states none.  [default: 30]",
+        help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
     ),
     decoder_option,
-    click.option("--start", type=Time(), help="Seconds or HH:MM:SS.mmm."),
-    click.option("--end", type=Time(), help="Seconds or HH:MM:SS.mmm, excluded."),
     click.option(
         "--crop",
         type=Rectangle(),
-        help="Look at this part of the picture only; X and Y are its upper left corner, in px.",
+        help="Use only this part of the picture; X and Y are its upper left corner in px.",
     ),
     click.option(
         "--mask",
         type=click.Path(exists=True, dir_okay=False),
         metavar="FILE",
-        help="Ignore what is black in this picture, which covers the input, or its --crop.",
+        help="Ignore what is black in this picture, which is scaled to the input or to --crop.",
     ),
     click.option(
         "--normalise",
         type=click.Choice(["absolute", "sequence"]),
-        help="Which normalised MP drives the spikes.  [default: absolute]",
+        help="How the membrane potential (MP) is normalised before the spiking threshold: absolute "
+        "needs no later frames; sequence scales to the extremes of the whole video, as in the "
+        "paper's figures.  [default: absolute]",
     ),
 )
 
@@ -312,12 +401,18 @@ def _output(
 ) -> Output:
     """What the options ask for, each format once."""
     if not out.strip():
-        raise ParameterError("--out", "it is empty", "Give the name of a folder.")
+        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
     return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), dpi, overwrite)
 
 
 out_option = click.option(
-    "--out", default="dlgmd-out", show_default=True, metavar="DIR", help="Where results go."
+    "-o",
+    "--out",
+    default="dlgmd-out",
+    show_default=True,
+    metavar="DIR",
+    shell_complete=complete_folder,
+    help="Folder for the results.",
 )
 format_option = click.option(
     "--format",
@@ -326,7 +421,7 @@ format_option = click.option(
     multiple=True,
     default=["png"],
     show_default=True,
-    help="Format of the plots; repeatable.",
+    help="Format of the figures; repeatable.",
 )
 dpi_option = click.option(
     "--dpi",
@@ -336,8 +431,8 @@ dpi_option = click.option(
     metavar="N",
     help="Resolution of PNG figures, in dots per inch.",
 )
-no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no plots.")
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an earlier result.")
+no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 output_options = option_group(
     "output", _output, out_option, format_option, dpi_option, no_plots_option, overwrite_option
 )
@@ -349,5 +444,5 @@ width_option = click.option(
     type=click.Choice(["one", "two"]),
     default="one",
     show_default=True,
-    help="Columns of a paper that a figure is as wide as.",
+    help="Width of the figures, in columns of a paper.",
 )

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
 _FORMATS = ("png", "pdf", "svg")
+_OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "mp4", "ps", "tif", "tiff", "webp")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Characters of a file's name, and of a wrong value in an error.
 _MAX_NAME, _MAX_SHOWN = 100, 60
@@ -58,7 +59,7 @@ annotation_options = option_group(
         type=_remark("FRAME:TEXT", r"(\d{1,9})", "40:pitching"),
         metavar="FRAME:TEXT",
         multiple=True,
-        help="A line at a frame, with a text: 40:pitching; repeatable.",
+        help="Label a frame, such as 40:pitching; repeatable.",
     ),
     click.option(
         "--span",
@@ -66,13 +67,13 @@ annotation_options = option_group(
         type=_remark("FRAME-FRAME:TEXT", r"(\d{1,9})-(\d{1,9})", "40-75:accelerating"),
         metavar="FRAME-FRAME:TEXT",
         multiple=True,
-        help="A band from one frame to another: 40-75:accelerating; repeatable.",
+        help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
     click.option(
-        "--collision-frame", type=_frame, metavar="N", help="Where the camera truly collides."
+        "--collision-frame", type=_frame, metavar="N", help="Frame of the true collision."
     ),
     click.option(
-        "--false-positive-frame", type=_frame, metavar="N", help="Where an alarm is a false one."
+        "--false-positive-frame", type=_frame, metavar="N", help="Frame of a false alarm."
     ),
 )
 
@@ -91,21 +92,22 @@ annotation_options = option_group(
     "labels",
     multiple=True,
     metavar="TEXT",
-    help="Name of a result in the legend; as often as there are results.  "
-    "[default: names of the folders]",
+    help="Name of a result in the legend; give one per result.  [default: the folders' names]",
 )
 @click.option(
     "--normalise",
     type=click.Choice(list(_COLUMNS)),
-    help="Which MP is drawn.  [default: the one that drove the spikes; of comparisons alone, "
-    "the one that 'dlgmd compare' drew]",
+    help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
+    "follow; for comparisons, the one that 'dlgmd compare' drew]",
 )
 @width_option
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path),
     default=Path("dlgmd-out"),
     show_default=True,
+    metavar="PATH",
     help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
 )
 @format_option
@@ -126,9 +128,9 @@ def plot(
     """Draw stored results: membrane potential, attenuation, spikes, or all of them.
 
     KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run' or 'dlgmd
-    compare' wrote, or the compare.csv in it; several are drawn on the same axes.
+    compare' wrote, or the compare.csv in it.
 
-    Writes OUT/KIND-NAME.png, or what --out and --format say.
+    Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.
     """
     if normalise and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
@@ -171,6 +173,11 @@ def plot(
 def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     """The files to write: `out` itself if it ends like a figure, otherwise some within it."""
     suffix = out.suffix.lower().removeprefix(".")
+    if suffix in _OTHER_FORMATS and not out.is_dir():
+        raise click.UsageError(
+            f"--out: figures are written as {', '.join(_FORMATS)}, not as {suffix}. "
+            f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
+        )
     if suffix not in _FORMATS:
         return [out / f"{stem}.{form}" for form in dict.fromkeys(formats)]
     source = click.get_current_context().get_parameter_source("formats")
@@ -194,7 +201,7 @@ def _read(
     are_compared = []
     for path, folder in zip(paths, folders, strict=True):
         if path.suffix.lower() == ".csv" and path.name != "compare.csv":
-            why = "it is one file of a result"
+            why = "is one file of a result"
             raise ResultError(str(path), why, "Give the folder that holds it.")
         has_run, has_comparison = (
             (folder / record).exists() for record in (store.RUN, store.COMPARISON)

@@ -7,7 +7,9 @@ import click
 
 from dlgmd_cli.commands.console import (
     Command,
+    detail,
     end_if_interrupted,
+    note,
     print_json,
     print_path,
     print_table,
@@ -16,6 +18,7 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     Output,
+    input_argument,
     input_options,
     json_option,
     model_options,
@@ -32,7 +35,7 @@ if TYPE_CHECKING:
     cls=Command,
     epilog="Example: dlgmd run flight.mp4 --set 9 --scale 0.5 --start 00:00:10 --format pdf",
 )
-@click.argument("input_path", metavar="INPUT")
+@input_argument
 @model_options
 @input_options
 @output_options
@@ -40,12 +43,13 @@ if TYPE_CHECKING:
 def run(
     input_path: str, setup: "Setup", given: dict[str, Any], output: Output, as_json: bool
 ) -> None:
-    """Run the model over a video: its membrane potential and spikes.
+    """Run a model over a video.
 
-    INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'.
+    INPUT is a video file, a folder of pictures, or a quoted pattern such as 'frames/%04d.png' or
+    'frames/*.png'.
 
-    Writes OUT/NAME/ with mp.csv, attenuation.csv and spikes.csv, a plot of each, and run.yaml,
-    which --config takes to repeat the run.
+    Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
+    and alarms), a figure of each, and run.yaml, which repeats the run with --config.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
@@ -60,10 +64,12 @@ def run(
                 (result,) = runs.run_models(
                     video, [setup], options, identity=identity, on_frame=on_frame, tell=say
                 )
-            if sampling := video.sampling():
-                say(f"{input_path}: {sampling}.")
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
+            if options.fps in (None, "all") and (sampling := video.sampling()):
+                note(f"{input_path}: {sampling}")
+            for line in details(result):
+                detail(line)
             runs.require_an_answer(input_path, video, [setup], [result], options)
             files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
@@ -71,15 +77,31 @@ def run(
     end_if_interrupted(folder, len(result), complete=result.record["complete"])
 
 
+def details(result: "Result") -> list[str]:
+    """What was read, and by which model with which parameters: a line each, for --verbose."""
+    record, params = result.record, result.params.to_dict()
+    source, processed = record["input"], record["processed"]
+    values = ", ".join(f"{key} = {value}" for key, value in params.items())
+    return [
+        f"Input: {source['path']}, {source['width']}x{source['height']}, {source['fps']:.6g} "
+        f"frames a second, decoded by {source['decoder']}",
+        f"Processed: {processed['frames']} frames of {processed['width']}x{processed['height']}",
+        f"Model: {record['model']}, computed by {record['engine']}, with {values}",
+    ]
+
+
 def _show(result: "Result", folder: Path, as_json: bool) -> None:
     """The summary on stdout."""
     summary, processed = result.summary, result.record["processed"]
     if as_json:
         facts = {"result": str(folder), "complete": result.record["complete"]}
+        facts["warnings"] = result.warnings
         print_json({**facts, "frames": processed["frames"], **summary})
         return
     peak = spikes = alarms = attenuation = "none"
-    if summary["mp_max"]:
+    if summary["mp_max"] == 0.0:
+        peak = "0: everything was suppressed"
+    elif summary["mp_max"] is not None:
         peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s".format(**summary)
     if summary["spikes"]:
         spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)

@@ -1,20 +1,43 @@
 """`dlgmd sets`: the paper's parameter sets, as a table or as YAML."""
 
 import click
+from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands.console import Command, print_table
-from dlgmd_cli.parameters import MODELS, PRESETS, DlgmdParameters
+from dlgmd_cli.commands.console import Command, Group, print_table
+from dlgmd_cli.parameters import MODELS, PRESETS, DlgmdParameters, preset_names
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
 
-@click.group(invoke_without_command=True, epilog="Example: dlgmd sets show 9 > my.yaml")
+class _Sets(Group):
+    """`dlgmd sets 9` is short for `dlgmd sets show 9`."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does; what is no command is a name to show."""
+        return super().resolve_command(ctx, args if args[0] in self.commands else ["show", *args])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """What `show` takes, too."""
+        names = _complete_name(ctx, self.params[0], incomplete)
+        return [*super().shell_complete(ctx, incomplete), *names]
+
+
+@click.group(
+    cls=_Sets,
+    invoke_without_command=True,
+    epilog="Example: dlgmd sets show 9 > my.yaml",
+)
 @click.pass_context
 def sets(ctx: click.Context) -> None:
-    """List the paper's parameter sets (Table II), the other models and the presets."""
+    """List the paper's parameter sets, the other models and the presets.
+
+    'dlgmd sets 9' prints set 9, as 'dlgmd sets show 9' does.
+    """
     if ctx.invoked_subcommand is not None:
         return
-    from dlgmd_cli.parameters import load_set, preset_names
+    from dlgmd_cli.parameters import load_set
 
     specs = DlgmdParameters.specs()
     header = ("set", *(specs[key].symbol for key in _SHOWN))
@@ -24,23 +47,31 @@ def sets(ctx: click.Context) -> None:
         rows.append((name, *(f"{values[key]:g}" for key in _SHOWN)))
     print_table(header, rows)
     keys = (f"{specs[key].symbol} {key}" for key in _SHOWN if specs[key].symbol != key)
-    click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets show N' has all, with units.")
+    click.echo(f"Keys: {', '.join(keys)}. 'dlgmd sets N' shows all parameters, with units.")
     others = [name for name in MODELS if name != DlgmdParameters.model]
     click.echo(f"Other models: {', '.join(others)}.")
-    click.echo("'dlgmd sets show lgmd' has the values of one of them.")
+    click.echo("'dlgmd sets lgmd' shows the parameters of one of them.")
     for name in PRESETS:
-        click.echo(f"Preset: {name}, the default; 'dlgmd sets show {name}' has its values.")
+        click.echo(f"Preset: {name}, the default; 'dlgmd sets {name}' shows its parameters.")
+
+
+def _complete_name(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Sets, models and presets, for the shell."""
+    names = [*preset_names(), *MODELS, *PRESETS]
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 @sets.command(
     cls=Command,
     epilog="Example: dlgmd sets show 9 > my.yaml; dlgmd run flight.mp4 --config my.yaml",
 )
-@click.argument("name", metavar="NAME")
+@click.argument("name", metavar="NAME", shell_complete=_complete_name)
 def show(name: str) -> None:
-    """Print set NAME, 1 to 9, the preset flight, or another model's values, as YAML.
+    """Print the parameters of NAME as YAML, for use with --config.
 
-    --config takes the YAML.
+    NAME is a set (1 to 9), the preset flight, or a model such as lgmd.
     """
     import yaml
 
@@ -53,7 +84,9 @@ def show(name: str) -> None:
         origin = f"{MODELS[name].parameters.source}, and defaults."
     else:
         config = load_preset(name)
-        origin = f"Set {name}; Table II of {DlgmdParameters.source}, and defaults."
+        origin = (
+            f"Set {name.removeprefix('set')}; Table II of {DlgmdParameters.source}, and defaults."
+        )
     params = parameters_of(config)
     click.echo(f"# {origin}")
     click.echo(f"model: {params.model}")

@@ -10,6 +10,7 @@ import click
 from dlgmd_cli.commands.console import (
     Command,
     end_if_interrupted,
+    print_json,
     print_path,
     print_table,
     say,
@@ -18,9 +19,12 @@ from dlgmd_cli.commands.console import (
 from dlgmd_cli.commands.options import (
     ONE_MODEL,
     Output,
+    complete_key,
     engine_option,
     input_options,
+    json_option,
     option_group,
+    optional_input_argument,
     output_options,
     width_option,
 )
@@ -36,8 +40,8 @@ if TYPE_CHECKING:
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 # The parameters of the paper's Fig. 11, without those that it varies.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
-_AXIS_HELP = "A parameter and its values: KEY=FROM:TO:STEP, or KEY=VALUE,VALUE."
-_INFINITE = "inf: no membrane potential within 5 frames of the false positive, none to mistake."
+_AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
+_INFINITE = "inf: the membrane potential is 0 within 5 frames of the false positive."
 
 cube_options = option_group(
     "shape",
@@ -47,7 +51,7 @@ cube_options = option_group(
         type=float,
         multiple=True,
         metavar="V",
-        help="Without INPUT: speed of a cube in px/frame; repeatable.  [default: 1, 2, 3 and 4]",
+        help="Without INPUT: speed of the cube in px/frame; repeatable.  [default: 1, 2, 3 and 4]",
     ),
     click.option(
         "--cube-size",
@@ -61,8 +65,8 @@ cube_options = option_group(
         "--frames",
         type=int,
         metavar="N",
-        help="Without INPUT: length of each clip.  [default: as many frames as the fastest cube "
-        "is in sight, 75 at most]",
+        help="Without INPUT: frames in each clip.  [default: until the fastest cube has left the "
+        "picture, at most 75]",
     ),
 )
 
@@ -71,15 +75,21 @@ cube_options = option_group(
     cls=Command,
     epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25",
 )
-@click.argument("input_path", metavar="[INPUT]", required=False)
-@click.option("--x", metavar="AXIS", required=True, help=_AXIS_HELP)
-@click.option("--y", metavar="AXIS", required=True, help="As --x.")
+@optional_input_argument
+@click.option("--x", metavar="AXIS", required=True, shell_complete=complete_key, help=_AXIS_HELP)
+@click.option(
+    "--y",
+    metavar="AXIS",
+    required=True,
+    shell_complete=complete_key,
+    help="Second parameter and its values.",
+)
 @cube_options
 @click.option(
     "--false-positive-frame",
     type=click.IntRange(min=0),
     metavar="N",
-    help="With INPUT: frame near which a response is a mistake, for distinguishability.",
+    help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
 @option_group("asked", dict, *ONE_MODEL, engine_option)
 @input_options
@@ -87,10 +97,11 @@ cube_options = option_group(
     "--jobs",
     type=click.IntRange(1, 512),
     metavar="N",
-    help="Processes that share the points.  [default: all processors]",
+    help="Number of processes.  [default: all processors]",
 )
 @width_option
 @output_options
+@json_option
 def sweep(
     input_path: str | None,
     x: str,
@@ -102,19 +113,19 @@ def sweep(
     jobs: int | None,
     width: Any,
     output: Output,
+    as_json: bool,
 ) -> None:
-    """Run the model with every pair of values of two parameters.
+    """Run a model over a grid of values of two parameters.
 
     Without INPUT, the model sees black cubes that cross a white picture, one clip per speed, and
-    attenuation is measured, as in the paper's Fig. 11. The other parameters are then
-    alpha = beta = lam = 0, a = 1.5, r = 4 and the defaults, unless --set or --config names others.
+    the attenuation is measured, as in the paper's Fig. 11. Unless --set or --config says otherwise,
+    the other parameters are those of that figure: alpha = beta = lam = 0, a = 1.5, r = 4.
 
-    With INPUT, as in 'dlgmd run', the peak membrane potential, the sharpness (the mean of the
-    potential scaled to its peak), the distinguishability and the first alarm are measured. The
-    other parameters are those of the preset flight, unless --set or --config names others.
+    With INPUT, a video as in 'dlgmd run', the measures are the peak membrane potential (MP), the
+    sharpness (the mean MP relative to its peak), the distinguishability and the first alarm.
 
-    Writes OUT/sweep-NAME/ with sweep.csv, one row per grid point and speed, a figure, and
-    sweep.yaml. Points are kept as they are done: after an interruption, the same command continues.
+    Writes OUT/sweep-NAME/ with sweep.csv (one row per grid point and speed), a figure, and
+    sweep.yaml. After an interruption, the same command continues where it stopped.
     """
     import numpy as np
 
@@ -162,10 +173,14 @@ def sweep(
                 {FIGURE: partial(plot_sweep, result, width)}, output.formats, output.dpi
             )
         swept.finish(figures)
-    print_table(("", "least", "at", "greatest", "at"), result.extremes())
-    if np.isinf(result.columns.get("distinguishability", 0.0)).any():
-        print_table(("",), [(_INFINITE,)])
-    print_path(folder)
+    if as_json:
+        facts = {"result": str(folder), "complete": True, "points": n_points}
+        print_json({**facts, "warnings": swept.warnings, "measures": result.facts()})
+    else:
+        print_table(("", "least", "at", "greatest", "at"), result.extremes())
+        if np.isinf(result.columns.get("distinguishability", 0.0)).any():
+            print_table(("",), [(_INFINITE,)])
+        print_path(folder)
     end_if_interrupted(folder, n_points, complete=True)
 
 
@@ -206,7 +221,7 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
         if key in parse_overrides(asked["pairs"]):
             raise click.UsageError(f"--param sets {key}, which is an axis. Leave it out.")
         if key == "formulation" and asked["formulation"] is not None:
-            raise click.UsageError("--formulation sets what is an axis. Leave it out.")
+            raise click.UsageError("--formulation is an axis of the sweep. Leave it out.")
     return Grid(*axes)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
 from dlgmd_cli.commands.console import (
@@ -16,7 +17,7 @@ from dlgmd_cli.commands.console import (
     say,
     settings,
 )
-from dlgmd_cli.commands.options import Size
+from dlgmd_cli.commands.options import Size, complete_folder
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
@@ -25,41 +26,41 @@ if TYPE_CHECKING:
     from dlgmd_cli.stimuli.base import Scene
     from dlgmd_cli.stimuli.clip import DrawSheet, Form
 
-_FLIGHTS = "Of flights only"
+_PICTURE, _FLIGHTS = "Picture", "Flights only"
 # What a scene can be told, by section of the help: type and metavar of each flag, and its help. The
 # scenes check ranges, and have the defaults.
 _TOLD: dict[str, dict[str, tuple[Any, str | None, str]]] = {
-    "Options": {
-        "size": (Size(), None, "Size of the frames.  [default: the scene's own; flat 480x270]"),
+    _PICTURE: {
+        "size": (Size(), None, "Size of the frames in px.  [default: the scene's own; flat scenes "
+            "480x270]"),
         "fps": (float, "F", "Frames per second.  [default: 30]"),
-        "frames": (int, "N", "Length of the clip.  [default: the whole flight; flat scenes: all "
-            "before contact, 75 where there is none]"),
+        "frames": (int, "N", "Number of frames.  [default: the whole flight; flat scenes: until "
+            "just before contact, 75 without contact]"),
         "fov": (float, "DEG", "Horizontal field of view of the camera.  [default: flights 80, flat "
             "scenes 60]"),
-        "noise": (float, "SD", "Standard deviation of the noise that every pixel gets, as a share "
-            "of white: of linear light in a flight, of luminance in a flat scene.  "
-            "[default: 0.002; flat 0]"),
-        "seed": (int, "N", "Seed of the noise; of a flight, of all that is random in it.  "
+        "noise": (float, "SD", "Standard deviation of the noise in each pixel, as a fraction "
+            "of white: of linear light in flights, of luminance in flat scenes.  "
+            "[default: flights 0.002, flat scenes 0]"),
+        "seed": (int, "N", "Seed of the noise and, in flights, of everything that is random.  "
             "[default: 0]"),
     },
     _FLIGHTS: {
-        "exposure": (float, "MS", "How long the shutter is open, which blurs what moves.  "
+        "exposure": (float, "MS", "Exposure time in ms, which causes motion blur.  [default: 0]"),
+        "rolling-shutter": (float, "MS", "Delay in ms between the first and the last row.  "
             "[default: 0]"),
-        "rolling-shutter": (float, "MS", "How much later the last row is taken than the first.  "
-            "[default: 0]"),
-        "vignette": (float, "V", "Share of the light that the corners lose, 0 to 1.  "
+        "vignette": (float, "V", "Fraction of the light that is lost in the corners, 0 to 1.  "
             "[default: 0.3]"),
-        "shot-noise": (float, "SD", "Standard deviation of the noise that comes with light, where "
-            "it is full; the variance is proportional to the light.  [default: 0.01]"),
+        "shot-noise": (float, "SD", "Standard deviation of the shot noise at full light; its "
+            "variance is proportional to the light.  [default: 0.01]"),
         "gamma": (float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
     },
-    "Of flat scenes only": {
-        "object-size": (float, "S", "Side or diameter: m, or px for translating-cubes.  "
-            "[default: 0.5 m; a ninth of the height]"),
-        "speed": (float, "V", "Speed in m/s; for translating-cubes in px/frame, negative to the "
-            "left, and repeatable for more cubes.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]"),
-        "distance": (float, "D", "Distance in m at the first frame.  [default: 7.5; 0.1 for "
-            "receding-cube]"),
+    "Flat scenes only": {
+        "object-size": (float, "S", "Side or diameter of the object in m; in px for "
+            "translating-cubes.  [default: 0.5 m; a ninth of the height]"),
+        "speed": (float, "V", "Speed in m/s. In translating-cubes: px/frame, negative to the "
+            "left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]"),
+        "distance": (float, "D", "Distance in m at the first frame.  [default: 7.5; "
+            "receding-cube 0.1]"),
         "contrast": (float, "C", "Weber contrast: the object is 1 + C times as bright as the "
             "background.  [default: -0.75]"),
         "background": (float, "L", "Luminance of the background, 0 to 1.  [default: 0.8]"),
@@ -70,7 +71,7 @@ _TOLD: dict[str, dict[str, tuple[Any, str | None, str]]] = {
 class _SectionOption(click.Option):
     """An option that the help shows in a section of its own."""
 
-    def __init__(self, *args: Any, section: str = "Options", **kwargs: Any) -> None:
+    def __init__(self, *args: Any, section: str, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.section = section
 
@@ -78,19 +79,14 @@ class _SectionOption(click.Option):
 _flight_option = partial(click.option, cls=_SectionOption, section=_FLIGHTS)
 
 
-class _SectionedCommand(Command):
-    """A command whose help has its options in sections."""
+def _complete_scene(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """The scenes, for the shell."""
+    from dlgmd_cli.flights.scenes import SCENES
 
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The options of no section first."""
-        sections: dict[str, list[tuple[str, str]]] = {"Options": []}
-        for param in self.get_params(ctx):
-            line = param.get_help_record(ctx)
-            if line is not None and isinstance(param, click.Option):
-                sections.setdefault(getattr(param, "section", "Options"), []).append(line)
-        for title, lines in sections.items():
-            with formatter.section(title):
-                formatter.write_dl(lines)
+    scenes = [scene for name, scene in SCENES.items() if name.startswith(incomplete)]
+    return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
 
 
 def _scene_options(command: Any) -> Any:
@@ -105,41 +101,43 @@ def _scene_options(command: Any) -> Any:
 
 
 @click.command(
-    cls=_SectionedCommand,
+    cls=Command,
     epilog="Example: dlgmd synth looming-cube --speed 5 --noise 0.02 --seed 1 --out stimuli",
 )
-@click.argument("scene_name", metavar="SCENE", required=False)
-@click.option("--list", "lists", is_flag=True, help="List the scenes and stop.")
+@click.argument("scene_name", metavar="SCENE", required=False, shell_complete=_complete_scene)
+@click.option("--list", "lists", is_flag=True, help="List the scenes and exit.")
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path),
     default=Path(),
     metavar="DIR",
     show_default="here",
+    shell_complete=complete_folder,
     help="Folder for the files.",
 )
-@click.option("--lossless", is_flag=True, help="Write FFV1 in .avi, which keeps every grey level.")
-@click.option("--png", is_flag=True, help="Write a folder of PNG, which keeps every grey level.")
-@click.option("--sheet", is_flag=True, help="Draw a contact sheet, too, of up to 12 frames.")
+@click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
+@click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
+@click.option("--sheet", is_flag=True, help="Also draw a contact sheet of up to 12 frames.")
 @click.option("--overwrite", is_flag=True, help="Replace earlier files.")
 @_scene_options
 @_flight_option(
     "--agile/--stabilised",
     default=None,
-    help="Whether the drone follows its orders at once, as a racing drone, or eased, as a camera "
-    "drone.  [default: the scene's own; stabilised, but for a quarter of 'random']",
+    help="Whether the drone moves abruptly, like a racing drone, or smoothly, like a camera "
+    "drone.  [default: the scene's own; in 'random', a quarter of the flights are agile]",
 )
 @_flight_option(
     "--count",
     type=click.IntRange(1, 1_000_000),
     metavar="N",
-    help="Render N flights, each with the next seed, and DIR/labels.csv.",
+    help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
 @_flight_option(
     "--jobs",
     type=click.IntRange(1, 512),
     metavar="N",
-    help="Processes that share the flights of --count.  [default: all processors]",
+    help="With --count: number of processes.  [default: all processors]",
 )
 def synth(
     scene_name: str | None,
@@ -155,16 +153,15 @@ def synth(
 ) -> None:
     """Render a stimulus with its ground truth.
 
-    Makes DIR/SCENE.mp4 and DIR/SCENE.csv, whose rows say what is true of each frame; of a flight
-    also DIR/SCENE.yaml with its phases and the frame of the collision. 'dlgmd synth --list' has the
-    scenes: flights in rendered rooms, and flat ones, plain objects on a plain background.
+    SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
+    background. 'dlgmd synth --list' lists the scenes.
 
-    --sheet makes DIR/SCENE-sheet.png beside them, which shows at a glance what was rendered: frames
-    from the first to the last, with what is true of each. With --count, every flight has its own.
+    Writes DIR/SCENE.mp4 and DIR/SCENE.csv, which has the ground truth of each frame. For a flight,
+    DIR/SCENE.yaml has its phases and the frame of the collision. --sheet adds DIR/SCENE-sheet.png,
+    a contact sheet of frames with their ground truth.
 
-    --count makes DIR/SCENE-0000.mp4 and so on, the first with --seed, each other with the next
-    seed, and DIR/labels.csv. Flights that are there already are kept: after an interrupt, run the
-    same command again to go on.
+    With --count, writes DIR/SCENE-0000.mp4 and so on, and DIR/labels.csv. Flights that already
+    exist are kept: after an interruption, run the same command again to continue.
     """
     if count is None and jobs is not None:
         raise click.UsageError("--jobs works only with --count. Add it.")
@@ -172,7 +169,7 @@ def synth(
         _list()
         return
     if scene_name is None:
-        raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' has them.")
+        raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
     from dlgmd_cli.flights.scenes import find_scene
     from dlgmd_cli.stimuli.clip import Form
 

@@ -57,7 +57,7 @@ def read_cases(path: Path) -> list[Case]:
     for label in read_labels(path):
         by_video.setdefault(label.video, []).append(label)
     if not by_video:
-        raise ResultError(str(path), "it lists no video", "Add a line for each, as flight.mp4,120.")
+        raise ResultError(str(path), "lists no video", "Add a line for each, as flight.mp4,120.")
     return [_case(path, video, labels) for video, labels in by_video.items()]
 
 

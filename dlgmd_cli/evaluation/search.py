@@ -58,7 +58,7 @@ def _range(text: str, params: Parameters) -> tuple[str, Range]:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ParameterError(_OPTION, f"{shown(text)} does not rise from LOW to HIGH")
     if key in _FOUND:
-        raise ParameterError(_OPTION, f"{key} is found without a search", "Leave it out.")
+        raise ParameterError(_OPTION, f"{key} is calibrated without a search", "Leave it out.")
     if key == WIDTH:
         least, most, is_whole = 16.0, 8192.0, True
     else:
@@ -139,7 +139,7 @@ class Search:
             if not overwrite:
                 raise OutputExistsError(
                     str(path),
-                    "it holds the trials of another search",
+                    "contains the trials of another search",
                     "Add --overwrite to remove them, or choose another --out.",
                 )
             path.unlink()

@@ -126,7 +126,7 @@ class Fleet:
         ours = {self.paths_of(number)[0].name for number in range(self.count)}
         strays = [label.video for label in listed if label.video not in ours]
         if strays:
-            raise OutputExistsError(str(path), f"it lists other videos, such as {strays[0]}", mend)
+            raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
 
 
 def render_flights(

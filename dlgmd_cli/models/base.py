@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import FrameError, ParameterError
-from dlgmd_cli.parameters import BASELINES, MODELS, Parameters
+from dlgmd_cli.parameters import BASELINES, MODELS, DlgmdParameters, Parameters, ParametersT
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
@@ -155,6 +155,22 @@ class Model:
         raise NotImplementedError
 
 
+def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
+    """`params` if they are of this kind, its defaults if they are None, else a ParameterError."""
+    if params is None:
+        return kind()
+    if not isinstance(params, kind):
+        is_set = kind is DlgmdParameters
+        mend = f"Write {'load_set(9)' if is_set else f'{kind.__name__}()'}, or leave it out."
+        raise ParameterError("", f"expected {kind.__name__}, not {shown_params(params)}", mend)
+    return params
+
+
+def shown_params(params: Any) -> str:
+    """What was given in place of parameters, briefly."""
+    return type(params).__name__ if isinstance(params, Parameters) else repr(params)[:40]
+
+
 def create_model(params: Parameters, **options: Any) -> Model:
     """The model that `params` are parameters of.
 
@@ -172,6 +188,9 @@ def create_model(params: Parameters, **options: Any) -> Model:
     MissingExtraError
         If the engine needs a package that is not installed.
     """
+    if not isinstance(params, Parameters):
+        mend = "Write load_set(9) for one of the paper's sets."
+        raise ParameterError("", f"expected parameters, not {shown_params(params)}", mend)
     entry = MODELS.get(params.model) or BASELINES.get(params.model)
     if entry is None:
         raise ParameterError("", f"no model takes {type(params).__name__}")

@@ -6,7 +6,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import Flags, FloatImage, Grey, Photoreceptors, Response, aligned
+from dlgmd_cli.models.base import (
+    Flags,
+    FloatImage,
+    Grey,
+    Photoreceptors,
+    Response,
+    aligned,
+    checked_params,
+)
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import AUTO, Counting
 from dlgmd_cli.parameters import ContrastParameters
@@ -68,7 +76,7 @@ class ContrastDLGMD(Distributed):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        params = params if params is not None else ContrastParameters()
+        params = checked_params(params, ContrastParameters)
         super().__init__(params, engine, tell, least_delay=1)  # F(t) looks one frame back
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None

@@ -200,8 +200,9 @@ class Alarm:
     ) -> None:
         if repeats not in ("skip", "keep"):
             raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
-        self.params = params if params is not None else parameters_of(load_config(PRESETS[0]))
-        self.model: Model = create_model(self.params, engine=engine, tell=tell)
+        params = params if params is not None else parameters_of(load_config(PRESETS[0]))
+        self.model: Model = create_model(params, engine=engine, tell=tell)
+        self.params = params
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
         self._last = Detection(**vars(undefined()))

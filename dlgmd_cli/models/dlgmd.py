@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from dlgmd_cli.models.base import Response
+from dlgmd_cli.models.base import Response, checked_params
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import AUTO, Grouping
 from dlgmd_cli.parameters import DlgmdParameters
@@ -54,7 +54,7 @@ class DLGMD(Distributed):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        params = params if params is not None else DlgmdParameters()
+        params = checked_params(params, DlgmdParameters)
         self._released = params.formulation == "released"
         # FFI(t) looks one frame back, two in the released code, Eq. (12).
         self._ffi_delay = 2 if self._released else 1

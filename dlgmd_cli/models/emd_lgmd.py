@@ -14,6 +14,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    checked_params,
     undefined,
 )
 from dlgmd_cli.models.engines import AUTO, require_opencv
@@ -54,7 +55,7 @@ class EmdLGMD(Model):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.params = params if params is not None else EmdLgmdParameters()
+        self.params = checked_params(params, EmdLgmdParameters)
         self.engine_name = require_opencv(engine, self.name)
         self._slow, self._fast = (
             np.float32(-math.expm1(-1.0 / tau))

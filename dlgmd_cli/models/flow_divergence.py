@@ -5,7 +5,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import Grey, Layers, Model, Photoreceptors, Response, undefined
+from dlgmd_cli.models.base import (
+    Grey,
+    Layers,
+    Model,
+    Photoreceptors,
+    Response,
+    checked_params,
+    undefined,
+)
 from dlgmd_cli.parameters import FlowDivergenceParameters
 
 
@@ -29,7 +37,7 @@ class FlowDivergence(Model):
     layer_units = ("luminance", "px/frame", "1/frame")
 
     def __init__(self, params: FlowDivergenceParameters | None = None, **_: Any) -> None:
-        self.params = params if params is not None else FlowDivergenceParameters()
+        self.params = checked_params(params, FlowDivergenceParameters)
         self.engine_name = "opencv"
         self.first_valid_frame = 1
         self._flow: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)

@@ -12,6 +12,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    checked_params,
     undefined,
 )
 from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
@@ -54,7 +55,7 @@ class LGMD(Model):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.params = params if params is not None else LgmdParameters()
+        self.params = checked_params(params, LgmdParameters)
         self.engine_name = require_opencv(engine, self.name)
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []

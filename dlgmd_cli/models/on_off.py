@@ -6,7 +6,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import Flags, Grey, Photoreceptors, Response, aligned
+from dlgmd_cli.models.base import Flags, Grey, Photoreceptors, Response, aligned, checked_params
 from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import AUTO, Counting
@@ -46,7 +46,7 @@ class OnOffDLGMD(DLGMD):
         engine: str = AUTO,
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        super().__init__(params if params is not None else OnOffParameters(), engine, tell)
+        super().__init__(checked_params(params, OnOffParameters), engine, tell)
         depth = self.first_valid_frame
         self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
 

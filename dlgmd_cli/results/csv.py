@@ -92,7 +92,7 @@ def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
     Raises
     ------
     ResultError
-        If it cannot be read, has another header, or holds something else than frames in order.
+        If cannot be read, has another header, or holds something else than frames in order.
     """
     return _checked(path, header, [row for _, row in _rows(path, header)])
 
@@ -116,14 +116,16 @@ def _rows(path: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]
             for row in rows:
                 if len(row) != len(header):
                     raise ResultError(
-                        str(path), f"line {rows.line_num} has not {len(header)} cells", _REMAKE
+                        str(path),
+                        f"line {rows.line_num} does not have {len(header)} cells",
+                        _REMAKE,
                     )
                 yield rows.line_num, row
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing", _REMAKE) from None
     except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are no text
         reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"it cannot be read ({reason})", _REMAKE) from None
+        raise ResultError(str(path), f"cannot be read ({reason})", _REMAKE) from None
 
 
 def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:
@@ -131,9 +133,9 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
     try:
         numbers = [[float(text or "nan") for text in row] for row in rows]
     except ValueError as error:
-        raise ResultError(str(path), f"it holds something else than numbers ({error})") from None
+        raise ResultError(str(path), f"contains something other than numbers ({error})") from None
     if not numbers:
-        raise ResultError(str(path), "it holds no frames", _REMAKE)
+        raise ResultError(str(path), "contains no frames", _REMAKE)
     table = np.array(numbers)
     columns = {name: table[:, place].copy() for place, name in enumerate(header)}
     frame, time_s = columns["frame"], columns["time_s"]

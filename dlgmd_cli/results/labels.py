@@ -52,7 +52,7 @@ def read_labels(path: Path) -> list[Label]:
     Raises
     ------
     ResultError
-        If it cannot be read, or holds something else.
+        If cannot be read, or holds something else.
     """
     try:
         # Spreadsheets may begin a file with a byte order mark.
@@ -60,11 +60,11 @@ def read_labels(path: Path) -> list[Label]:
             rows = list(csv.reader(file))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"it cannot be read ({reason})") from None
+        raise ResultError(str(path), f"cannot be read ({reason})") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if not set(_NEEDED) <= set(header):
         raise ResultError(
-            str(path), "it holds no labels", f"Its first line should be {','.join(_NEEDED)}."
+            str(path), "contains no labels", f"Its first line should be {','.join(_NEEDED)}."
         )
     return [
         _label(path, number, dict(zip(header, row, strict=False)))

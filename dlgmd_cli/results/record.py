@@ -88,7 +88,7 @@ def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str =
 
 
 def read_record(path: "Path | UPath") -> dict[str, Any]:
-    """The record in a file, or nothing if it cannot be read or is none; never raises."""
+    """The record in a file, or nothing if cannot be read or is none; never raises."""
     try:
         with path.open("rb") as file:
             text = file.read(_MAX_BYTES + 1)

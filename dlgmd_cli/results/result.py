@@ -1,6 +1,7 @@
 """`Result`: what a model said about a video, and everything that follows from it."""
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -313,7 +314,7 @@ def read_result(folder: str | Path) -> Result:
     record = read_record(folder / store.RUN)
     if not record:
         raise ResultError(
-            str(folder), f"it holds no result (no {store.RUN})", "Run 'dlgmd run' first."
+            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
         )
     columns: dict[str, Series] = {}
     for name in ("mp.csv", "attenuation.csv"):
@@ -338,7 +339,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     record = read_record(folder / store.COMPARISON)
     models = record.get("models")
     if not isinstance(models, list):
-        why = f"it holds no comparison (no {store.COMPARISON})"
+        why = f"contains no comparison (no {store.COMPARISON})"
         raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
     by_label = csv.read_comparison_columns(folder / "compare.csv")
     described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
@@ -362,13 +363,19 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 def _existing(folder: str | Path) -> Path:
     """The folder, which must be there."""
+    if not isinstance(folder, str | os.PathLike):
+        why = f"expected the folder of a result, not {type(folder).__name__}"
+        raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
     folder = Path(folder)
     try:
+        if folder.is_file():
+            why = "is a file, not the folder of a result"
+            mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
+            raise ResultError(str(folder), why, mend)
         if not folder.is_dir():
-            why = "it is not a folder" if folder.exists() else "there is no such folder"
-            raise ResultError(str(folder), why, "Give one that 'dlgmd run' wrote.")
+            raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ResultError(str(folder)[:200], f"it cannot be read ({error})") from None
+        raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
     return folder
 
 
@@ -389,7 +396,7 @@ def _result(
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):
-        raise ResultError(str(path), "it does not say the processed size", "Run again.") from None
+        raise ResultError(str(path), "does not state the processed size", "Run again.") from None
     result = Result(
         columns["frame"].astype(np.int64),
         columns["time_s"],

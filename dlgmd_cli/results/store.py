@@ -73,7 +73,7 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
 
         found = UPath(url)
         if not found.fs or not found.path.strip("/"):
-            raise ParameterError(url, "it names no folder", "Give one, as s3://bucket/results.")
+            raise ParameterError(url, "names no folder", "Give one, as s3://bucket/results.")
         return UPath(url.rstrip("/"))
     except ImportError as error:
         raise MissingExtraError(
@@ -129,14 +129,14 @@ def check(
         if not folder.exists():
             return False
         if not folder.is_dir():
-            raise OutputExistsError(str(folder), "it is not a folder", "Choose another --out.")
+            raise OutputExistsError(str(folder), "is not a folder", "Choose another --out.")
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
     ours = frozenset().union(*map(files_of, _TABLES))
     strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
     if strays and not records:
         raise OutputExistsError(
-            str(folder), f"it holds other files, such as {strays[0]}", "Choose another --out."
+            str(folder), f"contains other files, such as {strays[0]}", "Choose another --out."
         )
     mend = "Add --overwrite to replace it, or choose another --out."
     if record in records and not overwrite:
@@ -310,9 +310,9 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
 def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
     """Raise OutputExistsError if `path`, which `option` asks for, may not be written over."""
     if path.is_dir():
-        raise OutputExistsError(str(path), "it is a folder", f"Choose another {option}.")
+        raise OutputExistsError(str(path), "is a folder", f"Choose another {option}.")
     if path.exists() and not overwrite:
-        raise OutputExistsError(str(path), "it already exists", "Add --overwrite to replace it.")
+        raise OutputExistsError(str(path), "already exists", "Add --overwrite to replace it.")
 
 
 @contextmanager
@@ -334,7 +334,7 @@ def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") ->
     """The error for what cannot be written."""
     return OutputError(
         str(path),
-        f"it cannot be written ({failure_text(error)})",
+        f"cannot be written ({failure_text(error)})",
         f"Choose another {option}, or make room.",
     )
 

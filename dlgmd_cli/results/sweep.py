@@ -189,6 +189,25 @@ class SweepResult:
                 rows.append(tuple(row))
         return rows
 
+    def facts(self) -> list[dict[str, Any]]:
+        """The same as numbers by name, None where nothing is defined; infinity is a text."""
+        found = []
+        for name, clips in self.columns.items():
+            for clip, values in enumerate(clips):
+                row: dict[str, Any] = {"measure": name}
+                if self.speeds_px:
+                    row["speed_px"] = self.speeds_px[clip]
+                for word, find in (("least", np.nanargmin), ("greatest", np.nanargmax)):
+                    at = None if np.isnan(values).all() else int(find(values))
+                    value = None if at is None else float(values.flat[at])
+                    row[word] = value if value is None or math.isfinite(value) else str(value)
+                    axes = self.grid.x.key, self.grid.y.key
+                    row[f"{word}_at"] = (
+                        None if at is None else dict(zip(axes, self.grid.values(at), strict=True))
+                    )
+                found.append(row)
+        return found
+
     def _at(self, values: Series, point: int) -> tuple[str, str]:
         """A value, and the parameters of its point."""
         x, y = map(_parameter, self.grid.values(point))

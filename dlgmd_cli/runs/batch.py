@@ -32,7 +32,7 @@ OF_SUMMARY = (
     "first_alarm_time_s",
     "mean_attenuation_db",
 )
-COLUMNS = ("video", "status", "error", *OF_INPUT, *OF_SUMMARY, "wall_s")
+COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, "wall_s")
 # Rewriting a long table after every short video would take more time than the videos.
 _SHARE_OF_TIME = 0.05
 # Records are read so many at a time, for each may be a journey to a bucket.
@@ -327,9 +327,16 @@ def as_row(error: Exception, status: str = FAILED, began: float | None = None) -
     return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
 
 
+def warnings_of(row: Row) -> list[str]:
+    """What is doubtful about a result, a line each."""
+    found = row.record.get("warnings")
+    return found if isinstance(found, list) else []
+
+
 def _cells(video: str, row: Row) -> list[str]:
     """The cells of one video; empty where there is nothing to say."""
-    cells = [csv.text_cell(video), row.status, csv.text_cell(row.error)]
+    warnings = "; ".join(map(str, warnings_of(row)))
+    cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
         numbers = (_number(row.record.get(part, {}).get(key)) for key in keys)
         cells += ["" if number is None else csv.cell(number) for number in numbers]

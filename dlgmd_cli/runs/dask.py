@@ -182,7 +182,7 @@ def address_of(scheduler: str) -> str:
     try:
         address = json.loads(path.read_bytes())["address"]
     except OSError as error:
-        why = f"it cannot be read ({error.strerror})"
+        why = f"cannot be read ({error.strerror})"
     except (ValueError, KeyError, TypeError):
         why = "it is not a scheduler file"
     else:
@@ -213,7 +213,7 @@ def _check_workers(client: Any, folders: list[str]) -> None:
         if isinstance(report, ImportError):
             version: str | None = None
         elif isinstance(report, Exception):
-            raise WorkerError(where, f"it cannot be asked ({' '.join(str(report).split())[:200]})")
+            raise WorkerError(where, f"cannot be asked ({' '.join(str(report).split())[:200]})")
         else:
             version, host, hidden = report
             if hidden:

@@ -1,4 +1,4 @@
-"""The videos below folders and URLs, and what the folders of their results are called."""
+"""The videos below folders and URLs, pictures included, and the folders of their results."""
 
 import os
 import posixpath
@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ from dlgmd_cli.errors import SourceError
 from dlgmd_cli.names import told_apart
 from dlgmd_cli.results.store import failure_text, is_url, place
 from dlgmd_cli.video.frames import fingerprint
+from dlgmd_cli.video.images import SUFFIXES as PICTURES
+from dlgmd_cli.video.images import read_image
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -27,6 +30,10 @@ _ENDINGS = """
 SUFFIXES = frozenset(f".{ending}" for ending in _ENDINGS.split())
 # What stores call that which changes with a file's content, the surest first.
 _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
+# So many pictures of one size are taken for the frames of a video; looked at are a few of them.
+LEAST_PICTURES, _LOOKED_AT = 8, 5
+# What Matplotlib writes near the beginning of a figure.
+_OF_FIGURES = b"Matplotlib"
 # Lies beside the results in the topmost folder.
 SUMMARY = "summary.csv"
 
@@ -62,11 +69,14 @@ class Found:
     faults: list[str]
 
 
-def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
+def find_videos(
+    roots: Sequence[str], leave_out: Iterable[Path] = (), exclude: Iterable[str] = ()
+) -> Found:
     """Every video below folders, and those that are given themselves.
 
-    Links are followed, but no folder is searched twice, and a real folder comes before a link to
-    it. Hidden files and folders are left out.
+    A folder that holds pictures of one size only, eight or more, is a video too, unless they are
+    figures. Links are followed, but no folder is searched twice, and a real folder comes before a
+    link to it. Hidden files and folders are left out.
 
     Parameters
     ----------
@@ -74,6 +84,9 @@ def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
         Folders, videos, and URLs of either. Of several, names begin with that of the root.
     leave_out : iterable of Path
         Folders that are not searched, such as that of the results, unless they are roots.
+    exclude : iterable of str
+        Patterns, such as ``raw*``, of files and folders to leave out: each is compared with their
+        name, and with their path as `Input.name` has it.
 
     Raises
     ------
@@ -83,10 +96,10 @@ def find_videos(roots: Sequence[str], leave_out: Iterable[Path] = ()) -> Found:
         If a root is a URL, and what reads such is not installed.
     """
     roots = list(dict.fromkeys(roots))
-    search = _Search(leave_out)
-    for prefix, root in zip(
-        told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""], roots, strict=True
-    ):
+    search = _Search(leave_out, exclude)
+    prefixes = told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""]
+    named = list(zip(prefixes, roots, strict=True))
+    for prefix, root in sorted(named, key=lambda one: Path(one[1]).is_symlink()):
         base = place(root)
         if isinstance(base, Path):
             search.add(prefix, str(base))
@@ -112,10 +125,12 @@ def is_video(name: str) -> bool:
 class _Search:
     """Walks through folders and remembers what it met."""
 
-    def __init__(self, leave_out: Iterable[Path]) -> None:
+    def __init__(self, leave_out: Iterable[Path], exclude: Iterable[str]) -> None:
         self.found: dict[str, tuple[str, dict[str, Any]]] = {}
         self.faults: list[str] = []
+        self._n_excluded = {pattern.rstrip("/"): 0 for pattern in exclude}
         self._n_hidden = 0
+        self._no_sequences: list[str] = []
         self._repeated: list[str] = []
         self._links: list[tuple[str, str]] = []
         self._searched: set[tuple[int, int]] = set()
@@ -127,6 +142,10 @@ class _Search:
     def remarks(self) -> list[str]:
         """What was left out on purpose."""
         lines = [f"{path}: left out, already searched" for path in self._repeated]
+        lines += self._no_sequences
+        for pattern, n in self._n_excluded.items():
+            what = f"{n} file{'s' * (n > 1)} or folder{'s' * (n > 1)}" if n else "nothing"
+            lines.append(f"--exclude {pattern!r} left out {what}")
         if self._n_hidden:
             kind = "file or folder" if self._n_hidden == 1 else "files and folders"
             lines.append(f"{self._n_hidden} hidden {kind} left out")
@@ -138,7 +157,7 @@ class _Search:
         try:
             is_folder = stat.S_ISDIR(Path(absolute).stat().st_mode)
         except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-            why = f"it cannot be read ({failure_text(error)})"
+            why = f"cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the path.") from None
         if is_folder:
             self._left_out.discard(_key_of(absolute))
@@ -153,15 +172,17 @@ class _Search:
             base.fs.invalidate_cache()
             listed = base.fs.find(top, detail=True)
         except Exception as error:  # every kind of URL has its own
-            why = f"it cannot be read ({failure_text(error)})"
+            why = f"cannot be read ({failure_text(error)})"
             raise SourceError(root, why, "Check the URL.") from None
         if not listed:
-            raise SourceError(root, "there is nothing", "Check the URL.")
+            raise SourceError(root, "nothing was found there", "Check the URL.")
         for path, facts in sorted(listed.items()):
             below = str(path)[len(top) :].removeprefix("/")
             name = "/".join(filter(None, (prefix, below))) or posixpath.basename(str(path))
             if any(part.startswith(".") for part in below.split("/")):
                 self._n_hidden += 1
+            elif self._is_excluded(name):
+                continue
             elif not below or is_video(below):
                 version = next((str(facts[key]) for key in _VERSIONS if facts.get(key)), None)
                 known = {"bytes": facts.get("size"), "version": version} if version else {}
@@ -178,14 +199,54 @@ class _Search:
         waiting = [(prefix, root)]
         while waiting:
             prefix, folder = waiting.pop()
-            for entry in self._entries(folder):
+            entries = self._entries(folder)
+            if self._is_sequence(folder, entries):
+                self._take(prefix or Path(folder).name, folder)
+                continue
+            for entry in entries:
                 name = f"{prefix}/{entry.name}" if prefix else entry.name
                 if entry.name.startswith("."):
                     self._n_hidden += 1
+                elif self._is_excluded(name):
+                    continue
                 elif _leads_to_folder(entry):
                     (self._links if entry.is_symlink() else waiting).append((name, entry.path))
                 elif is_video(entry.name):
                     self._take(name, entry.path)
+
+    def _is_excluded(self, name: str) -> bool:
+        """Whether a pattern leaves out this path or a folder above it; counts those it does."""
+        parts = name.split("/")
+        for pattern in self._n_excluded:
+            for depth, part in enumerate(parts, start=1):
+                if fnmatchcase(part, pattern) or fnmatchcase("/".join(parts[:depth]), pattern):
+                    self._n_excluded[pattern] += 1
+                    return True
+        return False
+
+    def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
+        """Whether a folder holds the frames of a video; a remark if it only looks like it."""
+        seen = [entry for entry in entries if not entry.name.startswith(".")]
+        names = [entry.name for entry in seen]
+        if len(seen) < LEAST_PICTURES or not all(map(_is_picture, names)):
+            return False
+        if any(map(_leads_to_folder, seen)):
+            return False
+        paths = [Path(entry.path) for entry in seen]
+        some = paths[:: max(1, len(paths) // _LOOKED_AT)]
+        why = ""
+        if any(_is_figure(path) for path in some):
+            why = "its pictures are figures"
+        else:
+            images = [read_image(path) for path in some]
+            sizes = {None if image is None else image.shape[:2] for image in images}
+            if None in sizes:
+                why = "some of its pictures cannot be read"
+            elif len(sizes) > 1:
+                why = "its pictures are not of one size"
+        if why:
+            self._no_sequences.append(f"{folder}: left out, {why}")
+        return not why
 
     def _take(self, name: str, path: str) -> None:
         """Take a video down."""
@@ -209,6 +270,18 @@ class _Search:
         except OSError as error:
             self.faults.append(f"{folder}: this folder cannot be read ({failure_text(error)})")
             return []
+
+
+def _is_picture(name: str) -> bool:
+    """Whether a file's name ends like that of a picture."""
+    return PurePosixPath(name).suffix.lower() in PICTURES
+
+
+def _is_figure(path: Path) -> bool:
+    """Whether a picture was drawn by Matplotlib; one that cannot be read was not."""
+    with suppress(OSError), path.open("rb") as file:
+        return _OF_FIGURES in file.read(1000)
+    return False
 
 
 def _leads_to_folder(entry: "os.DirEntry[str]") -> bool:
@@ -242,7 +315,7 @@ def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
         try:
             there.fs.get_file(there.path, str(copy))  # type: ignore[union-attr]
         except Exception as error:
-            why = f"it cannot be copied to this machine ({failure_text(error)})"
+            why = f"cannot be copied to this machine ({failure_text(error)})"
             raise SourceError(path, why, "Check the URL, or make room.") from None
         yield str(copy)
 

@@ -4,7 +4,7 @@ import math
 import os
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -255,6 +255,9 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
+    for name in options.keys() - {one.name for one in fields(InputOptions)}:
+        known = ", ".join(one.name for one in fields(InputOptions))
+        raise ParameterError("run", f"there is no option {name!r}", f"Choose from {known}.")
     if models is None:
         setup = choose(set, config, model, param, formulation, engine)
         return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]

@@ -278,7 +278,7 @@ class Sweep:
         names = {path.name for path in self.folder.iterdir()}
         strays = sorted(name for name in names if not name.startswith(store.PREFIX))
         if strays and RECORD not in names:
-            why = f"it holds other files, such as {strays[0]}"
+            why = f"contains other files, such as {strays[0]}"
             raise OutputExistsError(str(self.folder), why, "Choose another --out.")
         if overwrite or RECORD not in names:
             return

@@ -216,7 +216,7 @@ def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> 
         ]:
             why = f"this folder holds other files, such as {min(strays)}"
         elif not overwrite:
-            why, mend = "it already exists", "Add --overwrite to replace it."
+            why, mend = "already exists", "Add --overwrite to replace it."
         if why:
             raise OutputExistsError(str(frames), why, mend)
     for path in others:

@@ -4,6 +4,7 @@ import hashlib
 import math
 import numbers
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
@@ -57,6 +58,9 @@ _CHOICES = {
 }
 # What a default rate may be exceeded by: videos of 30 frames a second have up to 30.3.
 _SLACK = 1.1
+# What begins the name of a stream or of a file elsewhere.
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+_RECORD = "Record it to a file first, for example with 'ffmpeg -i SOURCE -c copy flight.mkv'."
 # FFmpeg is kept from reading lists of files anyway; this gives a better reason than "damaged".
 _LISTS = (b"#EXTM3U", b"ffconcat")
 
@@ -250,7 +254,8 @@ def open_video(
     SourceError
         If nothing can be decoded, or the crop reaches outside the picture.
     ParameterError
-        If an option is out of range, or the mask is no picture or leaves nothing.
+        If an option is out of range, the path is that of a stream, or the mask is no picture or
+        leaves nothing.
     MissingExtraError
         If the decoder's package is not installed.
     """
@@ -264,7 +269,10 @@ def open_video(
         raise ParameterError(
             "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
         )
+    if not isinstance(path, str | os.PathLike):
+        raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
     file = Path(path)
+    _refuse_streams(os.fspath(path))
     try:
         pictures = pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
@@ -319,23 +327,42 @@ def _open_file(path: Path, decoder: str) -> Decoder:
         ) from None
 
 
+def _refuse_streams(name: str) -> None:
+    """Raise ParameterError if a name is that of a stream, of standard input or of a file elsewhere.
+
+    A file or a folder of this name, or one that its pattern leads through, is taken as such.
+    """
+    if name == "-" and not Path(name).exists():
+        raise ParameterError("-", "standard input is not read; only files are", _RECORD)
+    if _URL.match(name) and not Path(name.partition("/")[0]).exists():
+        scheme = name.partition(":")[0].lower()
+        if scheme in ("http", "https", "s3", "gs", "az", "abfs", "ftp", "sftp", "file"):
+            mend = "Download the file first, or use 'dlgmd batch', which reads files from URLs."
+            raise ParameterError(name, "URLs are not read here", mend)
+        raise ParameterError(name, "live streams are not read; only files are", _RECORD)
+
+
 def _check_readable(path: Path) -> None:
     """Raise SourceError with the reason why a file cannot be opened, which FFmpeg does not give."""
     name = str(path)
     if not path.exists():
         raise SourceError(name, "there is no such file or folder", "Check the path.")
+    if path.is_fifo():
+        raise SourceError(name, "is a pipe; only files are read", _RECORD)
+    if path.is_char_device():
+        raise SourceError(name, "is a device, such as a camera; only files are read", _RECORD)
     if not path.is_file():
-        raise SourceError(name, "it is neither a file nor a folder", "Give a video file.")
+        raise SourceError(name, "is neither a file nor a folder", "Give a video file.")
     try:
         with path.open("rb") as file:
             start = file.read(8)
     except OSError as error:
-        raise SourceError(name, f"it cannot be read ({error.strerror})") from None
+        raise SourceError(name, f"cannot be read ({error.strerror})") from None
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
     if start.startswith(_LISTS):
         raise SourceError(
-            name, "it is a list of other files, not a video", "Give one of the videos it names."
+            name, "is a list of other files, not a video", "Give one of the videos it names."
         )
 
 

@@ -36,7 +36,7 @@ class ImageDecoder:
         if first is None:
             raise SourceError(
                 str(self._path),
-                "it cannot be read as a picture",
+                "cannot be read as a picture",
                 "Remove it from the sequence or convert it to PNG.",
             )
         kind = self._path.suffix[1:].lower()
@@ -64,7 +64,7 @@ class ImageDecoder:
 
 
 def read_image(path: Path) -> Image | None:
-    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
+    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if cannot be read."""
     try:
         # Not imread: it cannot open every file name.
         data = np.frombuffer(path.read_bytes(), np.uint8)
@@ -86,7 +86,7 @@ def pictures_at(path: Path) -> list[Path] | None:
         try:
             found = list(path.iterdir())
         except OSError as error:
-            raise SourceError(str(path), f"it cannot be read ({error.strerror})") from None
+            raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
         why = "there is no picture in this folder"
         mend = "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG."

@@ -305,8 +305,8 @@ class Video:
             return ""
         rate_fps = self.info.fps * (1.0 - n_repeats / n_frames)
         return (
-            f"{n_repeats} of {n_frames} frames repeat the one before: it shows about "
-            f"{rate_fps:.2g} pictures a second, not {self.info.fps:.4g}; the model does not see "
+            f"{n_repeats} of {n_frames} frames repeat the one before: the video shows about "
+            f"{rate_fps:.2g} new pictures a second, not {self.info.fps:.4g}; the model skips "
             "the repeats (--repeats keep shows them to it)"
         )
 

@@ -117,7 +117,7 @@ def video_writer(
     except OSError as error:
         raise OutputError(
             str(target or path),
-            f"it cannot be written ({error.strerror or error})",
+            f"cannot be written ({error.strerror or error})",
             f"Choose another {option}, or free some space.",
         ) from None
 

@@ -142,7 +142,7 @@ def test_what_is_no_address(dlgmd, folder, address):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (None, "it cannot be read (No such file or directory)"),
+        (None, "cannot be read (No such file or directory)"),
         ("", "it is not a scheduler file"),
         ("[1]", "it is not a scheduler file"),
         ('{"x": 1}', "it is not a scheduler file"),

@@ -138,7 +138,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
         write_file(path, write)
 
     monkeypatch.setattr(store, "write_file", broken)
-    with pytest.raises(OutputError, match=r"out/v: it cannot be written \(the line is dead\)"):
+    with pytest.raises(OutputError, match=r"out/v: cannot be written \(the line is dead\)"):
         store.commit(place, store.RUN, files)
     assert bucket.names() == ["out/v/compare.csv", "out/v/mp.csv"]
     assert store.check(place, store.RUN, {}, overwrite=False) is False
@@ -158,7 +158,7 @@ def test_copies_go(bucket, clips, scratch):
     with local_copy(f"{bucket.url}/a.avi") as path:
         assert Path(path).read_bytes() == data
         assert Path(path).suffix == ".avi" and scratch in Path(path).parents
-    missing = pytest.raises(SourceError, match="it cannot be copied to this machine")
+    missing = pytest.raises(SourceError, match="cannot be copied to this machine")
     with missing, local_copy(f"{bucket.url}/no"):
         pass
 
@@ -168,14 +168,14 @@ def test_what_fails_is_one_line(dlgmd, bucket, monkeypatch, clips, tmp_path):
 
     (tmp_path / "a.avi").write_bytes((clips / "loom.avi").read_bytes())
     for arguments, why in (
-        (["s3://nobucket/x"], "s3://nobucket/x: it cannot be read (The specified bucket does"),
-        ([".", "--out", "s3://nobucket/x"], "s3://nobucket/x/summary.csv: it cannot be written ("),
+        (["s3://nobucket/x"], "s3://nobucket/x: cannot be read (The specified bucket does"),
+        ([".", "--out", "s3://nobucket/x"], "s3://nobucket/x/summary.csv: cannot be written ("),
         ([f"{bucket.url}/x"], f"{bucket.url}/x: there is nothing. Check the URL."),
     ):
         result = dlgmd("batch", *arguments)
         assert result.exit_code == 1 and result.stderr.startswith(f"Error: {why}")
         assert result.stderr.count("\n") == 1
-    with pytest.raises(ParameterError, match="it names no folder"):
+    with pytest.raises(ParameterError, match="names no folder"):
         store.place("s3://")
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
@@ -185,8 +185,7 @@ def test_what_fails_is_one_line(dlgmd, bucket, monkeypatch, clips, tmp_path):
     result = dlgmd("batch", f"{bucket.url}/x")
     assert (result.exit_code, result.stderr) == (
         1,
-        f"Error: {bucket.url}/x: it cannot be read (Unable to locate credentials). "
-        "Check the URL.\n",
+        f"Error: {bucket.url}/x: cannot be read (Unable to locate credentials). Check the URL.\n",
     )
 
 

@@ -297,9 +297,9 @@ def test_a_fitting_name_is_a_beginning_and_short(name):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("r: " + "9" * 5000, "it is not valid YAML."),
+        ("r: " + "9" * 5000, "is not valid YAML."),
         ("r: 0x" + "f" * 5000, "r = a huge number is not a finite number."),
-        ("0x" + "f" * 5000 + ": 1", "it is not valid YAML"),
+        ("0x" + "f" * 5000 + ": 1", "is not valid YAML"),
         ("? 0x" + "f" * 5000 + "\n: 1", "unknown parameter 'a huge number'."),
         ("sigma_e: 1e999", "sigma_e = inf is not a finite number."),
         ('"\\e]0;x\\a\\u202e": 1', r"unknown parameter '\x1b]0;x\x07\u202e'."),
@@ -314,7 +314,7 @@ def test_a_fitting_name_is_a_beginning_and_short(name):
         ('options: {"\\e[2J": 1}', r"unknown option '\x1b[2J' under 'options'."),
         ("out: /tmp/x", "unknown parameter 'out'."),
         ("input_path: /etc/passwd", "unknown parameter 'input_path'."),
-        ("r: 3\n---\nr: 4", "it is not valid YAML in line 2."),
+        ("r: 3\n---\nr: 4", "is not valid YAML in line 2."),
         ("{[1]: 2}", "found unhashable key in line 1."),
     ],
 )
@@ -333,9 +333,9 @@ def test_hostile_yaml_is_one_line(dlgmd, tmp_path, clips, text, why):
     [
         (b"\xef\xbb\xbfr: 2\n", None),
         (b"r: 2\r\nk: 1\r\n", None),
-        ("r: 2\n".encode("utf-16"), "it is not UTF-8 text."),
-        ("r: 2\n".encode("utf-16-le"), "it is not valid YAML."),
-        (b"r: 2\0", "it is not valid YAML."),
+        ("r: 2\n".encode("utf-16"), "is not UTF-8 text."),
+        ("r: 2\n".encode("utf-16-le"), "is not valid YAML."),
+        (b"r: 2\0", "is not valid YAML."),
     ],
 )
 def test_encodings_of_yaml(dlgmd, tmp_path, data, why):
@@ -356,7 +356,7 @@ def test_a_config_that_is_no_file_is_not_waited_for(dlgmd, tmp_path, kind):
         path.symlink_to("/dev/zero" if kind == "link" else path)
     result = dlgmd("kernels", "--config", path)
     assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
-    assert "it is not a file" in result.stderr or kind == "loop"
+    assert "is not a file" in result.stderr or kind == "loop"
 
 
 def test_a_file_longer_than_it_says(dlgmd, tmp_path, monkeypatch):

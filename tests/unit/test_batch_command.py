@@ -91,7 +91,10 @@ def test_a_tree_with_broken_files_in_processes_of_their_own(dlgmd, flights):
         "Warning: text.mkv: failed: no frame could be decoded, damaged file or missing codec. "
         "Try re-encoding it with ffmpeg.",
     ]
-    assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "summary.csv")
+    assert result.stdout.splitlines()[-2:] == [
+        os.path.join("dlgmd-out", "summary.csv"),
+        "4 videos: 2 done, 2 failed, 0 with alarms.",
+    ]
     assert statuses() == {
         "a/deep/other.mp4": "done",
         "a/loom.avi": "done",
@@ -118,13 +121,13 @@ def test_rows_and_files_are_those_of_run(dlgmd, flights, here):
     assert record.pop("wall_s") > 0.0
     assert record == other
     row = summary()["a/loom.avi"]
-    for key in COLUMNS[8:15]:
+    for key in COLUMNS[9:16]:
         assert row[key] == ("" if facts[key] is None else f"{facts[key]:.9g}"), key
-    assert [row[key] for key in COLUMNS[3:8]] == ["20", "32", "24", "25", "0.8"]
+    assert [row[key] for key in COLUMNS[4:9]] == ["20", "32", "24", "25", "0.8"]
     assert float(row["wall_s"]) > 0 and row["error"] == ""
     failed = summary()["empty.mp4"]
     assert failed["error"] == "the file is empty. Copy or record it again."
-    assert all(failed[key] == "" for key in COLUMNS[3:15])
+    assert all(failed[key] == "" for key in COLUMNS[3:16])
 
 
 def test_plots_and_the_record_as_a_config_of_run(dlgmd, clips, here):
@@ -216,7 +219,7 @@ def test_results_of_run_and_of_another_version_count(dlgmd, flights, here):
     result = dlgmd("batch", flights, *QUICK)
     assert result.stderr.splitlines()[:2] == [
         "1 of 4 videos are done already.",
-        "Warning: 1 results are of another version; --force computes all again.",
+        "Warning: 1 results are from another version of dlgmd; --force processes all videos again.",
     ]
     assert summary()["a/loom.avi"]["wall_s"] == ""
 
@@ -322,12 +325,45 @@ def test_json(dlgmd, flights, here):
         "videos": 4,
         "already_done": 0,
         "status": {"done": 2, "failed": 2},
+        "warnings": {},
     }
     result = dlgmd("batch", flights / "a", *QUICK, "--json", "--set", 1, "--set", 2, "--out", "o")
     assert json.loads(result.stdout)["summary"] == {
         "set1": os.path.join("o", "set1", "summary.csv"),
         "set2": os.path.join("o", "set2", "summary.csv"),
     }
+
+
+def test_a_dry_run_writes_nothing(dlgmd, flights, here):
+    line = ("batch", flights, *QUICK, "--set", 1, "--set", 2, "--exclude", "*.mkv")
+    result = dlgmd(*line, "--dry-run")
+    assert result.exit_code == 0 and not Path("dlgmd-out").exists()
+    assert os.path.join("dlgmd-out", "set2", "a", "loom") in result.stdout
+    said = "3 videos: 3 to process, 0 done before. Nothing was written."
+    assert result.stdout.splitlines()[-1] == said
+    dlgmd(*line)
+    made = {path: mtime(path) for path in Path("dlgmd-out").rglob("*")}
+    facts = json.loads(dlgmd(*line, "--dry-run", "--json").stdout)
+    assert [video for video, folders in facts["to_do"].items() if folders] == ["empty.mp4"]
+    assert {path: mtime(path) for path in Path("dlgmd-out").rglob("*")} == made
+
+
+def test_warnings_and_a_folder_of_pictures(dlgmd, clips, pictures, tmp_path):
+    folder = tmp_path / "mixed"
+    shutil.copytree(pictures, folder / "frames")
+    whole = (clips / "loom.avi").read_bytes()
+    (folder / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    result = dlgmd("batch", folder, "--set", 9, *QUICK, "--input-fps", 30)
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[-1].startswith("2 videos: 2 done, ")
+    assert result.stdout.endswith(", 1 with warnings.\n")
+    rows = summary()
+    assert "cut off or damaged" in rows["cut.avi"]["warnings"]
+    assert rows["frames"]["warnings"] == "" and rows["frames"]["frames"] == "12"
+    facts = json.loads(
+        dlgmd("batch", folder, "--set", 9, *QUICK, "--input-fps", 30, "--json").stdout
+    )
+    assert facts["warnings"] == {"cut.avi": [rows["cut.avi"]["warnings"]]}
 
 
 USAGE = [
@@ -339,7 +375,7 @@ USAGE = [
     (["flights", "--jobs", 2, "--scheduler", "tcp://x:1"], "--jobs does not work with --sche"),
     (["flights", "--timeout", 2, "--scheduler", "tcp://x:1"], "--timeout does not work with"),
     (["flights", "--scheduler", "x y"], "'x y' is neither an address nor a scheduler file"),
-    (["flights", "--out", ""], "--out: it is empty"),
+    (["flights", "--out", ""], "--out: must not be empty"),
     (["flights", "--out", "nope://b/x"], "there is no kind of URL called nope://"),
     (["nope://b/x"], "there is no kind of URL called nope://"),
     (["flights", "--scale", 1, "--size", "9x9"], "--scale and --size exclude each other"),
@@ -358,8 +394,12 @@ def test_usage_errors(dlgmd, flights, arguments, message):
 def test_nothing_to_do(dlgmd, tmp_path):
     (tmp_path / "bare").mkdir()
     for name, why in (
-        ("bare", "there is no video. Give folders with .mp4, .avi, .mkv and the like."),
-        ("none", "it cannot be read (No such file or directory). Check the path."),
+        (
+            "bare",
+            "there is no video. Give folders with .mp4, .avi, .mkv and the like, or with pictures "
+            "of one size.",
+        ),
+        ("none", "cannot be read (No such file or directory). Check the path."),
     ):
         result = dlgmd("batch", name)
         assert (result.exit_code, result.stderr) == (1, f"Error: {name}: {why}\n")
@@ -371,7 +411,7 @@ def test_an_unusable_out(dlgmd, flights):
     for out in ("file", "file/below"):
         result = dlgmd("batch", flights, *QUICK, "--out", out)
         assert result.exit_code == 1
-        assert result.stderr.startswith(f"Error: {out}: it cannot be written (")
+        assert result.stderr.startswith(f"Error: {out}: cannot be written (")
 
 
 def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
@@ -382,7 +422,7 @@ def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
     assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
     row = summary()["loom.avi"]
     assert row["status"] == "failed"
-    assert row["error"].startswith("it holds other files, such as thesis.tex")
+    assert row["error"].startswith("contains other files, such as thesis.tex")
     assert os.listdir("dlgmd-out/loom") == ["thesis.tex"]
 
 
@@ -445,7 +485,7 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     refused = {1}  # before it takes the time to compute
     result = dlgmd("batch", flights, *QUICK, "--force")
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
-    assert "summary.csv: it cannot be written (No space left on device)" in result.stderr
+    assert "summary.csv: cannot be written (No space left on device)" in result.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")

@@ -4,9 +4,12 @@ import os
 import posixpath
 import sys
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.results.store import failure_text, place
@@ -65,6 +68,58 @@ def test_hidden_ones_are_left_out(tmp_path):
     found = find(tmp_path)
     assert names(found) == ["v.mp4"] and found.remarks == ["4 hidden files and folders left out"]
     assert find(tmp_path / "a").remarks == ["1 hidden file or folder left out"]
+
+
+def sequence(folder, n, size=(8, 6), ending="png"):
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(n):
+        cv2.imwrite(str(folder / f"{number}.{ending}"), np.zeros(size, np.uint8))
+    return folder
+
+
+def test_folders_of_pictures_are_videos(tmp_path):
+    sequence(tmp_path / "a/frames.v1", 8)
+    sequence(tmp_path / "few", 7)
+    sequence(tmp_path / "mixed", 8)
+    tree(tmp_path / "mixed", "notes.txt")
+    sequence(sequence(tmp_path / "outer", 8) / "inner", 9, ending="jpg")
+    sizes = sequence(tmp_path / "sizes", 8)
+    sequence(sizes, 1, (6, 8))
+    tree(tmp_path / "broken", *(f"{number}.png" for number in range(8)))
+    (tmp_path / "figures").mkdir()
+    figure = Figure((1, 1))
+    for number in range(8):
+        figure.savefig(tmp_path / f"figures/{number}.png")
+    found = find(tmp_path)
+    assert names(found) == ["a/frames.v1", "outer/inner"]
+    assert [video.folder for video in found.videos] == ["a/frames", "outer/inner"]
+    assert found.videos[0].identity["pictures"] == 8
+    reasons = {"broken": "cannot be read", "figures": "are figures", "sizes": "not of one size"}
+    remarks = sorted(found.remarks)
+    assert len(remarks) == len(reasons)
+    for remark, (name, why) in zip(remarks, reasons.items(), strict=True):
+        assert remark.startswith(f"{tmp_path / name}: left out") and why in remark
+    assert names(find(tmp_path / "a/frames.v1")) == ["frames.v1"]
+
+
+def test_what_is_excluded(tmp_path):
+    tree(tmp_path, "raw/x.mp4", "a/raw/y.mp4", "a/y.mp4", "b/rawest.mp4", "b/z.mp4")
+    found = find_videos([str(tmp_path)], exclude=["raw/", "b/z*", "no*"])
+    assert names(found) == ["a/y.mp4", "b/rawest.mp4"]
+    assert found.remarks == [
+        "--exclude 'raw' left out 2 files or folders",
+        "--exclude 'b/z*' left out 1 file or folder",
+        "--exclude 'no*' left out nothing",
+    ]
+
+
+@LINKS
+def test_a_real_folder_comes_before_a_link_that_is_named_first(tmp_path):
+    tree(tmp_path, "real/x.mp4")
+    (tmp_path / "link").symlink_to("real")
+    found = find(tmp_path / "link", tmp_path / "real")
+    assert names(found) == ["real/x.mp4"]
+    assert found.remarks == [f"{tmp_path / 'link'}: left out, already searched"]
 
 
 @LINKS
@@ -200,6 +255,7 @@ def test_cells_of_the_summary(tmp_path):
     rows = dict.fromkeys(hostile, row(mean_attenuation_db=-12.5))
     rows["bad.mp4"] = Row("failed", "=HYPERLINK(1)\nmore", wall_s=0.5)
     rows["odd.mp4"] = Row("done", record={"input": {"frames": "=1+1", "fps": [1]}, "summary": {}})
+    rows["odd.mp4"].record["warnings"] = ["=1", "b"]
     cells = written(tmp_path, rows)
     assert [one[0] for one in cells] == [
         "./-1.mp4",
@@ -211,9 +267,9 @@ def test_cells_of_the_summary(tmp_path):
         "plain.mp4",
     ]
     numbers = ["20", "4", "3", "25", "0.8", "-1.5", "3", "0", "0", "", "", "-12.5", "1.235"]
-    assert cells[-1][1:] == ["done", "", *numbers]
-    assert cells[-2] == ["odd.mp4", "done", *[""] * 14]
-    assert cells[-3] == ["bad.mp4", "failed", "./=HYPERLINK(1)\\nmore", *[""] * 12, "0.500"]
+    assert cells[-1][1:] == ["done", "", "", *numbers]
+    assert cells[-2] == ["odd.mp4", "done", "", "=1; b".replace("=", "./="), *[""] * 13]
+    assert cells[-3] == ["bad.mp4", "failed", "./=HYPERLINK(1)\\nmore", *[""] * 13, "0.500"]
 
 
 def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):

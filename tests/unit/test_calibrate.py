@@ -114,7 +114,7 @@ def test_the_choice_becomes_parameters(params):
         ("sigma_e=2:1", "does not rise"),
         ("sigma_e=nan:1", "does not rise"),
         ("sigma_x=1:2", "unknown parameter"),
-        ("kappa=0.1:1", "is found without a search"),
+        ("kappa=0.1:1", "is calibrated without a search"),
         ("ffi_gd=0:1", "is not a number"),
         ("r=0:4", "may only be from 1 to 32"),
         ("r=1.5:4", "takes whole numbers"),
@@ -194,7 +194,7 @@ def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
     result = dlgmd(*common, "--name", "mine", "--size", "32x24")
     assert result.exit_code == 0, result.output
     assert "held out (3 folds)" in result.stdout and "before (set3)" in result.stdout
-    assert "4 videos with a collision are few" in result.stderr
+    assert "only 4 videos have a collision" in result.stderr
     preset = tmp_path / "dlgmd-out/mine.yaml"
     text = preset.read_text(encoding="utf-8")
     assert (
@@ -237,7 +237,7 @@ def test_a_search_from_the_command_line(dlgmd, footage, tmp_path):
     [
         (["--normalise", "sequence"], 2, "leaves no threshold"),
         (["--name", "../x"], 2, "is not the name of a file"),
-        (["--search", "n_sp=1:4"], 2, "found without a search"),
+        (["--search", "n_sp=1:4"], 2, "calibrated without a search"),
         ([], 1, "needs at least 2"),
     ],
 )

@@ -190,7 +190,7 @@ def test_pictures_take_the_place_of_earlier_ones_only_when_told(scene, tmp_path)
     write_clip(scene, scene.defaults, tmp_path, PNG)
     for name in ("quick.csv", "quick.yaml"):
         (tmp_path / name).unlink()
-    with pytest.raises(OutputExistsError, match=r"quick: it already exists\. "):
+    with pytest.raises(OutputExistsError, match=r"quick: already exists\. "):
         write_clip(scene, scene.defaults, tmp_path, PNG)
     write_clip(scene, scene.configure({"--frames": 3}), tmp_path, PNG, overwrite=True)
     assert names(tmp_path) == ["quick", "quick.csv", "quick.yaml"]
@@ -284,7 +284,7 @@ def test_pictures_that_find_no_room(scene, tmp_path, monkeypatch):
             file.write(data)
 
     monkeypatch.setattr(Path, "write_bytes", write_bytes)
-    with pytest.raises(OutputError, match=r"quick: it cannot be written \(No space left"):
+    with pytest.raises(OutputError, match=r"quick: cannot be written \(No space left"):
         write_clip(scene, scene.defaults, tmp_path, PNG)
     assert names(tmp_path) == []
 

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import subprocess
 import sys
 
@@ -23,8 +24,46 @@ def test_every_command_has_help_with_an_example(dlgmd):
     assert cli.list_commands(None) == list(COMMANDS)
 
 
-def test_version(dlgmd):
-    assert dlgmd("--version").stdout == f"dlgmd, version {__version__}\n"
+def test_help_has_sections_and_nothing_of_the_parser(dlgmd):
+    """The common options come first in their sections, and types are named by what is wanted."""
+    for name in COMMANDS:
+        text = dlgmd(name, "--help").stdout
+        assert not re.search(r"RANGE|INTEGER|FLOAT|x<=|<x", text.partition("\n\n")[2]), name
+        titles = re.findall(r"^(Model|Input|Output|General):$", text, re.M)
+        order = ["Model", "Input", "Output", "General"]
+        assert titles == [title for title in order if title in titles] and "General" in titles
+    sections = re.split(
+        r"^(?:Model|Input|Output|General):$", dlgmd("run", "--help").stdout, flags=re.M
+    )
+    firsts = [re.search(r"--\w[\w-]*", section)[0] for section in sections[1:]]
+    assert firsts == ["--set", "--scale", "--out", "--quiet"]
+
+
+@pytest.mark.parametrize("arguments", ["--version", "-V", "run -V", "sets --version"])
+def test_version(dlgmd, arguments):
+    assert dlgmd(*arguments.split()).stdout == f"dlgmd, version {__version__}\n"
+
+
+def test_general_options_before_and_after_the_command(dlgmd):
+    scene = ["synth", "looming-cube", "--frames", 2, "--size", "64x48", "--noise", 0.1]
+    assert "Note: " in dlgmd(*scene, "-o", "a").stderr
+    for number, arguments in enumerate(([*scene, "-q"], [*scene, "--quiet"], ["-q", *scene])):
+        assert dlgmd(*arguments, "-o", f"b{number}").stderr == ""
+
+
+def test_arguments_too_many_are_not_all_listed(dlgmd):
+    for number in range(155):
+        open(f"{number}.png", "w").close()
+    names = [f"{number}.png" for number in range(155)]
+    error = dlgmd("run", *names).stderr
+    assert "quote the pattern: '*.png'" in error and len(error) < 400
+    assert "unexpected arguments: 'b', 'c', 'd' and 2 more." in dlgmd("run", *"abcdef").stderr
+
+
+def test_one_model_is_not_two(dlgmd):
+    for option, values in (("--set", (9, 7)), ("--config", "ab"), ("--model", ("lgmd", "dlgmd"))):
+        result = dlgmd("run", "x.mp4", *(f"{option}={value}" for value in values))
+        assert result.exit_code == 2 and f"{option} is given 2 times" in result.stderr
 
 
 def test_a_command_that_is_not_there(dlgmd):
@@ -151,6 +190,7 @@ def test_a_full_stdout_is_one_line():
 def test_sets_show_of_no_set(dlgmd):
     result = dlgmd("sets", "show", 10)
     assert result.exit_code == 2 and "there is no set 10. Choose 1 to 9" in result.stderr
+    assert dlgmd("sets", "9").stdout == dlgmd("sets", "show", "set9").stdout != ""
 
 
 def test_kernels(dlgmd, tmp_path):

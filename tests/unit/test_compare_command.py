@@ -218,7 +218,7 @@ def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
     common = ["compare", "late.avi", "--set", 9, "--false-positive-frame", 5, "--no-plots"]
     result = dlgmd(*common)
     assert result.exit_code == 0, result.output
-    assert "inf: no membrane potential within 5 frames of the false positive" in result.stdout
+    assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
     as_json = dlgmd(*common, "--json", "--overwrite")
     assert json.loads(as_json.stdout)["models"]["set9"]["distinguishability"] == "inf"
     assert (
@@ -320,7 +320,7 @@ def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
     folder = tmp_path / "dlgmd-out" / "loom"
     assert record(folder)["complete"] is False
     assert [len(found) for found in rows(folder).values()] == [12, 12]
-    assert "holds the 12 frames processed before the stop" in result.stderr
+    assert "holds the 12 frames processed before the interruption" in result.stderr
     assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
 
 

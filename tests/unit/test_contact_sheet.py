@@ -218,7 +218,7 @@ def test_a_sheet_is_replaced_only_when_told(synth):
     result = synth()
     assert result.exit_code == 2 and result.stdout == ""
     assert result.stderr.endswith(
-        "Error: quick-sheet.png: it already exists. Add --overwrite to replace it.\n"
+        "Error: quick-sheet.png: already exists. Add --overwrite to replace it.\n"
     )
     assert [path.name for path in Path().iterdir()] == ["quick-sheet.png"]
     assert synth("--overwrite").exit_code == 0
@@ -232,7 +232,7 @@ def test_a_sheet_that_cannot_be_written_keeps_all_files_away(synth, monkeypatch)
     monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", full)
     result = synth()
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
-    assert "it cannot be written (No space left on device)" in result.stderr
+    assert "cannot be written (No space left on device)" in result.stderr
     assert not list(Path().iterdir())
 
 

@@ -144,7 +144,7 @@ def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, t
 @pytest.mark.parametrize(
     ("rows", "why"),
     [
-        ("", "it lists no video"),
+        ("", "lists no video"),
         ("a.mp4,3\na.mp4,3\n", "a.mp4 is listed twice with frame 3"),
         ("a.mp4,\na.mp4,\n", "a.mp4 is listed twice with no frame"),
         ("a.mp4,3\na.mp4,\n", "with a collision and without one"),

@@ -115,7 +115,7 @@ def test_an_unusual_rate_is_told_by_info_and_by_run(dlgmd, clips, tmp_path):
         name = write_video(tmp_path / f"{fps}.avi", looming_frames(24), fps).name
         result = dlgmd("run", name, "--no-plots")
         line = f"{fps} frames/s; every {every} frame was processed, {rate} a second"
-        assert f"{name}: {line} (--fps all processes every frame).\n" == result.stderr
+        assert f"Note: {name}: {line} (--fps all processes every frame).\n" == result.stderr
         assert any(f"one in {every[0]} " in one for one in facts_of(dlgmd, name)["advice"])
         assert dlgmd("run", name, "--no-plots", "--overwrite", "--fps", "all").stderr == ""
     assert "frames/s" not in dlgmd("run", clips / "loom.avi", "--no-plots").stderr

@@ -26,7 +26,7 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
-    "jinja2": {"reproduce"},
+    "jinja2": {"pages", "reproduce"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -35,7 +35,6 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
-    "jinja2": {"pages"},
     "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.

@@ -141,7 +141,7 @@ def test_files_of_others_are_refused(synth):
     OUT.mkdir()
     (OUT / "quick-0003.csv").write_text("mine")
     result = synth()
-    assert result.exit_code == 2 and "quick-0003.csv: it already exists" in result.stderr
+    assert result.exit_code == 2 and "quick-0003.csv: already exists" in result.stderr
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
@@ -172,8 +172,8 @@ def test_a_damaged_flight_is_none(synth, fault):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "it lists other videos, such as other.mp4"),
-        ("", "it holds no labels"),
+        (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "lists other videos, such as other.mp4"),
+        ("", "contains no labels"),
         (HEADER + "quick-0001.mp4,soon\n", "line 2 is not a label"),
     ],
 )
@@ -278,8 +278,8 @@ def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"\xff\xfe", "it cannot be read (not a CSV file)"),
-        (b"video\na.mp4\n", "it holds no labels"),
+        (b"\xff\xfe", "cannot be read (not a CSV file)"),
+        (b"video\na.mp4\n", "contains no labels"),
         (b"video,collision_frame\na.mp4\n", "line 2 is not a label"),
         (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is not a label"),
         (b"video,collision_frame\na.mp4,-1\n", "line 2 is not a label"),

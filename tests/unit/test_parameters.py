@@ -337,17 +337,17 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("# only a comment", "it is empty"),
-        ("[1, 2]", "it holds a list"),
-        ("just words", "it holds plain text"),
-        ("3", "it holds one value"),
+        ("# only a comment", "is empty"),
+        ("[1, 2]", "contains a list"),
+        ("just words", "contains plain text"),
+        ("3", "contains one value"),
         ("sigma_x: 1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
         ("3: 1", "unknown parameter '3'"),
         ("sigma_e: wide", "sigma_e = 'wide' is not a number"),
         ("sigma_e: .nan", "sigma_e = nan is not a finite number"),
         ("sigma_e: [1, 2]", "sigma_e = a list or mapping is not a number"),
         ("sigma_e: 1\nsigma_e: 2", "key 'sigma_e' appears twice in line 2"),
-        ("sigma_e: [1", "it is not valid YAML in line"),
+        ("sigma_e: [1", "is not valid YAML in line"),
         ("[" * 90_000, "its values are nested too deeply"),
         ("- " * 40_000, "its values are nested too deeply"),
         ("sigma_e: !!python/object/apply:os.system [exit]", "apply:os.system' is not allowed"),
@@ -367,7 +367,7 @@ def test_a_file_may_build_on_the_preset_and_say_what_it_is_made_for(file):
         ("model_fps: fast", "model_fps = 'fast' is not a number from 1 to 1000"),
         ("model_fps: .inf", "model_fps = inf is not a number from 1 to 1000"),
         ("set: 12", "there is no set 12. Choose 1 to 9"),
-        ("\0", "it is not valid YAML"),
+        ("\0", "is not valid YAML"),
     ],
 )
 def test_bad_yaml_is_one_line(file, text, why):
@@ -382,7 +382,7 @@ def test_bad_yaml_is_one_line(file, text, why):
 def test_unreadable_files(tmp_path, file):
     with pytest.raises(ParameterError, match="there is no such file"):
         load_config(tmp_path / "none.yaml")
-    with pytest.raises(ParameterError, match="it is not a file"):
+    with pytest.raises(ParameterError, match="is not a file"):
         load_config(tmp_path)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ParameterError, match="not UTF-8"):

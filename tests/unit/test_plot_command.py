@@ -95,7 +95,7 @@ def test_what_stands_there_is_kept_unless_told_otherwise(dlgmd):
     Path("fig.png").write_text("mine")
     result = dlgmd("plot", "mp", "one", "--out", "fig.png")
     assert result.exit_code == 2 and Path("fig.png").read_text() == "mine"
-    assert result.stderr == "Error: fig.png: it already exists. Add --overwrite to replace it.\n"
+    assert result.stderr == "Error: fig.png: already exists. Add --overwrite to replace it.\n"
     assert dlgmd("plot", "mp", "one", "--out", "fig.png", "--overwrite").exit_code == 0
     assert Path("fig.png").read_bytes().startswith(b"\x89PNG")
     os.mkdir("folder.png")
@@ -103,7 +103,7 @@ def test_what_stands_there_is_kept_unless_told_otherwise(dlgmd):
     Path("file").write_text("")
     result = dlgmd("plot", "mp", "one", "--out", "file/sub")
     assert result.exit_code == 1 and result.stdout == ""
-    assert "it cannot be written" in result.stderr and result.stderr.count("\n") == 1
+    assert "cannot be written" in result.stderr and result.stderr.count("\n") == 1
 
 
 @pytest.mark.usefixtures("drawn")
@@ -151,9 +151,9 @@ def test_wrong_usage(dlgmd, arguments, message):
         (lambda folder: None, "there is no such folder"),
         (
             lambda folder: (make_run(folder), (folder / "mp.csv").write_bytes(b"\xff\xd8" * 999)),
-            "mp.csv: it cannot be read (not a CSV file)",
+            "mp.csv: cannot be read (not a CSV file)",
         ),
-        (lambda folder: make_comparison(folder, "a,b"), "line 2 has not 7 cells"),
+        (lambda folder: make_comparison(folder, "a,b"), "line 2 does not have 7 cells"),
     ],
 )
 def test_a_damaged_result_is_one_line(dlgmd, damage, message):
@@ -170,7 +170,7 @@ def test_a_file_of_a_result_is_refused(dlgmd):
     make_run("good")
     result = dlgmd("plot", "mp", "good/mp.csv")
     assert result.exit_code == 1
-    assert "it is one file of a result. Give the folder that holds it." in result.stderr
+    assert "is one file of a result. Give the folder that holds it." in result.stderr
 
 
 @pytest.mark.usefixtures("drawn")

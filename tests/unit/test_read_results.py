@@ -46,8 +46,8 @@ def test_a_comparison_has_a_result_per_label(tmp_path):
 @pytest.mark.parametrize(
     ("row", "why"),
     [
-        ("set9,2,0,1,1,1", "line 3 has not 7 cells"),
-        ("set9,2,0,1,1,1,x", "something else than numbers"),
+        ("set9,2,0,1,1,1", "line 3 does not have 7 cells"),
+        ("set9,2,0,1,1,1,x", "something other than numbers"),
         ("set9,1,0,1,1,1,-3", "its rows are not frames in order"),
         ("other,2,0,1,1,1,-3", "compare.csv and compare.yaml do not match"),
     ],
@@ -59,7 +59,7 @@ def test_damage_of_a_comparison(tmp_path, row, why):
 
 
 def test_what_is_no_comparison(tmp_path):
-    with pytest.raises(ResultError, match="it holds no comparison"):
+    with pytest.raises(ResultError, match="contains no comparison"):
         read_comparison(tmp_path)
     for read in (read_result, read_comparison):
         with pytest.raises(ResultError):

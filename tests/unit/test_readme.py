@@ -7,8 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
+from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.parameters import MODELS
 
@@ -122,6 +124,17 @@ def test_links_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!http)([^)#]+)\)", text):
         assert (ROOT / page).parent.joinpath(target).exists(), target
+
+
+def test_the_citation_is_that_of_the_readme():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    paper = citation["preferred-citation"]
+    assert citation["version"] == __version__
+    words = " ".join(README.replace("\n> ", " ").split())
+    for part in (paper["title"], paper["journal"], paper["doi"], str(paper["start"])):
+        assert part in words
+    names = [f"{one['given-names']} {one['family-names']}" for one in paper["authors"]]
+    assert ", ".join(names) in words
 
 
 def test_scripts_for_elsewhere_are_python():

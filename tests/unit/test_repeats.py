@@ -140,7 +140,10 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
 def test_what_is_recorded_and_read_again(dlgmd, doubled):
     result = dlgmd("run", doubled / "ten.avi", "--set", 7, "--no-plots", "--json")
     assert result.exit_code == 0 and json.loads(result.stdout)["alarms"] == 1
-    assert "78 of 120 frames repeat the one before: it shows about 10 pictures" in result.stderr
+    assert (
+        "78 of 120 frames repeat the one before: the video shows about 10 new pictures"
+        in result.stderr
+    )
     with open("dlgmd-out/ten/run.yaml", encoding="utf-8") as file:
         record = yaml.safe_load(file)
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120

@@ -59,7 +59,7 @@ def test_the_alarm_of_a_drone_s_loop_is_that_of_a_run(clips):
 
 
 def test_summary():
-    level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.4, 0.6, 0.7, 0.1, 0.5, 0.5])
+    level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.45, 0.6, 0.7, 0.1, 0.5, 0.5])
     db = np.array([NAN, NAN, -math.inf, -10, -20, -30, -3, -3, NAN, -1, -3])
     result = result_of_level(level, frame=np.arange(11) * 2 + 5, attenuation_db=db)
     assert result.summary == {
@@ -153,15 +153,15 @@ def damage(folder, name, change):
     ("name", "change", "why"),
     [
         ("mp.csv", lambda text: text.replace("mp_abs", "x"), "its columns are not"),
-        ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something else than numbers"),
+        ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         ("mp.csv", lambda text: text + "0,9,1,1,1\n", "its rows are not frames in order"),
-        ("mp.csv", lambda text: text + "7,1\n", "has not 5 cells"),
-        ("mp.csv", lambda text: text.splitlines()[0], "it holds no frames"),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 5 cells"),
+        ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not"),
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
         ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "unknown model 'other'"),
         ("run.yaml", lambda text: text.replace("width: 10", "width: a"), "the processed size"),
-        ("run.yaml", lambda text: "[", "it holds no result"),
+        ("run.yaml", lambda text: "[", "contains no result"),
     ],
 )
 def test_files_that_were_changed(tmp_path, name, change, why):
@@ -186,7 +186,7 @@ def test_a_result_is_whole_if_its_record_is_there(tmp_path):
     with pytest.raises(OutputError, match="No space left"):
         store.commit(tmp_path, store.RUN, {**files, "spikes.csv": full})
     assert store.RUN not in os.listdir(tmp_path) and "spikes.csv" not in os.listdir(tmp_path)
-    with pytest.raises(ResultError, match="it holds no result"):
+    with pytest.raises(ResultError, match="contains no result"):
         read_result(tmp_path)
 
 

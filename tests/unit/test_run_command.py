@@ -285,7 +285,7 @@ def test_a_folder_of_other_files_is_left_alone(dlgmd, clips, tmp_path):
     (tmp_path / "dlgmd-out/loom").mkdir(parents=True)
     (tmp_path / "dlgmd-out/loom/notes.txt").write_text("mine")
     result = dlgmd("run", clips / "loom.avi", "--overwrite")
-    assert result.exit_code == 2 and "it holds other files, such as notes.txt" in result.stderr
+    assert result.exit_code == 2 and "contains other files, such as notes.txt" in result.stderr
     assert os.listdir("dlgmd-out/loom") == ["notes.txt"]
 
 
@@ -499,7 +499,7 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
     monkeypatch.setattr(DLGMD, "step", stopping)
     result = dlgmd("run", clips / "loom.avi", "--set", 9)
     assert result.exit_code == 130
-    assert "holds the 8 frames processed before the stop." in result.stderr
+    assert "holds the 8 frames processed before the interruption." in result.stderr
     folder = tmp_path / "dlgmd-out/loom"
     assert set(os.listdir(folder)) == FILES | PLOTS
     record = yaml.safe_load(open_text(folder / "run.yaml"))
@@ -534,7 +534,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch)
     monkeypatch.setattr("dlgmd_cli.results.csv.write_rows", full)
     result = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert result.exit_code == 1
-    assert "it cannot be written (No space left on device)" in result.stderr
+    assert "cannot be written (No space left on device)" in result.stderr
     assert os.listdir(".") == []
 
 

@@ -114,7 +114,7 @@ def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
     write_video(tmp_path / "late.avi", frames[:1] * 14 + frames, fourcc="FFV1")
     grid = ["--set", 9, "--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
     result = succeed(dlgmd, "sweep", "late.avi", *grid, "--no-plots", "--false-positive-frame", 5)
-    assert "inf: no membrane potential within 5 frames of the false positive" in result.stdout
+    assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
     found = [row["distinguishability"] for row in rows("dlgmd-out/sweep-late/sweep.csv")]
     assert found == ["inf", "inf", "", ""]
 
@@ -229,7 +229,7 @@ USAGE = [
     ("--x a=1 --y r=4 --param a=2", "--param sets a, which is an axis"),
     (
         "--x formulation=default,released --y r=4 --formulation default",
-        "--formulation sets what is an axis",
+        "--formulation is an axis of the sweep",
     ),
     ("--x a=1 --y r=4 --scale 0.5", "--scale works only with an INPUT"),
     ("--x a=1 --y r=4 --false-positive-frame 5", "--false-positive-frame works only with an INPUT"),
@@ -294,5 +294,5 @@ def test_an_out_that_cannot_be_written(dlgmd, tmp_path):
     Path(CUBES, "sweep.png").write_text("mine")
     result = dlgmd("sweep", *TINY, "--overwrite")
     assert result.exit_code == 2
-    assert "it holds other files, such as sweep.png" in result.stderr
+    assert "contains other files, such as sweep.png" in result.stderr
     assert Path(CUBES, "sweep.png").read_text() == "mine"

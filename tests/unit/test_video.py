@@ -397,7 +397,7 @@ def test_what_is_not_there(tmp_path, path, why):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFO here")
 def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.mp4")
-    with pytest.raises(SourceError, match="neither a file nor a folder"):
+    with pytest.raises(SourceError, match="is a pipe"):
         open_video(tmp_path / "pipe.mp4")
 
 

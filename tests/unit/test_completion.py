@@ -1,0 +1,85 @@
+"""The shell completes what can be known: commands, options, values, files."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+from click.shell_completion import ShellComplete
+
+from dlgmd_cli.commands.app import COMMANDS, cli
+from dlgmd_cli.commands.completion import SHELLS
+from dlgmd_cli.parameters import MODELS
+
+
+def completed(*words):
+    """What the last word may become, and the kinds of what it may."""
+    *before, last = words
+    found = ShellComplete(cli, {}, "dlgmd", "_DLGMD_COMPLETE").get_completions(before, last)
+    return [item.value for item in found], {item.type for item in found}
+
+
+def test_commands_and_options():
+    assert completed("")[0] == list(COMMANDS)
+    assert completed("run", "--form")[0] == ["--formulation", "--format"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["run", "--set", ""], [*"123456789"]),
+        (["batch", "x", "--set", "7"], ["7"]),
+        (["run", "--config", "fl"], ["flight"]),
+        (["run", "--model", "l"], ["lgmd"]),
+        (["run", "--param", "sigma_"], ["sigma_e=", "sigma_i=", "sigma_c="]),
+        (["sweep", "--x", "tau_l"], ["tau_low="]),
+        (["calibrate", "a.csv", "--search", "kap"], ["kappa="]),
+        (["synth", "group"], [f"group{number}" for number in range(1, 6)]),
+        (["sets", "l"], ["lgmd"]),
+        (["sets", "show", "dlgmd-c"], ["dlgmd-contrast"]),
+        (["plot", "ov"], ["overview"]),
+        (["completion", ""], list(SHELLS)),
+    ],
+)
+def test_values(words, expected):
+    assert completed(*words) == (expected, {"plain"})
+
+
+def test_keys_are_those_of_the_model():
+    keys = [f"{key}=" for key in MODELS["lgmd"].parameters.specs()]
+    assert completed("run", "--model", "lgmd", "--param", "")[0] == keys
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *([name, "x"] for name in ("run", "batch", "compare", "layers", "sweep", "bench")),
+        *(["plot", "mp", "x"], ["evaluate", "x"], ["calibrate", "x"], ["run", "--config", "x"]),
+    ],
+    ids=" ".join,
+)
+def test_files(words):
+    assert completed(*words) == (["x"], {"file"})
+
+
+def test_folders():
+    assert completed("run", "x", "--out", "y") == (["y"], {"dir"})
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_scripts(dlgmd, shell):
+    script = dlgmd("completion", shell).stdout
+    assert f"_DLGMD_COMPLETE={shell}_complete" in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_bash_completes(dlgmd, tmp_path):
+    command = tmp_path / "dlgmd"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dlgmd_cli "$@"\n')
+    command.chmod(0o755)
+    script = dlgmd("completion", "bash").stdout
+    words = "COMP_WORDS=(dlgmd run --param sigma_); COMP_CWORD=3"
+    call = f"compopt() {{ :; }}; {words}; _dlgmd_completion ./dlgmd"
+    program = f"{script}\n{call}\necho ${{COMPREPLY[@]}}"
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "sigma_e= sigma_i= sigma_c=\n"

@@ -1,0 +1,113 @@
+"""What users stumble over: one line each says what is wrong and what to do."""
+
+import json
+import os
+
+import pytest
+from conftest import looming_frames, write_video
+
+import dlgmd_cli
+from dlgmd_cli.errors import DlgmdError
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "code"),
+    [
+        ("rtsp://drone.local/stream", "live streams are not read", 2),
+        ("udp://0.0.0.0:5600", "live streams are not read", 2),
+        ("https://example.org/flight.mp4", "URLs are not read here", 2),
+        ("-", "standard input is not read", 2),
+        ("pipe", "is a pipe", 1),
+        ("/dev/null", "is a device", 1),
+    ],
+)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_live_sources_are_refused_in_words(dlgmd, name, words, code):
+    os.mkfifo("pipe")
+    result = dlgmd("run", name)
+    assert result.exit_code == code and f"Error: {name}: " in result.stderr
+    assert words in result.stderr and ("ffmpeg -i" in result.stderr or "batch" in result.stderr)
+
+
+def test_a_folder_that_looks_like_a_url_is_a_folder(dlgmd, clips):
+    os.makedirs("rtsp:/x")
+    os.link(clips / "loom.avi", "rtsp:/x/loom.avi")
+    assert dlgmd("run", "rtsp://x/loom.avi", "--no-plots").exit_code == 0
+
+
+def test_figures_in_other_formats_are_refused(dlgmd, clips):
+    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "out")
+    result = dlgmd("plot", "mp", "out/loom", "--out", "a.jpg")
+    assert result.exit_code == 2 and "png, pdf, svg, not as jpg. Give a.png" in result.stderr
+    assert not os.path.exists("a.jpg")
+
+
+def test_plotting_what_was_not_run_names_the_command(dlgmd, clips):
+    dlgmd("layers", clips / "loom.avi", "--frames", 9, "--out", "out")
+    for given in (clips / "loom.avi", "out/loom", "out/none"):
+        result = dlgmd("plot", "mp", given)
+        assert result.exit_code == 1 and "Run 'dlgmd run" in result.stderr
+
+
+def test_nothing_passes(dlgmd, clips):
+    arguments = ["run", clips / "loom.avi", "--set", 9, "--param", "t0=100", "--param", "k=1e-12"]
+    result = dlgmd(*arguments)
+    assert "0: everything was suppressed" in result.stdout and "none" in result.stdout
+
+
+def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
+    whole = (clips / "loom.avi").read_bytes()
+    with open("cut.avi", "wb") as file:
+        file.write(whole[: len(whole) * 3 // 4])
+    result = dlgmd("run", "cut.avi", "--json", "--no-plots")
+    facts = json.loads(result.stdout)
+    assert facts["complete"] is True
+    (warning,) = [line for line in facts["warnings"] if "cut off" in line]
+    assert f"Warning: cut.avi: {warning}." in result.stderr
+    facts = json.loads(dlgmd("compare", "cut.avi", "--json", "--no-plots", "--out", "b").stdout)
+    assert warning in facts["warnings"]
+
+
+@pytest.mark.parametrize(("fps", "words"), [(60, "every 2nd"), (120, "every 4th"), (25, "")])
+def test_a_high_frame_rate_is_named(dlgmd, tmp_path, fps, words):
+    write_video(tmp_path / "fast.avi", looming_frames(24), fps=fps)
+    arguments = ["run", "fast.avi", "--no-plots"]
+    result = dlgmd(*arguments)
+    assert (words in result.stderr) and ("Note:" in result.stderr) == bool(words)
+    assert "Note:" not in dlgmd(*arguments, "--overwrite", "-q").stderr
+    assert "Note:" not in dlgmd(*arguments, "--overwrite", "--fps", "all").stderr
+
+
+def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
+    lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
+    assert any("32x24, 25 frames a second, decoded by opencv" in line for line in lines)
+    assert any("sigma_e = 1.5" in line for line in lines)
+
+
+def test_sweep_json(dlgmd):
+    axes = ["--x", "sigma_e=1,2", "--y", "sigma_i=2,5"]
+    result = dlgmd("sweep", *axes, "--frames", 10, "--speed", 2, "--no-plots", "--json")
+    facts = json.loads(result.stdout)
+    assert facts["points"] == 4 and facts["complete"] is True
+    (measure,) = facts["measures"]
+    assert measure["measure"] == "attenuation_db" and measure["speed_px"] == 2
+    assert measure["least"] < measure["greatest"]
+    assert measure["least_at"].keys() == {"sigma_e", "sigma_i"}
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: dlgmd_cli.read_result("str"), "there is no such folder. Run 'dlgmd run' first."),
+        (lambda: dlgmd_cli.read_result(9), "not int"),
+        (lambda: dlgmd_cli.DLGMD(9), "expected DlgmdParameters, not 9. Write load_set(9)"),
+        (lambda: dlgmd_cli.LGMD(dlgmd_cli.load_set(9)), "LgmdParameters, not DlgmdParameters"),
+        (lambda: dlgmd_cli.Alarm("9"), "expected parameters, not '9'. Write load_set(9)"),
+        (lambda: dlgmd_cli.run("x.mp4", fbs=9), "there is no option 'fbs'. Choose from scale"),
+        (lambda: dlgmd_cli.open_video(None), "expected the path of a video, not NoneType"),
+    ],
+)
+def test_wrong_arguments_in_python(call, words):
+    with pytest.raises(DlgmdError) as error:
+        call()
+    assert words in str(error.value)
