@@ -177,7 +177,7 @@ def layers(
     with runs.open_input(input_path, [setup], options) as again:
         film: Film | Overlay
         if overlay:
-            film = Overlay(result, (again.info.height, again.info.width), scales[1].high)
+            film = Overlay(result, again.source_wh[::-1], scales[1].high)
         else:
             film = Film(result, (height, width), scales, model.layer_units[1:], label)
         _render(film, again, model, again.rate_fps, len(result), film_path)
