@@ -31,6 +31,7 @@ COMMANDS = (
     "evaluate",
     "calibrate",
     "bench",
+    "reproduce",
 )
 
 

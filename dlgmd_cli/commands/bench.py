@@ -1,7 +1,6 @@
 """`dlgmd bench`: the paper's Table IV, the time the model takes, on this machine."""
 
 import math
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +26,7 @@ _COLUMNS = {
     "120 frames s": ("whole_s", ".2f"),
     "paper s": ("paper_s", ".2f"),
     "ratio": ("ratio", ".1f"),
+    "paper DA": ("paper_da", ".6g"),
 }
 
 
@@ -137,16 +137,12 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
     if given is not None:
         yield given
         return
-    from dlgmd_cli.runs.benchmark import PAPER_SIZE_WH
-    from dlgmd_cli.stimuli.pan import pan_frames
-    from dlgmd_cli.video.writer import write_video
+    from dlgmd_cli.runs.benchmark import PAPER_SIZE_WH, rendered_pan
 
     width, height = PAPER_SIZE_WH
-    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        path = Path(folder) / "pan.mp4"
-        say(f"Rendering {n_frames} frames of {width}x{height}.")
-        write_video(path, pan_frames((height, width), n_frames), (height, width), 30.0)
-        yield str(path)
+    say(f"Rendering {n_frames} frames of {width}x{height}.")
+    with rendered_pan(n_frames) as path:
+        yield path
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

@@ -139,7 +139,8 @@ param_option = click.option(
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(FORMULATIONS),
-    help="How delays that are not whole frames are rounded.  [default: default]",
+    help="How delays that are not whole frames are rounded. released also divides FFI by 200000 "
+    "whatever the frames' size, which leaves little of FFI-GD at 480x270.  [default: default]",
 )
 engine_option = click.option(
     "--engine",

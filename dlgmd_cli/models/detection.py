@@ -17,6 +17,9 @@ Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Potential = TypeVar("Potential", float, Series)
 
+# K of a single cell that answers to a change of one grey level, in luminance². A peak below it is
+# rounding: the EMD-LGMD's of an object that recedes is 6e-7.
+LEAST_PEAK = 1.0 / 255.0**2
 # An alarm that begins so soon after the end of the one before belongs to it.
 MERGE_S = 0.3
 # Times such as 0.5 - 0.2 miss a tenth of a second by their last digits.
@@ -59,11 +62,11 @@ def sequence(mp: Series) -> Series:
     -------
     ndarray, shape (n,)
         (K - min K) / (max K - min K), as in the paper's figures; NaN where `mp` is, and
-        everywhere if K never changes.
+        everywhere if K never changes or stays below `LEAST_PEAK`.
     """
     low = float(np.fmin.reduce(mp, initial=np.nan))
     high = float(np.fmax.reduce(mp, initial=np.nan))
-    if not high > low:
+    if not high > low or high < LEAST_PEAK:
         return np.full_like(mp, np.nan)
     return (mp - low) / (high - low)
 

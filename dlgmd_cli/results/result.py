@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
-from dlgmd_cli.models.detection import absolute, detect, onsets, sequence
+from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, sequence
 from dlgmd_cli.parameters import MODELS, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
@@ -198,21 +198,21 @@ class Result:
 
         It begins with the fourth frame, the first that is valid in all of the paper's sets, so
         that every model's is of the same frames. NaN where none is valid, or the membrane
-        potential is 0 throughout.
+        potential is nothing but rounding, see `detection.LEAST_PEAK`.
         """
         common = self._mp_before[~self.repeated][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
-        return float((valid / peak).mean()) if peak > 0.0 else math.nan
+        return float((valid / peak).mean()) if peak >= LEAST_PEAK else math.nan
 
     def distinguishability(self, false_positive_frame: int) -> float:
         """DA: the mean K near its peak over the mean K near a false positive.
 
         Each mean is over the valid frames that lie no more than 5 frame numbers away. Infinite
-        where the model is silent near the false positive alone; NaN where it is silent near both,
-        or one of them has no valid frame.
+        where the model is silent near the false positive alone; NaN where its peak is nothing but
+        rounding, or one of them has no valid frame.
         """
-        if self._peak_row is None:
+        if self._peak_row is None or self.mp[self._peak_row] < LEAST_PEAK:
             return math.nan
         response = self._mean_near(int(self.frame[self._peak_row]))
         mistake = self._mean_near(false_positive_frame)
@@ -233,8 +233,8 @@ class Result:
             lines.append(line)
         if self.n_valid and not np.isfinite(self.level).any():
             lines.append(
-                "the membrane potential never changes, so it cannot be normalised by its own "
-                "sequence; there are no spikes"
+                "the membrane potential never changes by more than rounding, so it cannot be "
+                "normalised by its own sequence; there are no spikes"
             )
         return lines
 

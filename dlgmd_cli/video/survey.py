@@ -267,8 +267,9 @@ def advice(facts: Survey) -> list[str]:
     lines = [*_of_rate(facts), _of_size(facts)]
     if facts.is_interlaced:
         lines.append(
-            "The pictures are interlaced, and the comb of their fields looks like motion: "
-            "deinterlace first, for example with 'ffmpeg -i INPUT -vf bwdif OUTPUT'."
+            "It is interlaced: the comb of the two fields looks like motion, and OpenCV may show "
+            "the same picture throughout. Deinterlace it first, for example with 'ffmpeg -i INPUT "
+            "-vf bwdif OUTPUT', or add --decoder pyav."
         )
     if facts.bits is not None and facts.bits > 8 and facts.decoder == DEFAULT_DECODER:
         lines.append(f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.")
@@ -282,7 +283,8 @@ def advice(facts: Survey) -> list[str]:
     if facts.still is not None:
         lines.append(
             f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
-            "display: --write-mask mask.png paints them black for --mask. Look at it first."
+            "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
+            "black for --mask. Look at it before you use it."
         )
     return lines
 

@@ -48,6 +48,8 @@ def test_absolute_is_causal_and_bounded(mp, kappa):
     [
         ([NAN, NAN, 4.0, 2.0, 6.0], [NAN, NAN, 0.5, 0.0, 1.0]),
         ([NAN, 0.0, 0.0], [NAN] * 3),  # a still scene
+        ([NAN, 0.0, 6e-7, 0.0], [NAN] * 4),  # rounding
+        ([NAN, 0.0, 6e-5, 3e-5], [NAN, 0.0, 1.0, 0.5]),  # four cells, one grey level
         ([NAN, NAN], [NAN] * 2),
         ([], []),
     ],

@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation", "pages"},
+    {"evaluation", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -26,6 +26,7 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
+    "jinja2": {"pages", "reproduce"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -34,7 +35,6 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
-    "jinja2": {"pages"},
     "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.

@@ -107,6 +107,12 @@ def test_measures_end_at_the_collision():
     assert make_result(mp).until(None).summary == whole.summary
 
 
+def test_a_peak_of_rounding_is_no_answer():
+    result = make_result([NAN, NAN, NAN, 1e-7, 3e-6, 1e-7])
+    assert np.isnan(result.mp_seq).all() and math.isnan(result.sharpness)
+    assert math.isnan(result.distinguishability(3)) and result.summary["mp_max"] == 3e-6
+
+
 def test_normalised_by_its_own_sequence():
     result = make_result([NAN, 1.0, 3.0, 2.0], normalise="sequence")
     assert np.array_equal(result.mp_seq, [NAN, 0, 1, 0.5], equal_nan=True)

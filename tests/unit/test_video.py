@@ -194,6 +194,12 @@ def test_reduced_pictures_are_means_of_areas(factors, depth):
     assert np.abs(reduced.astype(int) - in_one_step.astype(int)).max() <= 1
 
 
+def test_far_reductions_are_means_of_areas_too():
+    image = np.random.default_rng(3).integers(0, 256, (1080, 1920), dtype=np.uint8)
+    exact = cv2.resize(image.astype(np.float64), (38, 22), interpolation=cv2.INTER_AREA)
+    assert np.abs(resized(image, (38, 22)) - exact).max() <= 1.25
+
+
 def test_other_sizes_are_resized_as_by_opencv():
     image = np.random.default_rng(3).integers(0, 255, (54, 96), dtype=np.uint8)
     for size, how in (((40, 30), cv2.INTER_AREA), ((128, 72), cv2.INTER_LINEAR)):

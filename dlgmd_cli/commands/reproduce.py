@@ -1,0 +1,110 @@
+"""`dlgmd reproduce`: the paper's figures and tables, with each of its claims checked."""
+
+import shlex
+from pathlib import Path
+
+import click
+
+from dlgmd_cli.commands.console import Command, print_path, print_table
+from dlgmd_cli.commands.progress import progress
+
+
+@click.command(cls=Command, epilog="Example: dlgmd reproduce --quick --out paper")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="ID,ID",
+    help="Figures, tables or claims, such as fig12,table4; repeatable.  [default: all]",
+)
+@click.option("--quick", is_flag=True, help="Every claim, but one seed for each flight.")
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="The authors' frames (looming_ball, ball_and_capsules) for Figs. 8, 10 and 12.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="dlgmd-paper",
+    show_default=True,
+    metavar="DIR",
+    help="Where the report goes.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier report.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(1, 512),
+    metavar="N",
+    help="Processes that share the work.  [default: all processors]",
+)
+def reproduce(
+    only: tuple[str, ...],
+    quick: bool,
+    reference: Path | None,
+    out: Path,
+    overwrite: bool,
+    jobs: int | None,
+) -> None:
+    """Regenerate the evidence of the paper, and say of each claim whether it holds.
+
+    Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.csv, one row per
+    claim and formulation; and every figure as PNG and PDF. Each claim is checked under all three
+    formulations of the model. Needs Jinja2, which comes with 'dlgmd[view]'.
+
+    The exit code is 0 whether claims hold or not.
+    """
+    from dlgmd_cli.reproduce.claims import (
+        NO,
+        UNDECIDED,
+        YES,
+        counts,
+        findings,
+        load_claims,
+        matching,
+    )
+    from dlgmd_cli.reproduce.clips import check_reference
+    from dlgmd_cli.reproduce.compute import EXHIBITS, compute, jobs_for
+    from dlgmd_cli.reproduce.plan import ANY, Plan
+    from dlgmd_cli.reproduce.report import REPORT, TABLE, require_jinja, write_report
+    from dlgmd_cli.results.store import locked, refuse_existing
+    from dlgmd_cli.threads import n_processors
+
+    stories, inconsistencies = load_claims()
+    stories = matching(stories, [name for text in only for name in text.split(",")])
+    check_reference(reference)
+    require_jinja()
+    for name in (REPORT, TABLE):
+        refuse_existing(out / name, overwrite=overwrite)
+    plan = Plan(quick, reference)
+    todo = jobs_for(stories, plan)
+    with locked(out):
+        with progress("reproduce", len(todo), "clip") as on_job:
+            data = compute(todo, jobs or n_processors(), on_job)
+        found = {
+            name: findings(story, EXHIBITS[name].values(plan, data))
+            for name, story in stories.items()
+        }
+        with progress("figures", len(stories), "figure") as on_figure:
+            paths = write_report(
+                out, stories, found, inconsistencies, plan, data, _command(only, quick, reference),
+                on_figure,
+            )  # fmt: skip
+    every = [one for some in found.values() for one in some]
+    rows = [
+        ("not about the D-LGMD" if name == ANY else name,
+         *(str(count[kind]) for kind in (YES, NO, UNDECIDED)))
+        for name, count in counts(every).items()
+    ]  # fmt: skip
+    print_table(("formulation", "claims hold", "do not", "undecided"), rows)
+    for path in paths[:2]:
+        print_path(path)
+
+
+def _command(only: tuple[str, ...], quick: bool, reference: Path | None) -> str:
+    """What repeats this report."""
+    words = ["dlgmd", "reproduce"]
+    words += ["--only", ",".join(only)] if only else []
+    words += ["--quick"] if quick else []
+    words += ["--reference", str(reference)] if reference else []
+    return shlex.join(words)

@@ -1,0 +1,520 @@
+"""The paper's figures of flights, groups 1 to 5, and its Table IV."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
+from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.reproduce.clips import Clip, Job, Seen, Watcher, in_all, model, others
+from dlgmd_cli.reproduce.plan import (
+    ANY,
+    Data,
+    Exhibit,
+    Figures,
+    Plan,
+    Values,
+    by_formulation,
+    watching,
+)
+from dlgmd_cli.reproduce.stimuli import mean_db, share_of_peak
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.runs.benchmark import (
+    PAPER_DA,
+    PAPER_S,
+    PAPER_SIZE_WH,
+    RADII,
+    SCALES,
+    measure,
+    rendered_pan,
+)
+from dlgmd_cli.video.frames import open_video
+
+SIZE = (270, 480)
+FIGURE_SEED = 0
+# The last second before contact is the approach; what is before it is the flight.
+APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
+
+
+def _flight(group: int, seed: int) -> Clip:
+    return Clip.of(f"group{group}", size=SIZE, seed=seed)
+
+
+def _jobs(group: int, watchers: dict[str, Watcher]) -> Callable[[Plan], list[Job]]:
+    """The jobs of a group's flights, one for each seed."""
+
+    def jobs(plan: Plan) -> list[Job]:
+        return [job for seed in plan.seeds for job in watching(_flight(group, seed), watchers)]
+
+    return jobs
+
+
+def sustained(level: Series, first: int, last: int, n_frames: int = 2) -> float:
+    """The greatest level that is held for `n_frames` in a row, from `first` to `last`.
+
+    An alarm needs as many spikes in a row: there is one if this reaches the threshold.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(level[first : last + 1], n_frames)
+    return float(windows.min(axis=1).max())
+
+
+def phase(seen: Seen, name: str) -> tuple[int, int]:
+    """First and last frame of a phase; it ends before the approach."""
+    first, last = seen.phases[name]
+    return first, max(first + 1, min(last, seen.collision_frame - APPROACH_FRAMES))
+
+
+def held(seen: Seen, label: str, name: str) -> float:
+    """The greatest sustained share of the peak in a phase, or in the last frames to contact."""
+    end = seen.collision_frame
+    window = (end - CONTACT_FRAMES, end) if name == "contact" else phase(seen, name)
+    return sustained(share_of_peak(seen.results[label]), *window)
+
+
+def _each(plan: Plan, data: Data, group: int) -> list[Seen]:
+    return [data[_flight(group, seed)] for seed in plan.seeds]
+
+
+def _spans(seen: Seen) -> list[tuple[float, float, str]]:
+    """The phases but the first, for figures, in frames."""
+    short = {"accelerate": "accel.", "decelerate": "brake", "collision": ""}
+    named = list(seen.phases.items())[1:]
+    return [
+        (float(first), float(last), short.get(name, name))
+        for name, (first, last) in named
+        if name != "collision"
+    ]
+
+
+def _panel(title: str, seen: Seen, curves: dict[str, Series], **more: Any) -> Panel:
+    frame = np.arange(seen.collision_frame + 1.0)
+    shown = {label: (frame, values[: len(frame)]) for label, values in curves.items()}
+    return Panel(title, shown, _spans(seen), float(seen.collision_frame), **more)
+
+
+def _shares(title: str, seen: Seen, labels: dict[str, str]) -> Panel:
+    """K as a share of its peak; `labels` are what the legend calls the results."""
+    curves = {shown: share_of_peak(seen.results[label]) for label, shown in labels.items()}
+    return _panel(title, seen, curves, level=0.4)
+
+
+# --- Fig. 1 -----------------------------------------------------------------------------------
+
+
+def _fig1_values(plan: Plan, data: Data) -> Values:
+    flights = _each(plan, data, 1)
+    return {
+        "fig1-pitch": {ANY: [held(seen, "lgmd", "pitch") for seen in flights]},
+        "fig1-accelerate": {ANY: [held(seen, "lgmd", "accelerate") for seen in flights]},
+    }
+
+
+def _fig1_figures(plan: Plan, data: Data) -> Figures:
+    seen = data[_flight(1, FIGURE_SEED)]
+    panels = [_shares("Group 1", seen, {"lgmd": "LGMD"})]
+    return {"fig1": partial(plot_panels, panels, "Frame", "K / max K")}
+
+
+# --- Fig. 13 ----------------------------------------------------------------------------------
+
+_FIG_13 = {**in_all("set9"), **others("lgmd", "emd-lgmd")}
+_WITHOUT = {
+    f"{label}/no-ffi-gd": one for label, one in in_all("set9", ffi_gd=False).items()
+}  # fmt: skip
+
+
+def _fig13a_jobs(plan: Plan) -> list[Job]:
+    return [*_jobs(1, _FIG_13)(plan), *_jobs(2, _FIG_13)(plan)]
+
+
+def _most_before(flights: list[Seen], label: str) -> list[float]:
+    """The greatest sustained share of the peak before the approach, of each flight."""
+    return [max(held(seen, label, name) for name in ("pitch", "accelerate")) for seen in flights]
+
+
+def _of_set9(value: Callable[[str], list[float]], formulation: str) -> list[float]:
+    return value(f"set9/{formulation}")
+
+
+def _fig13a_values(plan: Plan, data: Data) -> Values:
+    values: Values = {}
+    for group in (1, 2):
+        flights = _each(plan, data, group)
+
+        most = partial(_most_before, flights)
+        values[f"fig13a-silent-group{group}"] = by_formulation(partial(_of_set9, most))
+        values[f"fig13a-lgmd-group{group}"] = {ANY: most("lgmd")}
+        values[f"fig13a-emd-group{group}"] = {ANY: most("emd-lgmd")}
+    return values
+
+
+def _fig13a_figures(plan: Plan, data: Data) -> Figures:
+    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
+    labels["emd-lgmd"] = "EMD-LGMD"
+    panels = [
+        _shares(f"Group {group}", data[_flight(group, FIGURE_SEED)], labels) for group in (1, 2)
+    ]
+    return {"fig13a": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
+
+
+def _fig13b_jobs(plan: Plan) -> list[Job]:
+    return _jobs(1, {**in_all("set9"), **_WITHOUT})(plan)
+
+
+def _n_active(seen: Seen, label: str) -> int:
+    """Frames before the approach at which something passes the threshold of G."""
+    before = seen.results[label].mp[: seen.collision_frame - APPROACH_FRAMES]
+    return int(np.count_nonzero(np.nan_to_num(before) > 0.0))
+
+
+def _fig13b_values(plan: Plan, data: Data) -> Values:
+    flights = _each(plan, data, 1)
+
+    def left(formulation: str) -> list[float]:
+        label = f"set9/{formulation}"
+        counts = [(_n_active(s, label), _n_active(s, f"{label}/no-ffi-gd")) for s in flights]
+        return [kept / n if n else math.nan for kept, n in counts]
+
+    def without(formulation: str) -> list[float]:
+        return _most_before(flights, f"set9/{formulation}/no-ffi-gd")
+
+    return {"fig13b-removes": by_formulation(left), "fig13b-without": by_formulation(without)}
+
+
+def _fig13b_figures(plan: Plan, data: Data) -> Figures:
+    seen = data[_flight(1, FIGURE_SEED)]
+
+    def panel(formulation: str) -> Panel:
+        label = f"set9/{formulation}"
+        raw = {"without FFI-GD": f"{label}/no-ffi-gd", "with FFI-GD": label}
+        curves = {shown: seen.results[of].mp for shown, of in raw.items()}
+        curves = {shown: np.where(mp > 0.0, mp, np.nan) for shown, mp in curves.items()}
+        return _panel(formulation, seen, curves)
+
+    panels = [panel(f) for f in FORMULATIONS]
+    return {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)}
+
+
+# --- Fig. 14 ----------------------------------------------------------------------------------
+
+_FIG_14_SETS = (3, 6, 7, 8)
+_FIG_14 = {k: v for n in _FIG_14_SETS for k, v in in_all(f"set{n}").items()} | others("lgmd")
+_BRAKE_FRAMES = 10
+# Of the peak; less before braking is nothing that could drop.
+_TO_DROP = 0.05
+
+
+def _drop(level: Series, first: int) -> float:
+    """The mean level after braking begins over that before; NaN if that is next to nothing."""
+    before = float(level[first - _BRAKE_FRAMES : first].mean())
+    after = float(level[first : first + _BRAKE_FRAMES].mean())
+    return after / before if before >= _TO_DROP else math.nan
+
+
+def _fig14_values(plan: Plan, data: Data) -> Values:
+    flights = _each(plan, data, 2)
+
+    def pitch(seen: Seen, formulation: str, *numbers: int) -> list[float]:
+        return [held(seen, f"set{n}/{formulation}", "pitch") for n in numbers]
+
+    def order(seen: Seen, formulation: str) -> float:
+        most, least = max(pitch(seen, formulation, 6, 8)), min(pitch(seen, formulation, 3, 7))
+        return most / least if least > 0.0 else math.nan
+
+    def worse(seen: Seen, formulation: str) -> float:
+        return max(pitch(seen, formulation, *_FIG_14_SETS)) / held(seen, "lgmd", "pitch")
+
+    def drop(number: int, formulation: str) -> list[float]:
+        label = f"set{number}/{formulation}"
+        return [_drop(share_of_peak(s.results[label]), s.phases["decelerate"][0]) for s in flights]
+
+    values: Values = {
+        "fig14a-answers": by_formulation(lambda f: [min(pitch(s, f, 3, 7)) for s in flights]),
+        "fig14a-silent": by_formulation(lambda f: [max(pitch(s, f, 6, 8)) for s in flights]),
+        "fig14a-order": by_formulation(lambda f: [order(s, f) for s in flights]),
+        "fig14a-lgmd": by_formulation(lambda f: [worse(s, f) for s in flights]),
+    }
+    for n in (3, 6):
+        values[f"fig14b-set{n}"] = by_formulation(partial(drop, n))
+    return values
+
+
+def _fig14_figures(plan: Plan, data: Data) -> Figures:
+    seen = data[_flight(2, FIGURE_SEED)]
+    panels = [
+        _shares(f, seen, {**{f"set{n}/{f}": f"set {n}" for n in _FIG_14_SETS}, "lgmd": "LGMD"})
+        for f in FORMULATIONS
+    ]
+    return {"fig14": partial(plot_panels, panels, "Frame", "K / max K")}
+
+
+# --- Figs. 15, 16 and 17 ------------------------------------------------------------------------
+
+_FIG_15 = {**in_all("set9"), **others("lgmd")}
+
+
+def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
+    """Of group 4, Fig. 15, and group 5, Fig. 16."""
+    flights = _each(plan, data, group)
+
+    def flying(seen: Seen, label: str) -> float:
+        """Mean attenuation from take-off until the drone accelerates."""
+        first, last = seen.phases["take off"][0], seen.phases["accelerate"][0] - 1
+        return mean_db(seen.results[label], first, last)
+
+    def rise(seen: Seen, label: str) -> float:
+        end = seen.collision_frame
+        return mean_db(seen.results[label], end - CONTACT_FRAMES, end) - flying(seen, label)
+
+    def causal(result: Result, end: int) -> float:
+        return sustained(np.nan_to_num(result.mp_abs), 0, end)
+
+    name = f"fig{number}"
+    return {
+        f"{name}-attenuates": by_formulation(lambda f: [flying(s, f"set9/{f}") for s in flights]),
+        f"{name}-rising": by_formulation(lambda f: [rise(s, f"set9/{f}") for s in flights]),
+        f"{name}-detects": by_formulation(
+            lambda f: [held(s, f"set9/{f}", "contact") for s in flights]
+        ),
+        f"{name}-causal": by_formulation(
+            lambda f: [causal(s.results[f"set9/{f}"], s.collision_frame) for s in flights]
+        ),
+        f"{name}-lgmd": {ANY: [held(s, "lgmd", "contact") for s in flights]},
+    }
+
+
+def _approach_figures(group: int, number: int, plan: Plan, data: Data) -> Figures:
+    seen = data[_flight(group, FIGURE_SEED)]
+    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
+    db = {shown: seen.results[label].attenuation_db for label, shown in labels.items()}
+    db = {shown: np.maximum(values, -60.0) for shown, values in db.items()}
+    panels = [
+        _shares(f"Group {group}: K / max K", seen, labels),
+        _panel("Attenuation", seen, db, y_label="dB"),
+    ]
+    return {f"fig{number}": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
+
+
+def _fig17_values(plan: Plan, data: Data) -> Values:
+    flights = _each(plan, data, 3)
+
+    def near(part: str, formulation: str) -> list[float]:
+        return [held(seen, f"set9/{formulation}", part) for seen in flights]
+
+    return {
+        "fig17-silent": by_formulation(partial(near, "yaw")),
+        "fig17-answers": by_formulation(partial(near, "contact")),
+    }
+
+
+def _fig17_figures(plan: Plan, data: Data) -> Figures:
+    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
+    panels = [_shares("Group 3", data[_flight(3, FIGURE_SEED)], labels)]
+    return {"fig17": partial(plot_panels, panels, "Frame", "K / max K")}
+
+
+# --- Table IV ---------------------------------------------------------------------------------
+
+_SET = "set7"
+BEST_SCALE = 0.25
+
+
+def _scales(plan: Plan) -> tuple[float, ...]:
+    """Linear scales of 1920x1080; a quick report renders half of that."""
+    return SCALES[1:] if plan.quick else SCALES
+
+
+def _table4_clip(plan: Plan, seed: int) -> Clip:
+    largest = _scales(plan)[0]
+    width, height = (round(side * largest) for side in PAPER_SIZE_WH)
+    return Clip.of("group2", size=(height, width), seed=seed)
+
+
+def _table4_seeds(plan: Plan) -> tuple[int, ...]:
+    return plan.seeds[:2]
+
+
+def _point(formulation: str, radius: int, scale: float) -> str:
+    return f"{_SET}/{formulation}/r{radius}/x{scale:g}"
+
+
+def _da_jobs(plan: Plan) -> list[Job]:
+    # A job for each formulation, so that processes share them; rendering is the lesser part.
+    jobs = []
+    scales = _scales(plan)
+    for seed in _table4_seeds(plan):
+        for f in FORMULATIONS:
+            watchers = {
+                _point(f, r, x): Watcher(model(_SET, f, r=r), x / scales[0])
+                for r in RADII
+                for x in scales
+            }
+            clip = _table4_clip(plan, seed)
+            call = watching(clip, watchers)[0].call
+            jobs.append(Job(("da", clip, f), f"table4, {f}", call))
+    return jobs
+
+
+def distinguishability(seen: Seen, label: str) -> float:
+    """DA with the middle of the pitch as the false positive; 0 where the model never answers."""
+    first, last = seen.phases["pitch"]
+    found = seen.results[label].distinguishability((first + last) // 2)
+    return 0.0 if math.isnan(found) else found
+
+
+def da_table(plan: Plan, data: Data, formulation: str, seed: int) -> Series:
+    """DA, a row for each radius and a column for each scale.
+
+    Infinite where the model is silent at the pitch.
+    """
+    seen = data["da", _table4_clip(plan, seed), formulation]
+    return np.array(
+        [
+            [distinguishability(seen, _point(formulation, r, x)) for x in _scales(plan)]
+            for r in RADII
+        ]
+    )
+
+
+def _da_values(plan: Plan, data: Data) -> Values:
+    def tables(formulation: str) -> list[Series]:
+        return [da_table(plan, data, formulation, seed) for seed in _table4_seeds(plan)]
+
+    def at_best(table: Series) -> Series:
+        return table[:, _scales(plan).index(BEST_SCALE)]
+
+    def best(table: Series) -> float:
+        others = np.delete(table, _scales(plan).index(BEST_SCALE), axis=1).max(axis=1)
+        return _least(_ratio(a, b) for a, b in zip(at_best(table), others, strict=True))
+
+    def rising(table: Series) -> float:
+        pairs = zip(table[:-1].ravel(), table[1:].ravel(), strict=True)
+        return _least(_ratio(wide, narrow) for wide, narrow in pairs)
+
+    def of(value: Callable[[Series], float]) -> dict[str, list[float]]:
+        return by_formulation(lambda f: [value(table) for table in tables(f)])
+
+    return {
+        "table4-da-above-1": of(lambda table: float(np.min(table))),
+        "table4-da-above-10": of(lambda table: float(np.min(at_best(table)))),
+        "table4-da-best": of(best),
+        "table4-da-rising": of(rising),
+    }
+
+
+def _ratio(one: float, other: float) -> float:
+    """How many times as great; 1 where both are infinite, or both 0."""
+    if math.isinf(one) and math.isinf(other):
+        return 1.0
+    if other == 0.0:
+        return 1.0 if one == 0.0 else math.inf
+    return float(one / other)
+
+
+def _least(values: Any) -> float:
+    return float(np.min(list(values)))
+
+
+def _da_figures(plan: Plan, data: Data) -> Figures:
+    scales = np.array(_scales(plan))
+
+    def panel(formulation: str) -> Panel:
+        table = da_table(plan, data, formulation, FIGURE_SEED)
+        shown = np.where(np.isfinite(table), table, np.nan)
+        curves = {f"r = {r}": (scales, shown[row]) for row, r in enumerate(RADII)}
+        return Panel(formulation, curves, level=1.0)
+
+    panels = [panel(f) for f in FORMULATIONS]
+    draw = partial(plot_panels, panels, "Scale", "Distinguishability DA", dots=True)
+    return {"table4-da": partial(draw, log_x=True, log_y=True)}
+
+
+_CORNERS = ((6, 1.0), (6, 0.25), (2, 0.02))
+
+
+def _time_jobs(plan: Plan) -> list[Job]:
+    return [
+        Job(("time", f), f"timing, {f}", partial(times, f, plan.quick), alone=True)
+        for f in FORMULATIONS
+    ]
+
+
+def times(formulation: str, quick: bool) -> list[dict[str, Any]]:
+    """Rows of `dlgmd bench`, of single radii and scales if `quick`."""
+    params = model(_SET, formulation)
+    assert isinstance(params, DlgmdParameters)
+    n_frames = 24 if quick else 48
+    rows = []
+    with rendered_pan(n_frames) as path:
+        points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
+        for radii, scales in points:
+            found = measure(
+                lambda scale: open_video(path, scale=scale),
+                params,
+                radii=radii,
+                scales=scales,
+                repeats=1,
+                engine="auto",
+                on_step=lambda done: None,
+                tell=lambda message: None,
+            )
+            rows += found["rows"]
+    return rows
+
+
+def _time_values(plan: Plan, data: Data) -> Values:
+    def ratio(formulation: str) -> list[float]:
+        rows = data["time", formulation]
+        return [min(PAPER_S[row["radius"], row["scale"]] / row["whole_s"] for row in rows)]
+
+    return {"table4-time": by_formulation(ratio)}
+
+
+def da_rows(plan: Plan, data: Data) -> list[tuple[float, ...]]:
+    """Radius, scale, the paper's DA, and ours under each formulation; empty if not computed."""
+    if ("da", _table4_clip(plan, FIGURE_SEED), FORMULATIONS[0]) not in data:
+        return []
+    tables = [da_table(plan, data, f, FIGURE_SEED) for f in FORMULATIONS]
+    return [
+        (r, x, PAPER_DA[r, x], *(float(table[row, column]) for table in tables))
+        for row, r in enumerate(RADII)
+        for column, x in enumerate(_scales(plan))
+    ]
+
+
+def time_rows(data: Data) -> list[tuple[float, ...]]:
+    """Radius, scale, the paper's seconds, and ours under each formulation; empty if not timed."""
+    timed = [data["time", f] for f in FORMULATIONS if ("time", f) in data]
+    return [
+        (
+            r["radius"],
+            r["scale"],
+            PAPER_S[r["radius"], r["scale"]],
+            *(one["whole_s"] for one in same),
+        )
+        for same in zip(*timed, strict=True)
+        for r in same[:1]
+    ]
+
+
+EXHIBITS = (
+    Exhibit("fig1", _jobs(1, others("lgmd")), _fig1_values, _fig1_figures),
+    Exhibit("fig13a", _fig13a_jobs, _fig13a_values, _fig13a_figures),
+    Exhibit("fig13b", _fig13b_jobs, _fig13b_values, _fig13b_figures),
+    Exhibit("fig14", _jobs(2, _FIG_14), _fig14_values, _fig14_figures),
+    *(
+        Exhibit(
+            f"fig{number}",
+            _jobs(group, _FIG_15),
+            partial(_approach_values, group, number),
+            partial(_approach_figures, group, number),
+        )
+        for group, number in ((4, 15), (5, 16))
+    ),
+    Exhibit("fig17", _jobs(3, _FIG_15), _fig17_values, _fig17_figures),
+    Exhibit("table4-da", _da_jobs, _da_values, _da_figures),
+    Exhibit("table4-time", _time_jobs, _time_values, lambda plan, data: {}),
+)
