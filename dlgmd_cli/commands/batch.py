@@ -24,6 +24,7 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     FiniteRange,
+    dpi_option,
     engine_option,
     format_option,
     formulation_option,
@@ -129,6 +130,7 @@ class _Pool:
 @input_options
 @out_option
 @format_option
+@dpi_option
 @no_plots_option
 @click.option(
     "--overwrite", is_flag=True, help="Replace results of other parameters or of another input."
@@ -159,6 +161,7 @@ def batch(
     given: dict[str, Any],
     out: str,
     formats: tuple[str, ...],
+    dpi: int,
     no_plots: bool,
     overwrite: bool,
     force: bool,
@@ -192,7 +195,7 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
         formats = () if no_plots else tuple(dict.fromkeys(formats))
         may_replace = overwrite or force
-        job = Job(tuple(setups), places, options, formats, may_replace, scratch)
+        job = Job(tuple(setups), places, options, formats, dpi, may_replace, scratch)
         plan = _plan(found, job, force)
         labels = [one.label for one in setups]
         complete = _work(who, job, plan, labels)

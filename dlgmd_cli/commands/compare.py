@@ -250,7 +250,7 @@ def _files(
 
         kinds = ("mp", "attenuation")
         figures = {f"compare-{kind}": partial(figure, kind, results) for kind in kinds}
-        files |= figure_files(figures, output.formats)
+        files |= figure_files(figures, output.formats, output.dpi)
     text = record_text(record, [one["engine"] for one in record["models"]])
     files[store.COMPARISON] = lambda path: path.write_text(text, encoding="utf-8")
     return files

@@ -315,7 +315,7 @@ def _files(
     if output.formats:
         from dlgmd_cli.plots.style import figure_files
 
-        files |= figure_files(_figures(report, rules, width), output.formats)
+        files |= figure_files(_figures(report, rules, width), output.formats, output.dpi)
     files[RECORD] = lambda path: path.write_text(text, encoding="utf-8")
     return files
 

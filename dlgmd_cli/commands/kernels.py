@@ -41,7 +41,8 @@ def kernels(setup: "Setup", output: Output) -> None:
         from dlgmd_cli.plots.style import figure_files
 
         kernels = connections.excitation, connections.inhibition, connections.latency
-        files |= figure_files({stem: partial(plot_kernels, *kernels)}, output.formats)
+        figures = {stem: partial(plot_kernels, *kernels)}
+        files |= figure_files(figures, output.formats, output.dpi)
     paths = [output.out / name for name in files]
     for path in paths:
         refuse_existing(path, overwrite=output.overwrite)

@@ -17,6 +17,7 @@ from dlgmd_cli.errors import SourceError
 if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model
     from dlgmd_cli.plots.film import Film
+    from dlgmd_cli.plots.overlay import Overlay
     from dlgmd_cli.results.layers import LayerSheet
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.results.store import Write
@@ -59,7 +60,8 @@ def _video_file(value: str) -> Path:
     "wanted",
     type=_frame_numbers,
     metavar="N,N,…",
-    help="Frames of the sheet, numbers from 0 in the input.",
+    help="Frames of the sheet, numbers from 0 in the input.  [default, without --video: those "
+    "with the strongest responses, spread out]",
 )
 @click.option("--npz", is_flag=True, help="Write those frames' layers as arrays, too.")
 @click.option(
@@ -69,6 +71,12 @@ def _video_file(value: str) -> Path:
     metavar="FILE",
     help="Render input, S, G and MP as an .mp4.",
 )
+@click.option(
+    "--overlay",
+    is_flag=True,
+    help="With --video: the input at full size instead, with the active cells of G tinted and "
+    "alarms as a banner.",
+)
 @model_options
 @input_options
 @output_options
@@ -77,6 +85,7 @@ def layers(
     wanted: tuple[int, ...] | None,
     npz: bool,
     film_path: Path | None,
+    overlay: bool,
     setup: "Setup",
     given: dict[str, Any],
     output: Output,
@@ -85,15 +94,13 @@ def layers(
 
     INPUT is a video, a folder of pictures, or a pattern of pictures such as 'frames/%04d.png'.
 
-    --frames writes OUT/NAME/ with a contact sheet and layers.yaml, with --npz also layers.npz.
-    --video writes a film of input, S and G above the running membrane potential.
+    Writes OUT/NAME/ with a contact sheet and layers.yaml, with --npz also layers.npz. --video
+    writes a film of input, S and G above the running membrane potential; the sheet is left out
+    then, unless --frames is given.
     """
-    frames = wanted or ()
-    if not frames and film_path is None:
-        raise click.UsageError(
-            "nothing to make. Give --frames 1,50,65 for a sheet, --video film.mp4 for a video."
-        )
-    if not frames and npz:
+    if overlay and film_path is None:
+        raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
+    if not wanted and film_path is not None and npz:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.results import store
@@ -102,7 +109,8 @@ def layers(
 
     options = runs.input_options(setup, given)
     with runs.open_input(input_path, [setup], options) as video:
-        folder = store.result_folder(output.out, video.info.name) if frames else None
+        makes_sheet = bool(wanted) or film_path is None
+        folder = store.result_folder(output.out, video.info.name) if makes_sheet else None
         if film_path is not None:
             _check_film(film_path, folder, video.info.path, overwrite=output.overwrite)
         identity, is_new = runs.input_identity(video.info, input_path), False
@@ -111,6 +119,9 @@ def layers(
         with store.locked(folder) if folder else nullcontext():
             model = create_model(setup.params, engine=setup.engine, tell=say)
             n_expected = options.n_expected(video.info)
+            frames = wanted or ()
+            if makes_sheet and not frames:
+                frames = _strongest(input_path, setup, options, identity)
             if film_path is None:
                 n_expected = min(max(frames) + 1, n_expected or max(frames) + 1)
             with progress(video.info.name, n_expected) as on_frame:
@@ -130,7 +141,7 @@ def layers(
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
             if folder is not None and sheet is not None:
-                files = _files(result, sheet, output.formats, npz)
+                files = _files(result, sheet, output, npz)
                 store.commit(folder, store.LAYERS, files, is_new_input=is_new)
                 print_path(folder)
     if folder is not None and cancel.requested():
@@ -144,13 +155,36 @@ def layers(
         raise runs.too_short(input_path, video, setup.label, model.first_valid_frame + 1, options)
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.plots.heat import Scale
+    from dlgmd_cli.plots.overlay import Overlay
 
     width, height = video.size_wh
     scales = Scale.over(*ranges["s"]), Scale.over(*ranges["g"])
     label = f"{video.info.name} · {setup.label}"
-    film = Film(result, (height, width), scales, model.layer_units[1:], label)
     with runs.open_input(input_path, [setup], options) as again:
+        film: Film | Overlay
+        if overlay:
+            film = Overlay(result, (again.info.height, again.info.width), scales[1].high)
+        else:
+            film = Film(result, (height, width), scales, model.layer_units[1:], label)
         _render(film, again, model, again.rate_fps, len(result), film_path)
+
+
+def _strongest(
+    input_path: str, setup: "Setup", options: Any, identity: dict[str, Any]
+) -> tuple[int, ...]:
+    """The frames of a sheet, found by a first look at the whole input."""
+    from dlgmd_cli.runs import run as runs
+    from dlgmd_cli.runs.layers import strongest_frames
+
+    with runs.open_input(input_path, [setup], options) as video:
+        with progress(video.info.name, options.n_expected(video.info)) as on_frame:
+            (first,) = runs.run_models(
+                video, [setup], options, identity=identity, on_frame=on_frame, tell=lambda _: None
+            )
+        if cancel.requested():
+            raise cancel.Interrupted
+        runs.require_an_answer(input_path, video, [setup], [first], options)
+    return strongest_frames(first)
 
 
 def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: bool) -> None:
@@ -170,9 +204,7 @@ def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: 
         raise unwritable(film, error, "--video") from None
 
 
-def _files(
-    result: "Result", sheet: "LayerSheet", formats: tuple[str, ...], npz: bool
-) -> "dict[str, Write]":
+def _files(result: "Result", sheet: "LayerSheet", output: Output, npz: bool) -> "dict[str, Write]":
     """What writes each file of a sheet, by its name."""
     from dlgmd_cli.plots.layers import plot_layers
     from dlgmd_cli.plots.style import figure_files
@@ -183,16 +215,22 @@ def _files(
     text = record_text(result.record, [result.record["engine"]])
     return {
         **({"layers.npz": partial(write_npz, sheet=sheet)} if npz else {}),
-        **figure_files({"layers": partial(plot_layers, sheet)}, formats),
+        **figure_files({"layers": partial(plot_layers, sheet)}, output.formats, output.dpi),
         LAYERS: lambda path: path.write_text(text, encoding="utf-8"),
     }
 
 
 def _render(
-    film: "Film", video: "Video", model: "Model", nominal_fps: float, n_frames: int, path: Path
+    film: "Film | Overlay",
+    video: "Video",
+    model: "Model",
+    nominal_fps: float,
+    n_frames: int,
+    path: Path,
 ) -> None:
     """Write the film while the model sees the input a second time; a stop cuts it off."""
-    from dlgmd_cli.plots.film import HEIGHT, WIDTH
+    from dlgmd_cli.plots.film import Film
+    from dlgmd_cli.runs.layers import shown_frames
     from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
     from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
@@ -204,17 +242,20 @@ def _render(
     with (
         progress(f"{video.info.name} → {path.name}", n_frames) as on_frame,
         opencv_threads(1),
-        read_ahead(video) as frames,
+        read_ahead(shown_frames(video)) as frames,
         video_writer(
-            path, (HEIGHT, WIDTH), fps, codec=best_codec(), is_colour=True, option="--video"
+            path, film.shape, fps, codec=best_codec(), is_colour=True, option="--video"
         ) as write,
     ):
-        for n_rendered, frame in zip(range(1, n_frames + 1), frames, strict=False):
+        for n_rendered, (frame, image) in zip(range(1, n_frames + 1), frames, strict=False):
             if not frame.is_repeat:
                 if frame.after_gap:
                     model.reset()
                 layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
-            write(film.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
+            if isinstance(film, Film):
+                write(film.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
+            else:
+                write(film.picture(n_rendered - 1, image, layers.g))
             on_frame(n_rendered)
             if cancel.requested():
                 break

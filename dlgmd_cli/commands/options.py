@@ -299,18 +299,21 @@ input_options = option_group(
 
 @dataclass(frozen=True)
 class Output:
-    """Where results go, and the formats of their plots; none for no plots."""
+    """Where results go, and the formats and resolution of their plots; none for no plots."""
 
     out: Path
     formats: tuple[str, ...]
+    dpi: int
     overwrite: bool
 
 
-def _output(out: str, formats: tuple[str, ...], no_plots: bool, overwrite: bool) -> Output:
+def _output(
+    out: str, formats: tuple[str, ...], dpi: int, no_plots: bool, overwrite: bool
+) -> Output:
     """What the options ask for, each format once."""
     if not out.strip():
         raise ParameterError("--out", "it is empty", "Give the name of a folder.")
-    return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), overwrite)
+    return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), dpi, overwrite)
 
 
 out_option = click.option(
@@ -325,10 +328,18 @@ format_option = click.option(
     show_default=True,
     help="Format of the plots; repeatable.",
 )
+dpi_option = click.option(
+    "--dpi",
+    type=click.IntRange(50, 1200),
+    default=200,
+    show_default=True,
+    metavar="N",
+    help="Resolution of PNG figures, in dots per inch.",
+)
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no plots.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an earlier result.")
 output_options = option_group(
-    "output", _output, out_option, format_option, no_plots_option, overwrite_option
+    "output", _output, out_option, format_option, dpi_option, no_plots_option, overwrite_option
 )
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the summary as one JSON object."

@@ -10,6 +10,7 @@ import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
 from dlgmd_cli.commands.options import (
+    dpi_option,
     format_option,
     option_group,
     overwrite_option,
@@ -108,6 +109,7 @@ annotation_options = option_group(
     help="Folder for the figure, or a file ending in .png, .pdf or .svg.",
 )
 @format_option
+@dpi_option
 @overwrite_option
 def plot(
     kind: str,
@@ -118,6 +120,7 @@ def plot(
     width: Any,
     out: Path,
     formats: tuple[str, ...],
+    dpi: int,
     overwrite: bool,
 ) -> None:
     """Draw stored results: membrane potential, attenuation, spikes, or all of them.
@@ -160,7 +163,7 @@ def plot(
     figure = draw(kind, results, annotations, column=column, width=width)
     with appearing(*targets) as files:
         for file in files:
-            save_figure(figure, file)
+            save_figure(figure, file, dpi)
     for target in targets:
         print_path(target)
 

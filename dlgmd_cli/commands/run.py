@@ -65,7 +65,7 @@ def run(
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
             runs.require_an_answer(input_path, video, [setup], [result], options)
-            files = result.files(output.formats)
+            files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
     _show(result, folder, as_json)
     end_if_interrupted(folder, len(result), complete=result.record["complete"])

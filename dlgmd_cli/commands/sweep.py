@@ -158,7 +158,9 @@ def sweep(
             from dlgmd_cli.plots.style import figure_files
             from dlgmd_cli.plots.sweeps import plot_sweep
 
-            figures = figure_files({FIGURE: partial(plot_sweep, result, width)}, output.formats)
+            figures = figure_files(
+                {FIGURE: partial(plot_sweep, result, width)}, output.formats, output.dpi
+            )
         swept.finish(figures)
     print_table(("", "least", "at", "greatest", "at"), result.extremes())
     if np.isinf(result.columns.get("distinguishability", 0.0)).any():

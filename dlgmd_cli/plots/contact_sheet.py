@@ -7,9 +7,17 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
-from dlgmd_cli.plots.style import BLACK, DPI, GREY, house_style, save_figure, shortened, width_in
+from dlgmd_cli.plots.style import (
+    BLACK,
+    DPI,
+    GREY,
+    Figure,
+    house_style,
+    save_figure,
+    shortened,
+    width_in,
+)
 from dlgmd_cli.stimuli.clip import ContactSheet
 
 _N_COLUMNS = 4

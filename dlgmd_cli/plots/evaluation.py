@@ -6,10 +6,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dlgmd_cli.plots.style import GREY, Entries, Width, add_legend, house_style, new_figure
+from dlgmd_cli.plots.style import (
+    GREY,
+    Entries,
+    Figure,
+    Width,
+    add_legend,
+    house_style,
+    new_figure,
+)
 from dlgmd_cli.plots.traces import LOOKS
 from dlgmd_cli.results.result import Series
 

@@ -50,6 +50,8 @@ class Film:
     and `units`, in words, are those of S and G; `label` is what the film says of its origin.
     """
 
+    shape = HEIGHT, WIDTH
+
     def __init__(
         self,
         result: Result,

@@ -5,22 +5,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import GREY, LIGHT_GREY, house_style, new_figure
+from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure
 
 Kernel = npt.NDArray[np.float64]
 
 _ROW_IN = 1.6
+# Below this share of the greatest value, a kernel's least says nothing.
+_NEGLIGIBLE = 1e-3
 
 
 def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel) -> Figure:
     """Excitation, inhibition at each delay, and latency, one panel each.
 
     All strengths share one scale from 0, so that they can be compared; under its title, every
-    panel says between which values its connections lie.
+    panel says between which values its connections lie, or how far up they go.
     Shapes are (2r + 1, 2r + 1). `excitation` is K_E, strength per unit of luminance change;
     `inhibition` has K_d by delay in frames, at least one; `latency` is τ in frames.
     """
@@ -86,4 +87,6 @@ def _values(kernel: Kernel) -> str:
         return "no connections"
     if _is_constant(kernel):
         return f"only {kernel.max():.3g}"
+    if kernel.min() < _NEGLIGIBLE * kernel.max():
+        return f"up to {kernel.max():.2g}"
     return f"{kernel.min():.2g} to {kernel.max():.2g}"

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
@@ -12,6 +11,7 @@ from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strong
 from dlgmd_cli.plots.style import (
     GREY,
     LIGHT_GREY,
+    Figure,
     house_style,
     new_figure,
     plain,
@@ -20,8 +20,11 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.results.layers import LayerSheet
 
 _WIDTH_IN = width_in("two")
-# In inches: a tile at most, and beside the tiles the names, the colour bars and the titles.
-_MAX_TILE_IN, _MIN_ROW_IN, _BESIDE_IN, _ABOVE_IN = 1.9, 0.62, 1.25, 0.65
+# In inches: a tile at most, the width from which on it is legible, and beside the tiles the names,
+# the colour bars, the titles of a block and the figure's; and a page.
+_MAX_TILE_IN, _LEGIBLE_IN, _MIN_ROW_IN, _BESIDE_IN = 1.9, 0.95, 0.5, 1.25
+_TITLES_IN, _ABOVE_IN, _PAGE_IN = 0.35, 0.3, 9.4
+_MAX_BLOCKS = 4
 # Between tiles, as a share of their width.
 _GAP = 0.06
 
@@ -29,30 +32,32 @@ _GAP = 0.06
 def plot_layers(sheet: LayerSheet) -> Figure:
     """Input, P, S and G: one row each with its colour bar, one column per frame.
 
-    All tiles of a row share one scale, from 0 to the greatest value in the row; where values have
-    signs, it is symmetric about 0. Where a layer has more cells than its tile has pixels, a pixel
-    shows the strongest of its cells, so that single active cells are not lost; the input is
-    averaged instead.
+    Many frames are shown in blocks of such rows, one below the other. All tiles of a row share one
+    scale, in every block, from 0 to the greatest value; where values have signs, it is symmetric
+    about 0. Where a layer has more cells than its tile has pixels, a pixel shows the strongest of
+    its cells, so that single active cells are not lost; the input is averaged instead.
 
     Up to 12 frames are readable at the width of two columns; few make the figure narrower.
     """
     n_frames, height, width_px = sheet.luminance.shape
-    tile = min(_MAX_TILE_IN, (_WIDTH_IN - _BESIDE_IN) / n_frames)
-    tile = min(tile, _MAX_TILE_IN * width_px / height)
+    n_blocks, n_columns, tile = _arranged(n_frames, height / width_px)
     row_in = max(_MIN_ROW_IN, tile * height / width_px)
     rows = {"Input": sheet.luminance, "P": sheet.p, "S": sheet.s, "G": sheet.g}
     units = ("luminance", *sheet.units)
     with house_style():
-        figure = new_figure(4 * (row_in + 0.06) + _ABOVE_IN, "two")
+        figure = new_figure(_height_in(n_blocks, row_in), "two")
         # Titles of narrow tiles need room, too.
-        figure.set_figwidth(min(_WIDTH_IN, n_frames * max(tile, 0.7) + _BESIDE_IN))
-        grid: Any = figure.subplots(4)
-        for axes, (name, images), unit in zip(grid, rows.items(), units, strict=True):
-            scale = INPUT_SCALE if name == "Input" else Scale.of(images)
-            _draw_row(axes, images, scale)
-            axes.set_ylabel(name, rotation=0, ha="right", va="center")
-            _add_bar(figure, axes, scale, unit)
-        _write_titles(grid[0], sheet)
+        figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
+        grid: Any = figure.subplots(4 * n_blocks)
+        for block in range(n_blocks):
+            part = slice(block * n_columns, (block + 1) * n_columns)
+            axes_of = grid[4 * block : 4 * block + 4]
+            for axes, (name, images), unit in zip(axes_of, rows.items(), units, strict=True):
+                scale = INPUT_SCALE if name == "Input" else Scale.of(images)
+                _draw_row(axes, images[part], scale, n_columns)
+                axes.set_ylabel(name, rotation=0, ha="right", va="center")
+                _add_bar(figure, axes, scale, unit)
+            _write_titles(axes_of[0], sheet, part, n_columns)
         label = plain(sheet.label, 30 if n_frames < 3 else 80)
         figure.suptitle(label, color=GREY, fontsize=7)
         # The tiles' proportions move what the layout was made for: it is made twice, and leaves
@@ -63,15 +68,38 @@ def plot_layers(sheet: LayerSheet) -> Figure:
         figure.draw_without_rendering()
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # everything stays where it is
-        for picture in (picture for axes in grid[1:] for picture in axes.get_images()):
+        layers = [axes for place, axes in enumerate(grid) if place % 4]
+        for picture in (picture for axes in layers for picture in axes.get_images()):
             box, image = picture.get_window_extent(), np.asarray(picture.get_array())
             picture.set_data(strongest(image, max(1, int(box.height)), max(1, int(box.width))))
     return figure
 
 
-def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> None:
-    """The layers of all frames side by side; a grey box where one is not defined."""
-    n_frames, height, width = images.shape
+def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
+    """Blocks, columns in each, and width of a tile in inches; `aspect` is its height over that.
+
+    As few blocks as make tiles legible; if none does, those with the largest tiles on a page.
+    """
+    found: list[tuple[int, int, float]] = []
+    for n_blocks in range(1, min(_MAX_BLOCKS, n_frames) + 1):
+        n_columns = -(-n_frames // n_blocks)
+        tile = min(_MAX_TILE_IN, (_WIDTH_IN - _BESIDE_IN) / n_columns, _MAX_TILE_IN / aspect)
+        room_in = (_PAGE_IN - _height_in(n_blocks, 0.0)) / (4 * n_blocks)
+        tile = min(tile, room_in / aspect) if n_blocks > 1 else tile
+        found.append((n_blocks, n_columns, tile))
+        if tile >= _LEGIBLE_IN:
+            return found[-1]
+    return max(found, key=lambda one: one[2])
+
+
+def _height_in(n_blocks: int, row_in: float) -> float:
+    """Height of a figure with rows of that height."""
+    return n_blocks * (4 * (row_in + 0.06) + _TITLES_IN) + _ABOVE_IN
+
+
+def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: int) -> None:
+    """The layers of some frames side by side; a grey box where one is not defined."""
+    _, height, width = images.shape
     for place, image in enumerate(images):
         left = place * width * (1 + _GAP)
         if scale is None or np.isnan(image).any():
@@ -88,7 +116,7 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> None:
             interpolation="auto" if scale is INPUT_SCALE else "nearest",
             extent=(left, left + width, height, 0),
         )
-    axes.set_xlim(0, n_frames * width * (1 + _GAP) - width * _GAP)
+    axes.set_xlim(0, n_columns * width * (1 + _GAP) - width * _GAP)
     axes.set_ylim(height, 0)
     axes.set_aspect("equal", anchor="E")
     axes.set_xticks([])
@@ -96,15 +124,14 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _write_titles(axes: Axes, sheet: LayerSheet) -> None:
-    """The number and the time of every frame over its column."""
-    n_frames, _, width = sheet.luminance.shape
+def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) -> None:
+    """The number and the time of each of some frames over its column."""
     texts = [
         f"frame {frame}\n{time_s:.3f} s"
-        for frame, time_s in zip(sheet.frame, sheet.time_s, strict=True)
+        for frame, time_s in zip(sheet.frame[part], sheet.time_s[part], strict=True)
     ]
-    middles = (np.arange(n_frames) * (1 + _GAP) + 0.5) * width
-    axes.set_xticks(middles, texts, fontsize=7 if n_frames <= 8 else 6)
+    middles = (np.arange(len(texts)) * (1 + _GAP) + 0.5) * sheet.luminance.shape[2]
+    axes.set_xticks(middles, texts, fontsize=7 if n_columns <= 8 else 6)
     axes.tick_params(top=False, bottom=False, labeltop=True, labelbottom=False, pad=1)
 
 

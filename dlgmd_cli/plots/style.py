@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 import matplotlib
 from matplotlib import font_manager
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as MatplotlibFigure
 from matplotlib.text import Text
 
 from dlgmd_cli.errors import printable
@@ -56,9 +56,26 @@ _RC: Any = {
     "figure.constrained_layout.hspace": 0.0,
     "figure.constrained_layout.wspace": 0.0,
     "svg.hashsalt": "dlgmd",
+    # Letters stay letters, in the fonts that journals ask for and that editors can change.
     "pdf.fonttype": 42,
+    "svg.fonttype": "none",
 }
 _LACKS_LETTERS = "the figure's font lacks some letters of the texts, and shows boxes in their place"
+
+
+class Figure(MatplotlibFigure):
+    """A figure that a notebook shows as the last line of a cell."""
+
+    def _repr_png_(self) -> bytes:
+        """The figure as IPython asks for it."""
+        drawn = BytesIO()
+        self.savefig(drawn, format="png")
+        return drawn.getvalue()
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write the figure in the style in which it was drawn."""
+        with house_style():
+            super().savefig(fname, **options)
 
 
 @contextmanager
@@ -116,10 +133,11 @@ def plain(text: str, longest: int = _MAX_LABEL) -> str:
     return shortened(text, longest).replace("$", r"\$")
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
     """Write `figure` as png, pdf or svg, by the suffix; without dates, so that files compare.
 
-    Warns if the font lacks letters of the texts. An OSError passes through.
+    `dpi` is the resolution of PNG, and of the maps and pictures within the others. Warns if the
+    font lacks letters of the texts. An OSError passes through.
     """
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     suffix = path.suffix.lower()
@@ -133,7 +151,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         # PNG a few percent larger than by default, in half of the time.
         options: Any = {"pil_kwargs": {"compress_level": 3}} if suffix == ".png" else {}
         metadata = undated.get(suffix, {})
-        figure.savefig(drawn, format=suffix[1:], dpi=DPI, metadata=metadata, **options)
+        figure.savefig(drawn, format=suffix[1:], dpi=dpi, metadata=metadata, **options)
     path.write_bytes(drawn.getvalue())
     known = font_manager.get_font(font_manager.findfont("DejaVu Sans")).get_charmap()
     texts: Sequence[Text] = figure.findobj(Text)  # type: ignore[assignment]
@@ -144,16 +162,19 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def figure_files(
-    figures: Mapping[str, Callable[[], Figure]], formats: Collection[str]
+    figures: Mapping[str, Callable[[], MatplotlibFigure]],
+    formats: Collection[str],
+    dpi: int = DPI,
 ) -> dict[str, Callable[[Path], None]]:
     """File name -> what writes that file.
 
     `figures` says what draws each figure, by its file name without suffix; it is called once,
-    when the first of its files is written. `formats` are of "png", "pdf" and "svg".
+    when the first of its files is written. `formats` are of "png", "pdf" and "svg"; `dpi` is
+    as in `save_figure`.
     """
 
-    def write(draw: Callable[[], Figure], path: Path) -> None:
-        save_figure(draw(), path)
+    def write(draw: Callable[[], MatplotlibFigure], path: Path) -> None:
+        save_figure(draw(), path, dpi)
 
     drawing = {name: cache(draw) for name, draw in figures.items()}
     return {f"{name}.{form}": partial(write, drawing[name]) for name in figures for form in formats}

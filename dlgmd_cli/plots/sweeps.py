@@ -8,11 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis as PlotAxis
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.style import GREY, Width, add_legend, house_style, new_figure, width_in
+from dlgmd_cli.plots.style import (
+    GREY,
+    Figure,
+    Width,
+    add_legend,
+    house_style,
+    new_figure,
+    width_in,
+)
 from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 
@@ -67,17 +74,21 @@ MINUS_INFINITE, INFINITE = Look("white", "....."), Look("white", "++++")
 
 
 def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
-    """Heat maps over both parameters, one per speed or per measure, each with its own colours.
+    """Heat maps over both parameters, one per speed or per measure.
 
-    Attenuation is blue below 0 dB and red above; what is below -30 dB looks as -30 dB does, and
-    below -60 dB nothing passes. Cells that are not finite, or cannot be computed, are grey or
-    have a pattern, which the legend explains. A measure that no point has is left out, as
-    distinguishability may be. `result` has at least one point.
+    All speeds share one scale; measures have one each. Attenuation is blue below 0 dB and red
+    above; what is below -30 dB looks as -30 dB does, and below -60 dB nothing passes. Cells that
+    are not finite, or cannot be computed, are grey or have a pattern, which the legend explains. A
+    measure that no point has is left out, as distinguishability may be. `result` has at least one
+    point.
     """
     panels, grid = _panels(result), result.grid
     per_row = _COLUMNS[width]
     n_rows = -(-len(panels) // per_row)
     meanings: dict[Look, str] = {}
+    every = np.concatenate([values[np.isfinite(values)] for _, _, values in panels])
+    shared = _scale_of(every, signed=True) if result.speeds_px and every.size else None
+    mapped: list[QuadMesh] = []
     with house_style():
         figure = new_figure(n_rows * 0.9 * width_in(width) / per_row + 0.35, width)
         all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
@@ -92,11 +103,19 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
             for look, text, cells in _without_colour(measure, values, result.is_possible):
                 _mark_cells(axes, cells, look, edges(grid.x), edges(grid.y))
                 meanings[look] = text if meanings.get(look, text) == text else "undefined"
-            _draw_map(figure, axes, measure, values, result)
+            picture = _draw_map(axes, measure, values, result, shared)
+            if picture is not None:
+                mapped.append(picture)
+                if shared is None:
+                    is_cut = _is_cut(values, picture)
+                    _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
             label_axis(axes, "x", grid.x, shows=place + per_row >= len(panels))
             label_axis(axes, "y", grid.y, shows=place % per_row == 0)
         if result.speeds_px:
-            figure.suptitle("Attenuation 10 lg(ΣS/ΣP) of a cube that moves at", fontsize=8)
+            figure.suptitle("Attenuation of a moving cube, 10 lg(ΣS/ΣP)", fontsize=8)
+        if shared is not None and mapped:
+            is_cut = any(_is_cut(values, mapped[0]) for _, _, values in panels)
+            _add_bar(figure, list(all_axes.flat), mapped[0], "dB", is_cut=is_cut)
         entries = [(Patch(**look.style), text) for look, text in meanings.items()]
         add_legend(figure, entries, "outside lower left")
     return figure
@@ -132,21 +151,29 @@ def _without_colour(
     return [(look, text, cells) for look, text, cells in kinds if cells.any()]
 
 
+def _is_cut(values: Series, picture: QuadMesh) -> bool:
+    """Whether values lie below the scale."""
+    lowest, _ = picture.get_clim()
+    return bool((values[np.isfinite(values)] < (lowest or 0.0)).any())
+
+
 def _draw_map(
-    figure: Figure, axes: Axes, measure: Measure, values: Series, result: SweepResult
-) -> None:
-    """One map, coloured where there are finite values, with its scale."""
+    axes: Axes,
+    measure: Measure,
+    values: Series,
+    result: SweepResult,
+    shared: tuple[Colormap, Normalize] | None,
+) -> QuadMesh | None:
+    """One map, coloured where there are finite values, on the scale that maps share, or its own."""
     finite = values[np.isfinite(values)]
     if not finite.size:
-        return
-    colours, norm = _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
+        return None
+    colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
     x, y = edges(result.grid.x), edges(result.grid.y)
     # As pixels also in PDF and SVG, where viewers draw seams between cells.
-    picture = axes.pcolormesh(
+    return axes.pcolormesh(
         x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True
     )
-    is_cut = float(finite.min()) < float(norm.vmin or 0.0)
-    _add_bar(figure, axes, picture, measure.unit, is_cut=is_cut)
 
 
 def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> None:
@@ -182,11 +209,14 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
     return ListedColormap(colours(np.linspace(start, end, 256))), Normalize(low, high)
 
 
-def _add_bar(figure: Figure, axes: Axes, picture: QuadMesh, unit: str, *, is_cut: bool) -> None:
-    """The scale of a map, right of it, pointed where values lie below its end."""
+def _add_bar(
+    figure: Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
+) -> None:
+    """The scale of a map or of all, right of it, pointed where values lie below its end."""
     norm: Any = picture.norm
-    extend = "min" if is_cut else "neither"
-    bar = figure.colorbar(picture, ax=axes, extend=extend, fraction=0.07, pad=0.03, aspect=14)
+    look: Any = {"extend": "min" if is_cut else "neither"}
+    look |= {"shrink": 0.6, "aspect": 22} if isinstance(axes, list) else {"aspect": 14}
+    bar = figure.colorbar(picture, ax=axes, fraction=0.07, pad=0.03, **look)
     if isinstance(norm, TwoSlopeNorm):
         lowest, highest = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
         ticks: set[float] = set()

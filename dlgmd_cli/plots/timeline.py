@@ -64,6 +64,8 @@ class Timeline:
     def view(self) -> tuple[float, float]:
         """What the time axis shows, in seconds."""
         margin = _MARGIN * (self.end_s - self.start_s) or 0.5
+        if len(self.time_s) > 1:  # what is true of a frame reaches halfway to the next one
+            margin = max(margin, 0.6 * float(np.median(np.diff(self.time_s))))
         return self.start_s - margin, self.end_s + margin
 
     @property

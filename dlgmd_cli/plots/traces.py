@@ -1,14 +1,13 @@
 """What models say over time, one result or several on the same axes. Data in, Figure out."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from itertools import cycle
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.annotations import NONE, Annotations
 from dlgmd_cli.plots.style import (
@@ -20,10 +19,12 @@ from dlgmd_cli.plots.style import (
     SKY_BLUE,
     VERMILION,
     Entries,
+    Figure,
     Width,
     add_legend,
     house_style,
     new_figure,
+    plain,
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
@@ -36,22 +37,29 @@ MIN_SPAN_DB = 5.0
 MAX_POINTS = 1400
 
 COLUMNS = ("level", "mp_abs", "mp_seq")
-# By whether it is scaled to the extremes of its own sequence.
-LEVEL_NAMES = {False: "Normalised MP", True: "MP, normalised\nto its sequence"}
+# By whether it is scaled to the extremes of its own sequence: the words of --normalise.
+LEVEL_NAMES = {False: "MP (absolute)", True: "MP (sequence)"}
+# Of results that differ in it.
+_EITHER = "Normalised MP"
 # Two neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
+# The last two are for figures of other kinds: more than four results have a panel each.
 LOOKS: tuple[tuple[str, Any], ...] = (
     (BLUE, "-"),
-    (ORANGE, (0, (4, 1.5))),
+    (PURPLE, (0, (4, 1.5))),
     (GREEN, (0, (5, 1.5, 1, 1.5))),
-    (PURPLE, (0, (1, 1.2))),
-    (SKY_BLUE, (0, (9, 2))),
-    (GREY, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+    (SKY_BLUE, (0, (1, 1.2))),
+    (GREY, (0, (9, 2))),
+    (ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
-# From the seventh line on, looks come again, with marks on the line.
-_MARKERS = ("", "o", "s", "^", "D", "x", "+")
+MAX_TOGETHER = 4
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
 # Around the panels of one result: labels below and on the left, frame numbers above.
 _LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
+# Panels of one result each: all of them together, one at least and at most, and between two of
+# them, where the name stands.
+_SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
+# Characters of a name beside a row of spikes.
+_LONGEST_ROW_NAME = 18
 # More dots than this touch each other: their black rims would hide the rest.
 _MAX_RINGED = 200
 
@@ -85,8 +93,8 @@ def plot(
         "overview": all of these.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. One alone
-        shows its spikes and alarms in the potential. Of a long one, the line is the maximum of
-        every column of pixels.
+        shows its spikes and alarms in the potential, and so do more than four, which have a panel
+        each. Of a long one, the line is the maximum of every column of pixels.
     annotations : Annotations
         What is marked, by frame, at the times that the frames have in the first result.
     column : "level", "mp_abs" or "mp_seq", optional
@@ -107,19 +115,21 @@ def plot(
     column = column or "level"
     if column not in COLUMNS:
         raise ValueError(f"column is {column!r}, none of {', '.join(COLUMNS)}")
-    traces = _traces(results)
-    draws = KINDS[kind]
-    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(traces))
-    heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
+    panels, heights = _panels(KINDS[kind], results)
+    is_split = len(results) > MAX_TOGETHER
     with house_style():
         figure = new_figure(1.0, width)
         timeline = Timeline.of(results.values())
-        above = [ROW_IN] if annotations != NONE else []
+        above = [ROW_IN] if annotations != NONE or is_split else []
         grid: Any = figure.subplots(
-            len(above) + len(draws), sharex=True, squeeze=False, height_ratios=above + heights
+            len(above) + len(panels), sharex=True, squeeze=False, height_ratios=above + heights
         )
         highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
-        found = [draw(axes, traces, column) for axes, draw in zip(axes_of, draws, strict=True)]
+        found = [
+            draw(axes, traces, column) for axes, (draw, traces) in zip(axes_of, panels, strict=True)
+        ]
+        if is_split:
+            found = _share(axes_of, panels, found)
         timeline.label(axes_of[-1], axes_of[0] if not above else highest)
         if above:
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
@@ -130,29 +140,96 @@ def plot(
         for axes in grid[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(axis="x", bottom=False)
-        figure.align_ylabels(axes_of)
-        figure.set_figheight(sum(above + heights) + _AXES_LABELS_IN)
+        figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
+        between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
+        figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
         add_legend(figure, _entries(found if kind != "spikes" else found[::-1]))
-        is_plain = len(traces) == 1 and not above and column == "level"
-        if is_plain and not traces[0].result.by_sequence:
-            _fix_margins(figure, heights)
+        if is_split:
+            _fix_margins(figure, above + heights, _NAME_IN)
+        elif len(results) == 1 and not above:
+            _fix_margins(figure, heights, _BETWEEN_IN)
     return figure
 
 
-def _fix_margins(figure: Figure, heights: list[float]) -> None:
-    """The layout of what `dlgmd run` and `dlgmd batch` draw for every video.
+def _panels(
+    draws: tuple["_Draw", ...], results: Mapping[str, Result]
+) -> tuple[list[tuple["_Draw", list[_Trace]]], list[float]]:
+    """What draws each panel, the results in it, and its height in inches, from the top down."""
+    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(results))
+    if len(results) <= MAX_TOGETHER:
+        together = _traces(results)
+        heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
+        return [(draw, together) for draw in draws], heights
+    n_small = sum(draw is not _draw_raster for draw in draws) * len(results)
+    small_in = min(max(_SMALL_IN / n_small, _LEAST_SMALL_IN), _MOST_SMALL_IN)
+    apart = [trace for label, one in results.items() for trace in _traces({label: one})]
+    panels: list[tuple[_Draw, list[_Trace]]] = []
+    heights = []
+    for draw in draws:
+        if draw is _draw_raster:
+            rows = [replace(trace, look={"color": ORANGE}, alone=False) for trace in apart]
+            panels.append((draw, rows))
+            heights.append(raster_in)
+        else:
+            panels += [(draw, [trace]) for trace in apart]
+            heights += [small_in] * len(apart)
+    return panels, heights
+
+
+def _share(
+    axes_of: list[Axes], panels: list[tuple["_Draw", list[_Trace]]], found: list[Entries]
+) -> list[Entries]:
+    """Give panels of one result each their names, and per kind one scale and one label.
+
+    Returns the entries of the legend without the lines, which the names explain; with one for
+    thresholds that differ.
+    """
+    for kind in (_draw_level, _draw_attenuation):
+        group = [
+            (axes, traces[0])
+            for axes, (draw, traces) in zip(axes_of, panels, strict=True)
+            if draw is kind
+        ]
+        if not group:
+            continue
+        lows, highs = zip(*(axes.get_ylim() for axes, _ in group), strict=True)
+        names = {axes.get_ylabel() for axes, _ in group}
+        for axes, trace in group:
+            axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
+            axes.set_ylim(min(lows), max(highs))
+            axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
+            axes.set_ylabel("")
+        # At the middle panel; it is longer than that.
+        label = group[len(group) // 2][0].set_ylabel(names.pop() if len(names) == 1 else _EITHER)
+        label.set_y(0.5 if len(group) % 2 else 1.0)
+    thresholds = {text for some in found for _, text in some if text.startswith("threshold ")}
+    names_of_lines = {trace.label for _, traces in panels for trace in traces}
+    return [
+        [
+            (handle, "threshold" if text in thresholds and len(thresholds) > 1 else text)
+            for handle, text in some
+            if text not in names_of_lines
+        ]
+        for some in found
+    ]
+
+
+def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> None:
+    """The layout of what `dlgmd run` and `dlgmd batch` draw for every video, and of many panels.
 
     Its labels have known widths; to let Matplotlib find it would take as long as to draw it.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()
     legend_in = sum(one.get_window_extent().height for one in figure.legends) / figure.dpi
+    ticks = [text for axes in figure.axes for text in axes.get_yticklabels() if text.get_text()]
+    longest_in = max((text.get_window_extent().width for text in ticks), default=0.0) / figure.dpi
     figure.subplots_adjust(
-        left=_LEFT_IN / width,
+        left=max(_LEFT_IN, longest_in + 0.1) / width,
         right=1.0 - _RIGHT_IN / width,
         bottom=_BELOW_IN / height,
         top=1.0 - (_ABOVE_IN + legend_in) / height,
-        hspace=_BETWEEN_IN * len(heights) / sum(heights),
+        hspace=between_in * len(heights) / sum(heights),
     )
 
 
@@ -188,15 +265,10 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
 
 
 def _traces(results: Mapping[str, Result]) -> list[_Trace]:
-    """Every result with a look of its own, in their order."""
-    looks = [
-        {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
-        for marker in _MARKERS
-        for color, dashes in LOOKS
-    ]
+    """Up to four results with a look each, in their order."""
     return [
-        _Trace(label, result, look, alone=len(results) == 1)
-        for (label, result), look in zip(results.items(), cycle(looks), strict=False)
+        _Trace(label, result, {"color": color, "linestyle": dashes}, alone=len(results) == 1)
+        for (label, result), (color, dashes) in zip(results.items(), LOOKS, strict=False)
     ]
 
 
@@ -205,8 +277,7 @@ def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
     times, highest = thinned(trace.result.time_s, values)
     known = np.concatenate(([False], ~np.isnan(highest), [False]))
     single = known[1:-1] & ~known[:-2] & ~known[2:]
-    every = max(1, int(np.count_nonzero(known)) // 12)
-    (line,) = axes.plot(times, highest, markevery=every, **trace.look)
+    (line,) = axes.plot(times, highest, **trace.look)
     axes.plot(times[single], highest[single], ".", color=trace.look["color"], markersize=3)
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
@@ -230,7 +301,7 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
     axes.set_ylim(-0.03, 1.05)
-    axes.set_ylabel(LEVEL_NAMES[by_sequence == {True}])
+    axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else _EITHER)
     return entries
 
 
@@ -243,7 +314,8 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
         look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
         if np.count_nonzero(spiking) > _MAX_RINGED:
             look = {"markersize": 2, "markeredgewidth": 0}
-        (dots,) = axes.plot(times[spiking], levels[spiking], "o", color=ORANGE, zorder=3, **look)
+        look |= {"color": ORANGE, "zorder": 3, "clip_on": False}
+        (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
         entries.append((dots, "spike"))
     if result.alarms.any():
         bands = axes.broken_barh(
@@ -269,7 +341,8 @@ def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
         times, silent = thinned(traces[place].result.time_s, silences[place].astype(np.float64))
         marked = times[silent > 0.0]
         height = np.full(len(marked), 0.04 + 0.06 * row)
-        look: Any = {"color": traces[place].look["color"], "markersize": 3}
+        color = GREY if traces[place].alone else traces[place].look["color"]
+        look: Any = {"color": color, "markersize": 3}
         axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
     if rows:
         mark = Line2D([], [], marker="v", linestyle="", color=GREY, markersize=3)
@@ -308,19 +381,16 @@ def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
         look = trace.look
         _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
         _draw_bars(axes, trace.result, trace.result.alarms, (row - 0.4, row - 0.15), VERMILION)
-        # A sample of the line left of the axes says whose row it is.
-        sample = {
-            **look,
-            "clip_on": False,
-            "markevery": [1],
-            "transform": axes.get_yaxis_transform(),
-        }
-        axes.plot([-0.1, -0.06, -0.02], [row] * 3, **sample)
-    axes.set_yticks([])
+    names = [plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
+    axes.set_yticks(range(len(traces)), names, fontsize=6.5)
     axes.set_ylim(-0.6, len(traces) - 0.4)
+    colors = {trace.look["color"] for trace in traces}
     return [
         (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
-        for color, text in ((GREY, "spikes"), (VERMILION, "alarm"))
+        for color, text in (
+            (colors.pop() if len(colors) == 1 else GREY, "spikes"),
+            (VERMILION, "alarm"),
+        )
     ]
 
 
@@ -345,8 +415,10 @@ def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
     )  # fmt: skip
 
 
+# Draws results in a panel: the axes, the results, the column of the potential.
+_Draw = Callable[[Axes, list[_Trace], str], Entries]
 # The panels of each figure, from the top down.
-KINDS: dict[str, tuple[Callable[[Axes, list[_Trace], str], Entries], ...]] = {
+KINDS: dict[str, tuple[_Draw, ...]] = {
     "mp": (_draw_level,),
     "attenuation": (_draw_attenuation,),
     "spikes": (_draw_raster, _draw_level),

@@ -17,7 +17,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from dlgmd_cli.plots.style import Figure
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -243,7 +243,7 @@ class Result:
         found = {name: getattr(self, _FLAGS.get(name, name)) for name in names}
         return {name: np.broadcast_to(values, len(self)) for name, values in found.items()}
 
-    def files(self, formats: Iterable[str] = ()) -> dict[str, store.Write]:
+    def files(self, formats: Iterable[str] = (), dpi: int | None = None) -> dict[str, store.Write]:
         """What writes each file of the result, by its name; see `store.commit`."""
         found: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
@@ -251,24 +251,26 @@ class Result:
         }
         formats = tuple(formats)
         if formats:
-            from dlgmd_cli.plots.style import figure_files
+            from dlgmd_cli.plots.style import DPI, figure_files
 
             figures = {kind: partial(self.plot, kind) for kind in store.FIGURES[store.RUN]}
-            found |= figure_files(figures, formats)
+            found |= figure_files(figures, formats, dpi or DPI)
         record = {**self.record, "summary": self.summary}
         text = record_text(record, [str(self.record.get("engine"))], _HEADER)
         found[store.RUN] = lambda path: path.write_text(text, encoding="utf-8")
         return found
 
-    def save(self, folder: str | Path, formats: Iterable[str] = ()) -> None:
+    def save(self, folder: str | Path, formats: Iterable[str] = (), dpi: int | None = None) -> None:
         """Write the CSVs, plots in `formats` and `run.yaml`, in place of an earlier result.
+
+        `dpi` is the resolution of PNG; 200 unless given.
 
         Raises
         ------
         OutputError
             If the folder cannot be written.
         """
-        store.commit(store.place(folder), store.RUN, self.files(formats))
+        store.commit(store.place(folder), store.RUN, self.files(formats, dpi))
 
     def plot(self, kind: str = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""

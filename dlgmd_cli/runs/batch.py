@@ -53,6 +53,8 @@ class Job:
         How every video is read.
     formats : tuple of str
         Formats of the plots.
+    dpi : int
+        Resolution of PNG.
     overwrite : bool
         Whether results of other parameters, or of another input, may be replaced.
     scratch : str or None
@@ -63,6 +65,7 @@ class Job:
     places: tuple[str, ...]
     options: InputOptions
     formats: tuple[str, ...]
+    dpi: int
     overwrite: bool = False
     scratch: str | None = None
 
@@ -307,7 +310,7 @@ def _save(job: Job, number: int, video: Input, result: Result, began: float) -> 
     with store.locked(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a font may lack letters of a title
         is_new = _check(job, number, video)
-        store.commit(folder, store.RUN, result.files(job.formats), is_new_input=is_new)
+        store.commit(folder, store.RUN, result.files(job.formats, job.dpi), is_new_input=is_new)
     return Row(DONE, record={**result.record, "summary": result.summary}, wall_s=wall_s)
 
 

@@ -2,10 +2,11 @@
 
 import math
 from array import array
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
@@ -15,8 +16,12 @@ from dlgmd_cli.runs.run import OnFrame, Setup, gathered_result, numbers_of
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
+# So many frames are chosen, as far as possible from responses of at least this share of the peak.
+N_CHOSEN, _RESPONDING = 5, 0.01
+
 # Lowest and highest value of a layer.
 Range = tuple[float, float]
+BgrImage = npt.NDArray[np.uint8]
 
 
 def run_layers(
@@ -72,6 +77,39 @@ def run_layers(
     )
     label = f"{video.info.name} · {setup.label}"
     return result, _sheet(kept, model.layer_units, label) if kept else None, ranges
+
+
+def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...]:
+    """Numbers of the frames with the strongest responses, spread out, in their order.
+
+    One after the other, the strongest that is not near one chosen before. Where nothing responds,
+    they are spread over the whole result.
+    """
+    strength = np.where(result.repeated, 0.0, np.nan_to_num(result.mp))
+    n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
+    n_candidates = min(max(int(n_strong), n_frames), np.count_nonzero(strength))
+    rows = np.sort(np.argsort(-strength, kind="stable")[:n_candidates])
+    if not rows.size:
+        even = np.linspace(0, len(result) - 1, min(n_frames, len(result)))
+        rows = np.unique(even.round().astype(int))
+    gap = max(1, len(rows) // (2 * n_frames))
+    chosen: list[int] = []
+    for place in np.argsort(-strength[rows], kind="stable"):
+        if len(chosen) < n_frames and all(abs(place - other) >= gap for other in chosen):
+            chosen.append(int(place))
+    return tuple(int(result.frame[rows[place]]) for place in sorted(chosen))
+
+
+def shown_frames(video: Video) -> Iterator[tuple[Frame, BgrImage]]:
+    """Every frame as the model takes it, and as it is shown: full size, (H, W, 3) BGR."""
+    for picture in video.pictures():
+        image = picture.image
+        if image.ndim == 2 or image.dtype != np.uint8:
+            full = video.frame(picture, (image.shape[1], image.shape[0])).luminance
+            grey = np.rint(255.0 * full).astype(np.uint8)
+            yield video.frame(picture), np.repeat(grey[:, :, None], 3, axis=2)
+        else:
+            yield video.frame(picture), image.copy()  # it is valid until the next one
 
 
 def absent(missing: list[int], video: Video, end_s: float | None) -> str:

@@ -41,7 +41,6 @@ ONLY_IN = {
 EXCEPTIONS = {
     ("results/result.py", "dlgmd_cli.plots.traces"),
     ("results/result.py", "dlgmd_cli.plots.style"),
-    ("results/result.py", "matplotlib.figure"),
 }
 
 

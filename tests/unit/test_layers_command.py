@@ -7,11 +7,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, WIDTH, looming_frames, read_video
+from conftest import FPS, WIDTH, looming_frames, read_video, result_of_level
 
-from dlgmd_cli import DLGMD, load_set, open_video
+from dlgmd_cli import DLGMD, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
+from dlgmd_cli.runs.layers import strongest_frames
 
+NAN = np.nan
 FILES = {"layers.yaml", "layers.png"}
 
 
@@ -73,6 +75,27 @@ def test_arrays_are_the_library_s(dlgmd, clips):
                 wanted = np.full(frame.grey.shape, np.nan) if layer is None else layer
                 assert np.array_equal(arrays[name][row], wanted, equal_nan=True)
         assert np.isnan(arrays["p"][0]).all() and arrays["g"][2].max() > 0
+
+
+def test_the_strongest_frames_are_chosen_unless_given(dlgmd, clips):
+    assert dlgmd("run", clips / "loom.avi", "--set", 4, "--no-plots").exit_code == 0
+    strength = np.nan_to_num(read_result("dlgmd-out/loom").mp)
+    result = dlgmd("layers", clips / "loom.avi", "--set", 4, "--no-plots", "--npz")
+    assert result.exit_code == 0 and result.stderr == "", result.output
+    frames = record()["frames"]
+    assert frames == sorted(np.argsort(-strength)[: len(frames)].tolist()) and len(frames) > 1
+    with np.load("dlgmd-out/loom/layers.npz") as arrays:
+        assert arrays["frame"].tolist() == frames
+    assert dlgmd("layers", clips / "short.avi", "--set", 4).exit_code == 1
+
+
+def test_strong_frames_are_spread_out_where_many_respond():
+    level = np.concatenate((np.full(20, 1e-5), 0.5 + 0.2 * np.sin(np.arange(100) / 16)))
+    frames = strongest_frames(result_of_level(level), 4)
+    assert 20 + round(16 * np.pi / 2) in frames and len(frames) == 4
+    assert min(np.diff(frames)) >= 100 // 8 and min(frames) >= 20
+    assert strongest_frames(result_of_level(np.zeros(9)), 3) == (0, 4, 8)
+    assert strongest_frames(result_of_level([NAN, 0.0]), 3) == (0, 1)
 
 
 def test_layers_of_other_models_have_signs(dlgmd, clips):
@@ -155,7 +178,7 @@ def test_nothing_to_show(dlgmd, clips, options, why):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ([], "nothing to make. Give --frames 1,50,65 for a sheet, --video film.mp4 for a video."),
+        (["--overlay"], "--overlay works only with --video. Add --video film.mp4."),
         (["--npz", "--video", "x.mp4"], "--npz writes the layers of --frames."),
         (["--frames", "1,,2"], "'' is not a frame number. Write 1,50,65."),
         (["--frames", "1.5"], "'1.5' is not a frame number."),
@@ -194,6 +217,27 @@ def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
     assert seen[0][1] > seen[-1][1] + 0.1  # the dark square grows
     assert scales == [max(highest) for highest in list(zip(*seen, strict=True))[2:]]
     assert min(scales) > 0
+
+
+def test_an_overlay_is_the_input_with_active_cells_and_a_banner(dlgmd):
+    """Pictures have an odd number of rows and columns, the film an even one."""
+    looming = [cv2.resize(frame, (161, 121)) for frame in looming_frames()]
+    os.mkdir("loom")
+    for number, frame in enumerate(looming):
+        cv2.imwrite(f"loom/{number}.png", frame)
+    model = ("--set", 4, "--param", "t_mp=0.01", "--input-fps", 25)
+    result = dlgmd("layers", "loom", "--video", "film.mp4", "--overlay", *model)
+    assert result.exit_code == 0 and result.stdout == "film.mp4\n", result.output
+    _, film = read_video("film.mp4")
+    assert len(film) == 20 and film[0].shape == (122, 162, 3)
+    assert dlgmd("run", "loom", *model, "--no-plots").exit_code == 0
+    alarms = read_result("dlgmd-out/loom").alarms
+    blue, _, red = np.array([frame[3, 8:40].mean(axis=0) for frame in film]).T
+    assert alarms.any() and not alarms.all()
+    assert np.array_equal((red > 180) & (blue < 60), alarms)
+    colour = [int(np.ptp(frame[20:100].astype(int), axis=2).max()) for frame in film]
+    assert max(colour[:3]) < 40 < 100 < max(colour)
+    assert np.abs(film[2][:100, :161].mean(axis=2) - looming[2][:100]).mean() < 4
 
 
 def test_what_is_doubtful_about_a_film_is_said(dlgmd, tmp_path):

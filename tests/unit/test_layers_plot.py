@@ -42,6 +42,22 @@ def test_a_row_a_layer_and_a_column_a_frame():
     assert limits == [{(0.0, 1.0)}, {(0.0, 3.0)}, {(-50.0, 50.0)}, {(0.0, 300.0)}]
 
 
+def test_many_frames_are_shown_in_blocks_on_one_scale():
+    figure = plot_layers(make_sheet(12))
+    every = rows(figure)
+    assert [axes.get_ylabel() for axes in every] == 2 * ["Input", "P", "S", "G"]
+    assert [len(axes.get_images()) for axes in every] == [6] * 8
+    assert titles(figure)[0].startswith("frame 0\n")
+    assert every[4].get_xticklabels()[5].get_text().startswith("frame 110\n")
+    limits = [{image.get_clim() for image in axes.get_images()} for axes in every]
+    assert limits[:4] == limits[4:] and limits[1] == {(0.0, 11.0)}
+    box = every[1].get_images()[0].get_window_extent()
+    height_in = figure.get_figheight()
+    assert box.width / figure.dpi > 0.8 and height_in < 9.5
+    tiles_in = 8 * box.height / figure.dpi
+    assert tiles_in > 0.6 * height_in  # no empty strips
+
+
 def test_an_undefined_layer_is_a_grey_box_that_says_so():
     sheet = make_sheet(2)
     sheet.s[0] = np.nan

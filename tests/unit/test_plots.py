@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import cv2
 import matplotlib
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
+from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.kernels import plot_kernels
-from dlgmd_cli.plots.style import BLACK, VERMILION, figure_files
+from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
 
@@ -39,7 +41,7 @@ def test_one_result_shows_level_threshold_spikes_and_alarm():
     (box,) = [path.get_extents() for path in band.get_paths()]
     assert (box.x0, box.x1) == pytest.approx((2.05, 2.45))  # from the second spike on
     assert to_rgb(band.get_facecolor()[0]) == to_rgb(VERMILION)
-    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "Normalised MP"
+    assert axes.get_xlabel() == "Time (s)" and axes.get_ylabel() == "MP (absolute)"
     left, right = axes.get_xlim()
     assert left < result.time_s[0] - 0.01 and right > result.time_s[-1] + 0.01
 
@@ -51,6 +53,7 @@ def test_attenuation_has_gaps_and_marks_what_does_not_pass():
     assert np.isnan(line[[0, 1, 2, 10, 11, 12, 30]]).all() and np.isfinite(line).sum() == 40 - 7
     (marks,) = [line for line in axes.get_lines() if line.get_marker() == "v"]
     assert marks.get_xdata() == pytest.approx([1.0, 1.1, 1.2])
+    assert to_rgb(marks.get_color()) not in {to_rgb(ORANGE), to_rgb(VERMILION)}
     assert legend(figure) == ["flight", "nothing passes (< −60 dB)"]
     assert axes.get_ylabel() == "Attenuation (dB)"
 
@@ -63,14 +66,17 @@ def test_spikes_are_a_raster_over_the_level_with_its_threshold():
         for bars in (spikes, alarms)
     ]
     assert spans[0] == [pytest.approx((1.95, 2.45))] and spans[1] == [pytest.approx((2.05, 2.45))]
-    assert level.get_ylabel() == "Normalised MP" and raster.get_xlim() == level.get_xlim()
+    assert level.get_ylabel() == "MP (absolute)" and raster.get_xlim() == level.get_xlim()
     assert "threshold 0.4" in legend(level.figure)
+    cut = plot("spikes", {"flight": part(make_result(), slice(0, 24))}).axes[0]
+    ends = [path.get_extents().x1 for bars in cut.collections for path in bars.get_paths()]
+    assert ends == pytest.approx([2.35, 2.35]) and cut.get_xlim()[1] > 2.35  # its last is a spike
 
 
 def test_the_overview_has_all_panels_and_each_entry_once():
     figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["Normalised MP", "Attenuation (dB)", ""]
+    assert labels == ["MP (absolute)", "Attenuation (dB)", ""]
     expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spikes", "alarm"]
     assert legend(figure) == expected
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
@@ -115,9 +121,9 @@ def test_what_is_undefined_says_why():
 
 def test_columns_and_what_the_axis_calls_them():
     result, by_sequence = make_result(), make_result(normalise="sequence")
-    sequence = "MP, normalised\nto its sequence"
+    absolute, sequence = "MP (absolute)", "MP (sequence)"
     for results, column, name, has_threshold in (
-        ([result], None, "Normalised MP", True),
+        ([result], None, absolute, True),
         ([result], "mp_seq", sequence, False),
         ([by_sequence], None, sequence, True),
         ([result, by_sequence], None, "Normalised MP", True),
@@ -145,22 +151,42 @@ def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
     assert not {color for color, _ in LOOKS} & {VERMILION, BLACK}
     brightness = [np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for color, _ in LOOKS]
     assert all(abs(one - other) > 0.02 for one, other in pairwise(brightness))
-    results = {f"line {number}": make_result() for number in range(13)}
-    (axes,) = plot("mp", results).axes
-    looks = {
-        (line.get_color(), str(line._unscaled_dash_pattern), line.get_marker())
-        for line in axes.get_lines()
-        if len(line.get_xdata()) == 40
-    }
-    assert len(looks) == 13
+
+
+def test_more_than_four_results_have_a_panel_each_on_one_scale():
+    results = {f"set{n}": make_result(scale=1.0 - 0.1 * n) for n in range(9)}
+    figure = plot("overview", results, Annotations(((3, "pitching"),)))
+    figure.draw_without_rendering()
+    _, *panels, raster = figure.axes
+    assert [axes.texts[0].get_text() for axes in panels] == [*results, *results]
+    labels = [axes.get_ylabel() for axes in panels if axes.get_ylabel()]
+    assert labels == ["MP (absolute)", "Attenuation (dB)"]
+    for group in (panels[:9], panels[9:]):
+        assert len({axes.get_ylim() for axes in group}) == 1
+    for axes, result in zip(panels, results.values(), strict=False):
+        assert np.array_equal(curve(axes), result.level, equal_nan=True)
+    assert legend(figure) == [
+        *("threshold 0.4", "spike", "alarm", "nothing passes (< −60 dB)", "spikes")
+    ]
+    assert [text.get_text() for text in raster.get_yticklabels()] == [*results][::-1]
+    assert raster.get_yticklabels()[0].get_window_extent().x0 >= 0
+    names = [axes.texts[0].get_window_extent() for axes in panels]
+    above = [axes.get_window_extent() for axes in figure.axes]
+    assert all(box.y0 >= name.y1 - 2 for box, name in zip(above, names, strict=False))
 
 
 def test_labels_are_drawn_as_they_are_written():
     names = ["_hidden", "$x^2$", "two\nlines", "bell\a", "\udcff", "x" * 99]
+    shown = []
+    for some in (names[:3], names[3:]):
+        figure = plot("mp", dict.fromkeys(some, make_result()))
+        figure.draw_without_rendering()
+        shown += legend(figure)[:3]
     figure = plot("mp", dict.fromkeys(names, make_result()))
     figure.draw_without_rendering()
-    *shown, long, _ = legend(figure)
-    assert shown == ["_hidden", r"\$x^2\$", r"two\nlines", r"bell\x07", r"\udcff"]
+    assert shown == [axes.texts[0].get_text() for axes in figure.axes[1:]]
+    *short, long = shown
+    assert short == ["_hidden", r"\$x^2\$", r"two\nlines", r"bell\x07", r"\udcff"]
     assert "…" in long and len(long) < 60
 
 
@@ -253,3 +279,23 @@ def test_kernels_have_a_panel_each_and_one_scale_of_strength():
     limits = {axes.images[0].get_clim() for axes in maps[:-1]}
     assert limits == {(0.0, max(axes.images[0].get_array().max() for axes in maps[:-1]))}
     assert maps[-1].images[0].get_clim()[0] == 0.0
+
+
+def test_a_notebook_shows_a_figure_as_it_is_saved(tmp_path):
+    figure = make_result().plot("overview")
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    figure.savefig(tmp_path / "words.svg")
+    save_figure(figure, tmp_path / "fine.png", dpi=400)
+    assert ">Frame</text>" in (tmp_path / "words.svg").read_text(encoding="utf-8")
+    height, width = cv2.imread(str(tmp_path / "fine.png")).shape[:2]
+    assert width == 1400 and height == pytest.approx(400 * figure.get_figheight(), abs=1)
+
+
+def test_a_kernel_s_least_value_is_said_where_it_means_something():
+    words = []
+    for number in (1, 9):
+        connections = connect(load_set(number))
+        figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
+        words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
+    assert words[0] == ["up to 1.1", "up to 0.6", "only 1"]
+    assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]

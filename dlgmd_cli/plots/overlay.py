@@ -1,0 +1,82 @@
+"""A film of the input at full size, in which active cells are tinted and alarms are a banner."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.plots.heat import BgrImage, FloatImage, strongest
+from dlgmd_cli.results.result import Result
+
+# Orange, as spikes are; vermilion, as alarms are; BGR.
+_TINT, _ALARM, _WHITE, _BLACK = (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255, 255, 255), (0, 0, 0)
+# Opacity of the weakest active cell, and what the strongest has beside.
+_LEAST, _MORE = 0.45, 0.4
+# Of the height of the picture; letters of OpenCV's font are 22 px high at scale 1.
+_BANNER, _LETTER, _LETTER_PX = 0.09, 0.05, 22
+
+
+def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
+    """A picture, (H, W, 3) BGR, in which the active cells of G are orange.
+
+    `g` may have any size; it is None where not defined. `greatest` is the greatest magnitude of G
+    over all frames.
+    """
+    if g is None or not g.any():
+        return image
+    height, width = image.shape[:2]
+    g = strongest(g, height, width)
+    strength = np.abs(g) / np.float32(greatest)
+    opacity = np.where(g != 0.0, _LEAST + _MORE * np.minimum(strength, 1.0), 0.0)
+    cells = cv2.resize(opacity, (width, height), interpolation=cv2.INTER_NEAREST)[:, :, None]
+    return np.rint(image * (1.0 - cells) + np.array(_TINT, np.float32) * cells).astype(np.uint8)
+
+
+class Overlay:
+    """Draws the pictures of the film.
+
+    `shape` is H and W of the input, in px; pictures have an even number of both. `greatest` is the
+    greatest magnitude of G over all frames.
+    """
+
+    def __init__(self, result: Result, shape: tuple[int, int], greatest: float) -> None:
+        self._result, self._greatest = result, greatest or 1.0
+        height, width = shape
+        self.shape = height + height % 2, width + width % 2
+
+    def picture(self, row: int, image: BgrImage, g: FloatImage | None) -> BgrImage:
+        """The picture of one row of the result, (H, W, 3) BGR.
+
+        `image` is the input, (H, W, 3) BGR, and `g` the layer, of any size, None where not defined.
+        """
+        height, width = self.shape
+        down, right = height - image.shape[0], width - image.shape[1]
+        picture: Any = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
+        picture[: image.shape[0], : image.shape[1]] = tinted(image, g, self._greatest)
+        result, margin = self._result, round(0.02 * height)
+        if result.alarms[row]:
+            band = round(_BANNER * height)
+            cv2.rectangle(picture, (0, 0), (width, band), _ALARM, cv2.FILLED)
+            self._write(picture, "ALARM", (None, (band + self._letter_px) // 2), _ALARM)
+        text = f"frame {result.frame[row]}  {result.time_s[row]:.3f} s"
+        self._write(picture, text, (margin, height - margin), _BLACK)
+        return np.asarray(picture, np.uint8)
+
+    @property
+    def _letter_px(self) -> int:
+        return max(1, round(_LETTER * self.shape[0]))
+
+    def _write(
+        self, picture: BgrImage, text: str, place: tuple[int | None, int], rim: tuple[int, int, int]
+    ) -> None:
+        """White letters with a rim, from a place on, or, without x, in the middle."""
+        scale = self._letter_px / _LETTER_PX
+        thick = max(1, round(1.5 * scale))
+        look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": scale}
+        x, y = place
+        if x is None:
+            (width, _), _ = cv2.getTextSize(text, **look, thickness=thick)
+            x = (picture.shape[1] - width) // 2
+        for color, extra in ((rim, 2), (_WHITE, 0)):
+            at: Any = {"org": (x, y), "color": color, "thickness": thick + extra * thick}
+            cv2.putText(picture, text, lineType=cv2.LINE_AA, **at, **look)
