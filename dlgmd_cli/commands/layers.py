@@ -99,16 +99,11 @@ def layers(
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
-        INPUT is as in 'dlgmd run'.
+    INPUT is as in 'dlgmd run'.
 
-        Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
-    <<<<<<< HEAD
-        writes a film of the input, S and G above the membrane potential; the heat maps are then left
-        out, unless --frames is given.
-    =======
-        writes a film of the input, S and G above the membrane potential; the figure is left out then,
-        unless --frames is given.
-    >>>>>>> main
+    Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
+    writes a film of the input, S and G above the membrane potential; the heat maps are left out
+    then, unless --frames is given.
     """
     if overlay and film_path is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")

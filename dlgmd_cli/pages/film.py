@@ -12,7 +12,8 @@ import numpy as np
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.plots.heat import BgrImage, FloatImage, strongest
+from dlgmd_cli.plots.heat import BgrImage, FloatImage
+from dlgmd_cli.plots.overlay import tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.layers import run_layers
 from dlgmd_cli.runs.run import OnFrame, Setup, open_input
@@ -21,13 +22,8 @@ from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.reading import Picture
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
-# A cell of G that is at least this share of the film's strongest one is tinted fully.
-_FULL_SHARE = 0.25
-_MOST_TINT = 0.75
 # What a mask leaves out is so many times darker.
 _DIMMED = 3
-# Magenta, in BGR: neither footage nor the curves have it.
-_TINT = np.array((0xC8, 0x2A, 0xFF), np.float32)
 # Stored values have nine digits; engines differ in the last of float32.
 _MP_TOLERANCE = 1e-3
 _THUMBNAIL_PX = 192
@@ -148,10 +144,10 @@ def render(
                     g = layers.g
                 if hidden is not None:
                     picture[hidden] //= _DIMMED
-                tinted = _tinted(picture, g, strongest_g)
+                shown = tinted(picture, g, strongest_g)
                 if row == thumbnail_row:
-                    thumbnail = _jpeg(tinted)
-                write(tinted)
+                    thumbnail = _jpeg(shown)
+                write(shown)
                 on_frame(n_expected + frame.index + 1)
                 if cancel.requested():
                     raise cancel.Interrupted
@@ -184,22 +180,6 @@ def _shown(picture: Picture, size_wh: tuple[int, int]) -> BgrImage:
         levels = (image.astype(np.float32) - black) * (255.0 / (white - black))
         image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
-
-
-def _tinted(picture: BgrImage, g: FloatImage | None, strongest_g: float) -> BgrImage:
-    """A picture, (H, W, 3), with G, of any size, on top; None where G is not defined.
-
-    The tint tells how a cell compares with `strongest_g`, the strongest of the film.
-    """
-    if g is None or strongest_g == 0.0:
-        return picture
-    height, width = picture.shape[:2]
-    cells = np.abs(strongest(g, height, width)) / (_FULL_SHARE * strongest_g)
-    tint: Any = _MOST_TINT * np.sqrt(np.minimum(cells, 1.0)).astype(np.float32)
-    if not tint.any():
-        return picture
-    tint = cv2.resize(tint, (width, height), interpolation=cv2.INTER_NEAREST)[..., None]
-    return np.rint(picture + tint * (_TINT - picture)).astype(np.uint8)
 
 
 def _jpeg(picture: BgrImage) -> bytes:

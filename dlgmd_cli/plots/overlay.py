@@ -5,7 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli.plots.heat import BgrImage, FloatImage
+from dlgmd_cli.plots.heat import BgrImage, FloatImage, strongest
 from dlgmd_cli.results.result import Result
 
 # Orange, as spikes are; vermilion, as alarms are; BGR.
@@ -14,6 +14,22 @@ _TINT, _ALARM, _WHITE, _BLACK = (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255, 255, 255
 _LEAST, _MORE = 0.45, 0.4
 # Of the height of the picture; letters of OpenCV's font are 22 px high at scale 1.
 _BANNER, _LETTER, _LETTER_PX = 0.09, 0.05, 22
+
+
+def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
+    """A picture, (H, W, 3) BGR, in which the active cells of G are orange.
+
+    `g` may have any size; it is None where not defined. `greatest` is the greatest magnitude of G
+    over all frames.
+    """
+    if g is None or not g.any():
+        return image
+    height, width = image.shape[:2]
+    g = strongest(g, height, width)
+    strength = np.abs(g) / np.float32(greatest)
+    opacity = np.where(g != 0.0, _LEAST + _MORE * np.minimum(strength, 1.0), 0.0)
+    cells = cv2.resize(opacity, (width, height), interpolation=cv2.INTER_NEAREST)[:, :, None]
+    return np.rint(image * (1.0 - cells) + np.array(_TINT, np.float32) * cells).astype(np.uint8)
 
 
 class Overlay:
@@ -36,13 +52,7 @@ class Overlay:
         height, width = self.shape
         down, right = height - image.shape[0], width - image.shape[1]
         picture: Any = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
-        if g is not None and g.any():
-            strength = np.abs(g) / np.float32(self._greatest)
-            opacity = np.where(g != 0.0, _LEAST + _MORE * np.minimum(strength, 1.0), 0.0)
-            size_wh = image.shape[1], image.shape[0]
-            cells = cv2.resize(opacity, size_wh, interpolation=cv2.INTER_NEAREST)[:, :, None]
-            part = picture[: image.shape[0], : image.shape[1]]
-            part[:] = np.rint(part * (1.0 - cells) + np.array(_TINT, np.float32) * cells)
+        picture[: image.shape[0], : image.shape[1]] = tinted(image, g, self._greatest)
         result, margin = self._result, round(0.02 * height)
         if result.alarms[row]:
             band = round(_BANNER * height)
