@@ -23,7 +23,11 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.survey import Survey
 
 
-@click.command(cls=Command, epilog="Example: dlgmd info flight.mp4 --write-mask mask.png")
+@click.command(
+    cls=Command,
+    short_help="Describe videos: size, frame rate, repeats, damage.",
+    epilog="Example: dlgmd info flight.mp4 --write-mask mask.png",
+)
 @click.argument(
     "input_paths", metavar="INPUT...", nargs=-1, required=True, shell_complete=complete_file
 )

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
 
 
-@click.command(cls=Command, epilog="Example: dlgmd kernels --set 9 --format pdf")
+@click.command(
+    cls=Command,
+    short_help="Show the kernels of a D-LGMD.",
+    epilog="Example: dlgmd kernels --set 9 --format pdf",
+)
 @parameter_options
 @output_options
 def kernels(setup: "Setup", output: Output) -> None:

@@ -58,6 +58,7 @@ def _video_file(value: str) -> Path:
 
 @click.command(
     cls=Command,
+    short_help="Show the layers P, S and G of a model.",
     epilog="Example: dlgmd layers flight.mp4 --frames 1,50,65,75,80 --video layers.mp4",
 )
 @input_argument
@@ -101,8 +102,8 @@ def layers(
     INPUT is as in 'dlgmd run'.
 
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
-    writes a film of the input, S and G above the membrane potential; the heat maps are then left
-    out, unless --frames is given.
+    writes a film of the input, S and G above the membrane potential; the figure is left out then,
+    unless --frames is given.
     """
     if overlay and film_path is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")

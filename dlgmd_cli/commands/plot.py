@@ -80,6 +80,7 @@ annotation_options = option_group(
 
 @click.command(
     cls=Command,
+    short_help="Draw stored results.",
     epilog="Example: dlgmd plot attenuation dlgmd-out/flight --mark 40:pitching --format pdf",
 )
 @click.argument("kind", metavar="KIND", type=click.Choice(KINDS))

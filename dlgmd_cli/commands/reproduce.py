@@ -9,7 +9,11 @@ from dlgmd_cli.commands.console import Command, print_path, print_table
 from dlgmd_cli.commands.progress import progress
 
 
-@click.command(cls=Command, epilog="Example: dlgmd reproduce --quick --out paper")
+@click.command(
+    cls=Command,
+    short_help="Check the paper's figures, tables and claims.",
+    epilog="Example: dlgmd reproduce --quick --out paper",
+)
 @click.option(
     "--only",
     multiple=True,

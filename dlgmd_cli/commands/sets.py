@@ -27,6 +27,7 @@ class _Sets(Group):
 @click.group(
     cls=_Sets,
     invoke_without_command=True,
+    short_help="List the sets, models and presets.",
     epilog="Example: dlgmd sets show 9 > my.yaml",
 )
 @click.pass_context

@@ -33,6 +33,7 @@ def _page_file(value: str) -> Path:
 
 @click.command(
     cls=Command,
+    short_help="Make a web page of results.",
     epilog="Example: dlgmd view dlgmd-out/flight --collision-frame 140 --out page.html",
 )
 @click.argument(

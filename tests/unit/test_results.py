@@ -59,7 +59,7 @@ def test_the_alarm_of_a_drone_s_loop_is_that_of_a_run(clips):
 
 
 def test_summary():
-    level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.41, 0.6, 0.7, 0.1, 0.5, 0.5])
+    level = np.array([NAN, NAN, 0.1, 0.5, 0.2, 0.45, 0.6, 0.7, 0.1, 0.5, 0.5])
     db = np.array([NAN, NAN, -math.inf, -10, -20, -30, -3, -3, NAN, -1, -3])
     result = result_of_level(level, frame=np.arange(11) * 2 + 5, attenuation_db=db)
     assert result.summary == {
