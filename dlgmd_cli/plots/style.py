@@ -26,6 +26,7 @@ Width = Literal["one", "two"]
 WIDTHS: tuple[str, ...] = get_args(Width)
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
+_SCREEN_DPI = 120
 
 # Handle and label of each entry of a legend.
 Entries = list[tuple[Any, str]]
@@ -69,7 +70,7 @@ class Figure(MatplotlibFigure):
     def _repr_png_(self) -> bytes:
         """The figure as IPython asks for it."""
         drawn = BytesIO()
-        self.savefig(drawn, format="png")
+        self.savefig(drawn, format="png", dpi=_SCREEN_DPI)
         return drawn.getvalue()
 
     def savefig(self, fname: Any, **options: Any) -> None:

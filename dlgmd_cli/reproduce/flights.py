@@ -423,7 +423,7 @@ def _da_figures(plan: Plan, data: Data) -> Figures:
 
     def panel(formulation: str) -> Panel:
         table = da_table(plan, data, formulation, FIGURE_SEED)
-        shown = np.where(np.isfinite(table), table, np.nan)
+        shown = np.where(np.isfinite(table) & (table > 0.0), table, np.nan)
         curves = {f"r = {r}": (scales, shown[row]) for row, r in enumerate(RADII)}
         return Panel(formulation, curves, level=1.0)
 
