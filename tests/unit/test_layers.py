@@ -26,6 +26,7 @@ ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
     "matplotlib": {"plots"},
+    "jinja2": {"pages", "reproduce"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -34,7 +35,6 @@ ONLY_IN = {
     "fsspec": {"results", "runs"},
     "upath": {"results", "runs"},
     "optuna": {"evaluation"},
-    "jinja2": {"pages", "reproduce"},
     "plotly": {"pages"},
 }
 # `Result.plot` and `Result.save` draw: the one step up.
