@@ -82,7 +82,7 @@ def test_a_batch_from_urls_to_urls(dlgmd, bucket, clips, scratch, tmp_path):
     result = dlgmd("batch", *options)
     assert result.exit_code == 1
     assert f"1 of 3 videos failed; the other 2 results are in {out}. " in result.stderr
-    assert result.stdout.splitlines()[-1] == f"{out}/summary.csv"
+    assert result.stdout.splitlines()[-2] == f"{out}/summary.csv"
     expected = [
         *(f"out/a/{name}" for name in RESULT),
         *(f"out/sub/b/{name}" for name in RESULT),
@@ -170,7 +170,7 @@ def test_what_fails_is_one_line(dlgmd, bucket, monkeypatch, clips, tmp_path):
     for arguments, why in (
         (["s3://nobucket/x"], "s3://nobucket/x: cannot be read (The specified bucket does"),
         ([".", "--out", "s3://nobucket/x"], "s3://nobucket/x/summary.csv: cannot be written ("),
-        ([f"{bucket.url}/x"], f"{bucket.url}/x: there is nothing. Check the URL."),
+        ([f"{bucket.url}/x"], f"{bucket.url}/x: nothing was found there. Check the URL."),
     ):
         result = dlgmd("batch", *arguments)
         assert result.exit_code == 1 and result.stderr.startswith(f"Error: {why}")

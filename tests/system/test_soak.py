@@ -25,7 +25,8 @@ from dlgmd_cli.video.reading import Frame, Picture, Progress, VideoInfo
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
-    size_wh, progress = (WIDTH, HEIGHT), Progress()
+    size_wh = source_wh = (WIDTH, HEIGHT)
+    progress = Progress()
     info = VideoInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
@@ -33,6 +34,9 @@ class Endless:
         for index in range(N_FRAMES):
             self.progress.n_decoded, self.progress.last_time_s = index + 1, index / 30
             yield Picture(index, index / 30, self.greys[index % 40], None)
+
+    def hidden(self, size_wh=None):
+        return None
 
     def frame(self, picture, size_wh=None):
         return Frame(picture.index, picture.time_s, picture.image)

@@ -238,7 +238,7 @@ def test_a_traceback_is_escaped(tmp_path):
 def test_nul_is_wrong_usage(dlgmd, arguments):
     result = dlgmd(*arguments)
     assert result.exit_code == 2
-    assert "Error: an argument holds a NUL, which no name does.\n" in result.stderr
+    assert "Error: an argument contains a NUL character.\n" in result.stderr
 
 
 def test_a_name_that_looks_like_an_option(dlgmd, tmp_path, clips):
