@@ -26,6 +26,8 @@ from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
 from dlgmd_cli.runs.run import Setup
 
+pytestmark = pytest.mark.slow
+
 FPS = 30.0
 
 
