@@ -1,4 +1,4 @@
-"""The `dlgmd` command: global options, and commands that are imported when they are called."""
+"""The `dlgmd` command: the general options, and the commands, each imported when it is called."""
 
 import io
 import os
@@ -37,7 +37,7 @@ COMMANDS = (
 
 
 class LazyGroup(Group):
-    """Commands by name, each imported from its own module when it is needed."""
+    """The commands by name; each is imported from its own module when it is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names, in the order of the README."""
@@ -53,7 +53,7 @@ class LazyGroup(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does, with a guess at what was meant."""
+        """Find the command; the error for an unknown name suggests a similar one."""
         from dlgmd_cli.parameters import nearest
 
         name = click.utils.make_str(args[0])
@@ -69,12 +69,12 @@ class LazyGroup(Group):
         parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:
-        """As click does; what it says of an unknown option is fit for a terminal."""
+        """Parse the arguments; errors show control characters of the arguments as escapes."""
         with usage_errors_escaped():
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; whatever it raises becomes one line and an exit code."""
+        """Run the command; an exception becomes one line and an exit code."""
         with errors_as_one_line():
             return super().invoke(ctx)
 
@@ -95,12 +95,12 @@ def cli(ctx: click.Context) -> None:
 
 def main() -> None:
     """Run the command line."""
-    # OpenCV and FFmpeg would report damage line by line, beside our own warning.
+    # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
-    # Not every terminal's encoding has the letters of file names and of the model's symbols.
+    # Not every terminal can encode the characters of file names and the model's symbols.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -108,9 +108,9 @@ def main() -> None:
 
 
 def _occupy_standard_streams() -> None:
-    """Open those that the shell closed, so that no file of a result takes their place."""
+    """Open the streams that the shell closed; else a result file would get their descriptors."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # which takes the lowest that is free
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor

@@ -1,4 +1,4 @@
-"""`dlgmd batch`: every video below folders; one that fails is a row, not an end."""
+"""`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
 import os
 from collections import Counter
@@ -31,6 +31,8 @@ from dlgmd_cli.commands.options import (
     format_option,
     formulation_option,
     input_options,
+    jobs_option,
+    json_option,
     no_plots_option,
     out_option,
     param_option,
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.frames import InputOptions
 
 DONE = "done"
-# Longer tables show only what failed.
+# Longer tables show only the videos that failed.
 _MAX_ROWS = 60
 
 
@@ -61,10 +63,10 @@ def model_setups(
     formulation: str | None,
     engine: str | None,
 ) -> "list[Setup]":
-    """Every model that the options ask for, each once, under labels that are names of folders."""
+    """Every model that the options ask for, each once; its label is a valid name of a folder."""
     from dlgmd_cli.runs.run import DLGMD, choose
 
-    if set_names or configs:  # which are of the D-LGMD unless a file says otherwise
+    if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
     chosen = partial(
         choose, overrides=parse_overrides(pairs), formulation=formulation, engine=engine
@@ -81,14 +83,14 @@ def model_setups(
 
 
 def _as_folder(label: str) -> str:
-    """A label as the name of a folder."""
+    """A label as a valid name of a folder."""
     name = label.replace("/", "_").replace("\\", "_")
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
 @dataclass(frozen=True)
-class _Pool:
-    """Who does the work: processes here, or a cluster."""
+class _Workers:
+    """The processes that run the tasks: on this machine, or on a Dask cluster."""
 
     jobs: int | None
     timeout_s: float | None
@@ -104,7 +106,7 @@ class _Pool:
             address_of(self.scheduler)
 
     def outcomes(self, job: "Job", tasks: "list[Task]") -> "Iterator[tuple[Task, Outcome]]":
-        """The tasks as they end."""
+        """Run the tasks; yields each with its outcome as it ends."""
         from dlgmd_cli import pool
         from dlgmd_cli.results import store
         from dlgmd_cli.runs import dask
@@ -112,7 +114,7 @@ class _Pool:
         from dlgmd_cli.threads import n_processors
 
         if self.scheduler is None:
-            # With fewer videos than processors, each has several of those.
+            # With fewer videos than processors, each video uses several of them.
             jobs = max(1, min(self.jobs or n_processors(), len(tasks)))
             return pool.run_tasks(partial(run_video, job), tasks, jobs, timeout_s=self.timeout_s)
         places = [one if store.is_url(one) else os.path.abspath(one) for one in job.places]
@@ -145,12 +147,7 @@ class _Pool:
     help="Leave out files and folders of this name or path, such as 'raw*'; repeatable.",
 )
 @click.option("--dry-run", is_flag=True, help="List what would be processed, and write nothing.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, 512),
-    metavar="N",
-    help="Number of videos to process at a time.  [default: all processors]",
-)
+@jobs_option
 @click.option(
     "--timeout",
     "timeout_s",
@@ -163,7 +160,7 @@ class _Pool:
     metavar="ADDRESS",
     help="Use a Dask cluster: tcp://HOST:PORT, or a scheduler file; needs dlgmd[cluster].",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON object.")
+@json_option
 def batch(
     folders: tuple[str, ...],
     setups: "list[Setup]",
@@ -198,7 +195,7 @@ def batch(
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.batch import Job
 
-    who = _Pool(jobs, timeout_s, scheduler)
+    workers = _Workers(jobs, timeout_s, scheduler)
     options, places = _options(setups, given), _places(setups, out)
     found = _find(folders, out, exclude)
     labels = [one.label for one in setups]
@@ -212,7 +209,7 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
         plan = _plan(found, job, force)
-        complete = _work(who, job, plan, labels)
+        complete = _process(workers, job, plan, labels)
         statuses = {video.name: _status(plan, video.name) for video in found.videos}
         _show(plan, statuses, labels, complete=complete, as_json=as_json)
     if not complete or cancel.requested():
@@ -221,13 +218,13 @@ def batch(
 
 
 def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
-    """How every video is read: as given, else as the files of the models record it."""
+    """How every video is read: by the options given, otherwise by those that configs record."""
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.runs import run as runs
 
     every = [runs.input_options(one, given) for one in setups]
     for one, options in zip(setups, every, strict=True):
-        create_model(one.params, engine=one.engine)  # or its engine is missing
+        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
         if options != every[0]:
             raise ParameterError(
                 one.origin,
@@ -238,18 +235,16 @@ def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
 
 
 def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
-    """Where the results of each model go."""
+    """The output folder of each model."""
     from dlgmd_cli.results.store import place
 
-    if not out.strip():
-        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
     if len(setups) == 1:
         return (out,)
     return tuple(str(place(out) / one.label) for one in setups)
 
 
 def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Found":
-    """The videos; says what was left out."""
+    """Find the videos, and tell the user what is left out."""
     from dlgmd_cli.results.store import is_url
     from dlgmd_cli.runs.find import find_videos
 
@@ -265,7 +260,7 @@ def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Foun
 
 
 def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
-    """What is left to do; says how much is not."""
+    """Plan the tasks, and tell the user how many videos are done already."""
     from dlgmd_cli.runs.batch import plan
 
     made = plan(found.videos, job, force=force)
@@ -280,17 +275,19 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
     return made
 
 
-def _work(who: _Pool, job: "Job", plan: "Plan", labels: list[str]) -> bool:
-    """Do what is left, with a bar and a warning for each failure; False if the user stopped it."""
+def _process(workers: _Workers, job: "Job", plan: "Plan", labels: list[str]) -> bool:
+    """Run all tasks with a progress bar and warnings; False if the user interrupted it."""
     from dlgmd_cli.runs.batch import work_on
 
     n_ended = n_failed = 0
     try:
         with progress("batch", len(plan.tasks), "video") as advance:
-            for task, rows in work_on(plan, who.outcomes(job, plan.tasks)):
+            for task, rows in work_on(plan, workers.outcomes(job, plan.tasks)):
                 failures = _failures(rows, labels)
-                doubts = (line for row in rows.values() for line in row.record.get("warnings", []))
-                for line in dict.fromkeys([*failures, *doubts]):
+                warnings = [
+                    text for row in rows.values() for text in row.record.get("warnings", [])
+                ]
+                for line in dict.fromkeys([*failures, *warnings]):
                     warn(f"{task.video.name}: {line.rstrip('.')}")
                 n_ended, n_failed = n_ended + 1, n_failed + bool(failures)
                 advance(n_ended, f"batch, {n_failed} failed")
@@ -300,19 +297,19 @@ def _work(who: _Pool, job: "Job", plan: "Plan", labels: list[str]) -> bool:
 
 
 def _failures(rows: "Mapping[int, Row]", labels: list[str]) -> list[str]:
-    """Why a video is not done, a line per reason; with the models' labels where they differ."""
+    """The reasons why a video failed, with the models' labels if they failed differently."""
     reasons: dict[str, list[str]] = {}
     for number, row in rows.items():
         if row.status != DONE:
             reasons.setdefault(f"{row.status}: {row.error}", []).append(labels[number])
     return [
-        reason if len(kin) == len(rows) else f"{', '.join(kin)}: {reason}"
-        for reason, kin in reasons.items()
+        reason if len(failed) == len(rows) else f"{', '.join(failed)}: {reason}"
+        for reason, failed in reasons.items()
     ]
 
 
 def _status(plan: "Plan", video: str) -> str:
-    """How a video ended in all models: done, how else the first one did, or nothing yet."""
+    """The status of a video over all models: the first that is not done; empty if one is open."""
     rows = [summary.rows.get(video) for summary in plan.summaries]
     if None in rows:
         return ""
@@ -322,7 +319,7 @@ def _status(plan: "Plan", video: str) -> str:
 def _show(
     plan: "Plan", statuses: dict[str, str], labels: list[str], *, complete: bool, as_json: bool
 ) -> None:
-    """Tables and where the summaries are, or the counts as JSON."""
+    """Print tables, the paths of the summaries and the counts, or all as JSON."""
     paths = [str(summary.path) for summary in plan.summaries]
     if as_json:
         facts = {
@@ -349,7 +346,7 @@ def _show(
 
 
 def _warnings(plan: "Plan") -> dict[str, list[str]]:
-    """What is doubtful about each video, in any model; videos without doubts are left out."""
+    """The warnings about each video, from all models; only videos that have some."""
     from dlgmd_cli.runs.batch import warnings_of
 
     found: dict[str, list[str]] = {}
@@ -360,7 +357,7 @@ def _warnings(plan: "Plan") -> dict[str, list[str]]:
 
 
 def _counts(plan: "Plan", statuses: dict[str, str]) -> str:
-    """One line that says how many videos there are, and what became of them."""
+    """One line with the number of videos, in total and by status."""
     n_before = len(statuses) - len(plan.tasks)
     by_status = Counter(statuses.values())
     done = f"{by_status.pop(DONE, 0)} done"
@@ -386,7 +383,7 @@ def _of_videos(n: int) -> str:
 def _show_plan(
     found: "Found", plan: "Plan", job: "Job", labels: list[str], *, as_json: bool
 ) -> None:
-    """What a batch would do, for --dry-run."""
+    """Print what a batch would do, for --dry-run."""
     from dlgmd_cli.results import store
 
     wanted = {task.video.name: task.wanted for task in plan.tasks}
@@ -412,7 +409,7 @@ def _show_plan(
 
 
 def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
-    """A table of what became of every video."""
+    """Print a table with the status and the numbers of every video."""
     shown = sorted(rows.items())
     if len(shown) > _MAX_ROWS:
         shown = [(name, row) for name, row in shown if row.status != DONE]
@@ -422,7 +419,7 @@ def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
 
 
 def _cells(row: "Row") -> tuple[str, ...]:
-    """The numbers of one video, a dash where there is none."""
+    """The numbers of one video; a dash where there is none."""
     summary: dict[str, Any] = row.record.get("summary", {})
     if not summary:
         return ("–",) * 5
@@ -435,7 +432,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
 
 
 def _raise_failures(found: "Found", statuses: dict[str, str], out: str) -> None:
-    """Raise what makes the exit code 1 if not all is done."""
+    """Raise Failed, exit code 1, if a video failed or a folder could not be read."""
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
         n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"

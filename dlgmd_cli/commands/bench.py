@@ -1,4 +1,4 @@
-"""`dlgmd bench`: the paper's Table IV, the time the model takes, on this machine."""
+"""`dlgmd bench`: the computing times of the paper's Table IV, measured on this machine."""
 
 import math
 from collections.abc import Iterator
@@ -13,12 +13,14 @@ from dlgmd_cli.commands.options import (
     FiniteRange,
     decoder_option,
     engine_option,
+    json_option,
     optional_input_argument,
+    overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
 
 TABLE_IV_SET = 7
-# Title of a column, what of a row it shows, and how.
+# Title of a column: key of the row, format.
 _COLUMNS = {
     "r": ("radius", "d"),
     "scale": ("scale", "g"),
@@ -80,8 +82,8 @@ _COLUMNS = {
     metavar="FILE",
     help="Also write the table to a CSV file.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an earlier CSV.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of a table.")
+@overwrite_option
+@json_option
 def bench(
     input_path: str | None,
     radii: tuple[int, ...],
@@ -111,7 +113,7 @@ def bench(
     with appearing(*csv_paths, option="--csv") as files:
         for path, file in zip(csv_paths, files, strict=True):
             refuse_existing(path, overwrite=overwrite, option="--csv")
-            file.touch()  # refused at once, not after minutes
+            file.touch()  # an unwritable folder fails at once, not after minutes
         n_steps = repeats * len(radii) * len(scales)
         with _clip(input_path, n_frames) as clip, progress("bench", n_steps, "step") as on_step:
             measured = measure(
@@ -140,7 +142,7 @@ def bench(
 
 @contextmanager
 def _clip(given: str | None, n_frames: int) -> Iterator[str]:
-    """The input, rendered into a temporary folder unless it is given."""
+    """The path of the input; without one, of a clip rendered into a temporary folder."""
     if given is not None:
         yield given
         return
@@ -153,7 +155,7 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    """The rows as they are, empty where a value is not known."""
+    """Write the rows; an unknown value is an empty cell."""
     from dlgmd_cli.results.csv import cell, write_rows
 
     def text(value: Any) -> str:
@@ -163,13 +165,13 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _show(measured: dict[str, Any]) -> None:
-    """The table, and how long the whole takes compared with decoding alone."""
+    """Print the table, and how long the whole pipeline takes compared with decoding alone."""
     rows, alone_ms = measured["rows"], measured["decoding_alone_ms"]
     cells, shares = [], []
     for row in rows:
         size = f"{row['width']}x{row['height']}"
-        shown = [({**row, "size": size}[key], look) for key, look in _COLUMNS.values()]
-        cells.append(tuple("" if value is None else format(value, look) for value, look in shown))
+        shown = [({**row, "size": size}[key], form) for key, form in _COLUMNS.values()]
+        cells.append(tuple("" if value is None else format(value, form) for value, form in shown))
         if row["radius"] == rows[0]["radius"]:
             shares.append(f"{row['whole_ms'] / alone_ms:.2f} times as long at {size}")
     print_table(tuple(_COLUMNS), cells)

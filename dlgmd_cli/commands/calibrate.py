@@ -1,4 +1,4 @@
-"""`dlgmd calibrate`: the parameters that announce labelled collisions best, as a preset."""
+"""`dlgmd calibrate`: find the parameters that announce labelled collisions best, as a preset."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,6 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.evaluate import (
-    jobs_option,
     raise_failed,
     require_some,
     rule_options,
@@ -27,6 +26,7 @@ from dlgmd_cli.commands.evaluate import (
 from dlgmd_cli.commands.options import (
     complete_key,
     input_options,
+    jobs_option,
     json_option,
     model_options,
     out_option,
@@ -36,17 +36,17 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.evaluation.calibration import Rules
-    from dlgmd_cli.evaluation.footage import Case
+    from dlgmd_cli.evaluation.calibration import Calibration, Experiment
+    from dlgmd_cli.evaluation.cases import Case
+    from dlgmd_cli.evaluation.crossvalidation import Rules
     from dlgmd_cli.evaluation.measures import Scores
-    from dlgmd_cli.evaluation.scoring import Course
+    from dlgmd_cli.evaluation.scoring import Signal
     from dlgmd_cli.evaluation.search import Range, Search
-    from dlgmd_cli.evaluation.work import Calibrated, Work
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import InputOptions
 
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
-# Of the options, those that a preset keeps: what the model sees, not of which part of a video.
+# Options that a preset keeps: how a frame is prepared, not which part of a video is read.
 _KEPT = ("scale", "size", "fps", "repeats")
 
 
@@ -123,10 +123,10 @@ def calibrate(
 
     Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
-    from dlgmd_cli.evaluation.calibration import Rules
-    from dlgmd_cli.evaluation.footage import Field, read_cases
+    from dlgmd_cli.evaluation.calibration import Experiment, calibrate_thresholds
+    from dlgmd_cli.evaluation.cases import Evaluation, read_cases
+    from dlgmd_cli.evaluation.crossvalidation import Rules
     from dlgmd_cli.evaluation.search import parse_ranges
-    from dlgmd_cli.evaluation.work import Work, of_courses
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as recorded
     from dlgmd_cli.threads import n_processors
@@ -144,38 +144,44 @@ def calibrate(
     with store.locked(Path(out)):
         search = None
         if ranges:
-            search = _opened(setup, options, wanted, ranges, cases, Path(out), overwrite)
-        field = Field(baselines=False)
-        failed = run_over(field, cases, [setup], options, jobs)
-        require_some(field, labels_path)
-        _require_collisions(field.cases, labels_path)
-        work = Work(setup, options, wanted, tuple(field.cases), jobs or n_processors())
-        courses = [field.candidates[setup.label].courses[case.name] for case in field.cases]
+            search = _open_search(setup, options, wanted, ranges, cases, Path(out), overwrite)
+        evaluation = Evaluation(baselines=False)
+        failed = run_over(evaluation, cases, [setup], options, jobs)
+        require_some(evaluation, labels_path)
+        _require_collisions(evaluation.cases, labels_path)
+        experiment = Experiment(
+            setup, options, wanted, tuple(evaluation.cases), jobs or n_processors()
+        )
+        signals = [
+            evaluation.candidates[setup.label].signals[case.name] for case in evaluation.cases
+        ]
         if search is None:
-            found = of_courses(work, courses)
+            found = calibrate_thresholds(experiment, signals)
         else:
-            found = _done(work, courses, search, n_trials)
-        text = _preset(found, work, labels_path.name, ranges, n_trials)
+            found = _run_search(experiment, signals, search, n_trials)
+        text = _preset(found, experiment, labels_path.name, ranges, n_trials)
         with store.appearing(path) as (file,):
             file.write_text(text, encoding="utf-8")
     if as_json:
         print_json({"preset": str(path), **_facts(found, failed)})
     else:
-        _show(found, work)
+        _show(found, experiment)
         print_path(path)
     raise_failed(failed, len(cases))
 
 
-def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int) -> "Calibrated":
-    """The best of a search, after as many trials as are missing."""
-    from dlgmd_cli.evaluation.work import of_trials, tried
+def _run_search(
+    experiment: "Experiment", signals: "list[Signal]", search: "Search", n_trials: int
+) -> "Calibration":
+    """Run the missing trials of a search, and calibrate by the best."""
+    from dlgmd_cli.evaluation.calibration import calibrate_by_search, run_trials
 
     n_done = len(search)
     if n_done:
         say(f"{n_done} trials are done already.")
     try:
         with progress("calibrate", n_trials, "trial") as advance:
-            for n_done in tried(work, search, n_trials):
+            for n_done in run_trials(experiment, search, n_trials):
                 advance(n_done)
         trials = search.trials()
     except (cancel.Interrupted, KeyboardInterrupt):
@@ -185,10 +191,10 @@ def _done(work: "Work", courses: "list[Course]", search: "Search", n_trials: int
         search.close()
     if not trials:
         raise Failed("no trial had a valid combination of parameters.", EXIT_FAILED)
-    return of_trials(work, courses, trials)
+    return calibrate_by_search(experiment, signals, trials)
 
 
-def _opened(
+def _open_search(
     setup: "Setup",
     options: "InputOptions",
     rules: "Rules",
@@ -197,7 +203,7 @@ def _opened(
     out: Path,
     overwrite: bool,
 ) -> "Search":
-    """The search in the folder, which is made if need be."""
+    """Open the search in a folder, or begin one."""
     from dataclasses import asdict
 
     from dlgmd_cli.evaluation.search import Search
@@ -213,7 +219,7 @@ def _opened(
 
 
 def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
-    """Raise if there is nothing to learn from."""
+    """Raise Failed if fewer than two videos have a collision; warn if few have."""
     n_with = sum(bool(case.collisions) for case in cases)
     if n_with < 2:
         raise Failed(
@@ -226,44 +232,44 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
 
 
 def _preset(
-    found: "Calibrated",
-    work: "Work",
+    found: "Calibration",
+    experiment: "Experiment",
     labels: str,
     ranges: "Mapping[str, Range]",
     n_trials: int,
 ) -> str:
-    """The YAML of the preset; comments say what it was calibrated on."""
+    """The YAML of the preset; comments say on what it was calibrated, and how well it does."""
     from dlgmd_cli.results.record import yaml_text
 
-    held = found.scores["held_out"]
+    held, rules = found.scores["held_out"], experiment.rules
     searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
     trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
-    n_folds = max(work.folds) + 1
+    n_folds = max(experiment.folds) + 1
     lines = [
         f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held.videos} "
         f"videos, {held.collisions} collisions, {held.minutes:.2f} minutes.",
-        f"Best recall with at most {work.rules.max_false_per_min:g} false alarms per minute; an "
-        f"alarm counts up to {work.rules.horizon_s:g} s before contact.",
-        f"Found: kappa or t_mp, and n_sp{trials}.",
+        f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute; alarms "
+        f"up to {rules.horizon_s:g} s before a collision are hits.",
+        f"Calibrated: kappa (LGMD: t_mp) and n_sp{trials}.",
         f"Held out ({n_folds} folds): {_sentence(held)}.",
         f"On the same videos: {_sentence(found.scores['same_videos'])}.",
     ]
     settings = found.setup.settings()
-    kept = {k: v for k, v in work.options.to_record().items() if k in _KEPT}
+    kept = {k: v for k, v in experiment.options.to_record().items() if k in _KEPT}
     document = {**settings, **({"options": kept} if kept else {})}
     return yaml_text(document, "".join(f"# {line}\n" for line in lines))
 
 
 def _sentence(scores: "Scores") -> str:
-    """The measures in words, with 95 % intervals."""
+    """The measures with their 95 % intervals, in words."""
     from dlgmd_cli.evaluation.report import interval_text
 
     recall, rate, lead, auc = (interval_text(scores.measures[name]) for name in _SHOWN)
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
 
 
-def _facts(found: "Calibrated", failed: Mapping[str, str]) -> dict[str, Any]:
-    """What --json prints."""
+def _facts(found: "Calibration", failed: Mapping[str, str]) -> dict[str, Any]:
+    """The facts that --json prints."""
     from dlgmd_cli.evaluation.report import scores_json
 
     return {
@@ -274,20 +280,20 @@ def _facts(found: "Calibrated", failed: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _show(found: "Calibrated", work: "Work") -> None:
-    """The table on stdout, and what was found."""
+def _show(found: "Calibration", experiment: "Experiment") -> None:
+    """Print the table of measures, and the parameters found."""
     from dlgmd_cli.evaluation.report import interval_text
 
     names = {
-        "held_out": f"held out ({max(work.folds) + 1} folds)",
+        "held_out": f"held out ({max(experiment.folds) + 1} folds)",
         "same_videos": "on the same videos",
-        "before": f"before ({work.setup.label})",
+        "before": f"before ({experiment.setup.label})",
     }
     rows = [
         (title, *(interval_text(found.scores[key].measures[name]) for name in _SHOWN))
         for key, title in names.items()
     ]
     print_table(("", "recall", "false/min", "lead s", "AUC"), rows)
-    own, before = found.setup.settings(), work.setup.settings()
+    own, before = found.setup.settings(), experiment.setup.settings()
     changed = [f"{key} = {value}" for key, value in own.items() if value != before[key]]
-    click.echo(f"Found: {', '.join(changed) or 'what it was before'}.")
+    click.echo(f"Found: {', '.join(changed) or 'the same parameters as before'}.")

@@ -1,4 +1,4 @@
-"""`dlgmd compare`: one video through many models, decoded once."""
+"""`dlgmd compare`: run several models over one video, decoded once."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands.console import (
+    INFINITE_DISTINGUISHABILITY,
     Command,
     end_if_interrupted,
-    note,
+    note_sampling,
     print_json,
     print_path,
     print_table,
@@ -25,14 +26,13 @@ from dlgmd_cli.commands.options import (
     input_argument,
     input_options,
     json_option,
-    labelled,
     output_options,
     setup_options,
     width_option,
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.names import told_apart
+from dlgmd_cli.names import numbered, told_apart
 from dlgmd_cli.parameters import FORMULATIONS, DistributedParameters, DlgmdParameters
 
 if TYPE_CHECKING:
@@ -41,9 +41,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup
 
-# What the default is compared with.
-BESIDE = ("lgmd", "emd-lgmd")
-_INFINITE = "inf: the membrane potential is 0 within 5 frames of the false positive."
+# The models with which the default is compared.
+COMPARED_MODELS = ("lgmd", "emd-lgmd")
 
 
 def _setups(
@@ -54,7 +53,7 @@ def _setups(
     no_ffi_gd: bool,
     engine: str | None,
 ) -> "list[Setup]":
-    """Every model that the options ask for, each once, under labels that differ."""
+    """Every model that the options ask for, each once, with distinct labels."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.runs.run import choose
 
@@ -66,8 +65,7 @@ def _setups(
         found.append(replace(choose(config=path), label=text_cell(label)))
     if not (set_names or configs or models):
         found.append(choose())
-        # To what a bare comparison would be with, if there is nothing else.
-        models = () if formulations or no_ffi_gd else BESIDE
+        models = () if formulations or no_ffi_gd else COMPARED_MODELS
     found += [choose(model=name) for name in dict.fromkeys(models)]
     for option, is_given, kind in (
         ("--formulation", formulations, DlgmdParameters),
@@ -83,22 +81,23 @@ def _setups(
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
-    return labelled(list(every.values()))
+    labels = numbered([one.label for one in every.values()])
+    return [replace(one, label=label) for one, label in zip(every.values(), labels, strict=True)]
 
 
 def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
-    """A setup, and if it is a D-LGMD also its other formulations and without FFI-GD."""
+    """A setup, and for a D-LGMD also its variants: other formulations, without FFI-GD."""
     yield one
     if not isinstance(one.params, DlgmdParameters):
         return
-    kin = {one.label: one.params}
+    variants = {one.label: one.params}
     for formulation in formulations:
         if formulation != one.params.formulation:
-            kin[f"{one.label}/{formulation}"] = replace(one.params, formulation=formulation)
+            variants[f"{one.label}/{formulation}"] = replace(one.params, formulation=formulation)
     if no_ffi_gd and one.params.ffi_gd:
-        for label, params in list(kin.items()):
-            kin[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
-    for label, params in list(kin.items())[1:]:
+        for label, params in list(variants.items()):
+            variants[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
+    for label, params in list(variants.items())[1:]:
         yield replace(one, label=label, params=params)
 
 
@@ -167,8 +166,7 @@ def compare(
             warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
             for warning in warnings:
                 warn(f"{input_path}: {warning}")
-            if options.fps in (None, "all") and (sampling := video.sampling()):
-                note(f"{input_path}: {sampling}")
+            note_sampling(input_path, video, options.fps)
             record = _record(results, warnings, annotations)
             column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
             files = _files(results, record, output, partial(_figure, annotations, column, width))
@@ -178,7 +176,7 @@ def compare(
 
 
 def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> list[str]:
-    """What is doubtful, a line each; with the label where it is not so of every result."""
+    """The warnings, one per line; prefixed with a label unless they are about every result."""
     lines = []
     for one in setups:
         left_out = [
@@ -201,7 +199,7 @@ def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> lis
 def _record(
     results: "Mapping[str, Result]", warnings: list[str], annotations: "Annotations"
 ) -> dict[str, Any]:
-    """What compare.yaml says, less the versions."""
+    """The content of compare.yaml, without the versions."""
     first = next(iter(results.values())).record
     models = []
     for label, result in results.items():
@@ -232,7 +230,7 @@ def _record(
 
 
 def _defined(value: float) -> float | None:
-    """None for what is undefined."""
+    """The value, or None if it is NaN."""
     return None if math.isnan(value) else value
 
 
@@ -247,7 +245,7 @@ def _figure(
 def _files(
     results: "Mapping[str, Result]", record: dict[str, Any], output: Output, figure: Any
 ) -> "dict[str, Write]":
-    """What writes each file of a comparison, by its name."""
+    """The function that writes each file of a comparison, by name."""
     from dlgmd_cli.results import csv, store
     from dlgmd_cli.results.record import record_text
 
@@ -265,12 +263,12 @@ def _files(
 
 
 def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
-    """The summaries on stdout, as a table or as JSON."""
+    """Print the summaries, as a table or as JSON."""
     infinite = [
         one for one in record["models"] if one["summary"].get("distinguishability") == math.inf
     ]
     if as_json:
-        for one in infinite:  # JSON has no number for it
+        for one in infinite:  # JSON has no infinity
             one["summary"]["distinguishability"] = "inf"
         summaries = {one["label"]: one["summary"] for one in record["models"]}
         facts = {"result": str(folder), "complete": record["complete"]}
@@ -288,14 +286,14 @@ def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
     rows = []
     for one in record["models"]:
         summary = dict(one["summary"])
-        if not summary["mp_max"]:  # the first of frames that are all alike is no peak
+        if not summary["mp_max"]:  # a potential that is 0 throughout has no peak
             summary["mp_max_frame"] = None
         cells = [
-            "–" if summary.get(key) is None else shape.format(summary[key])
-            for key, (_, shape) in columns.items()
+            "–" if summary.get(key) is None else form.format(summary[key])
+            for key, (_, form) in columns.items()
         ]
         rows.append((one["label"], *cells))
     print_table(("model", *(title for title, _ in columns.values())), rows)
     if infinite:
-        print_table(("",), [(_INFINITE,)])
+        click.echo(INFINITE_DISTINGUISHABILITY)
     print_path(folder)

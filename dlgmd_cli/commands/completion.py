@@ -1,4 +1,4 @@
-"""`dlgmd completion`: what a shell runs to complete commands, options and their values."""
+"""`dlgmd completion`: print the script by which a shell completes commands and options."""
 
 import click
 from click.shell_completion import get_completion_class
@@ -6,9 +6,9 @@ from click.shell_completion import get_completion_class
 from dlgmd_cli.commands.console import Command
 
 SHELLS = ("bash", "zsh", "fish")
-# What click looks for in the environment when a shell asks for completions.
+# The environment variable by which a shell asks click for completions.
 _VARIABLE = "_DLGMD_COMPLETE"
-# After a key and its equals sign, a value follows at once; this is how click's bash adds a word.
+# The line by which click's bash script adds a word. After KEY= no space may follow.
 _ADDED = "COMPREPLY+=($value)"
 
 

@@ -1,4 +1,4 @@
-"""What the user sees: messages and tables, and errors as one line with an exit code."""
+"""Output for the user: messages, tables, and errors as one line with an exit code."""
 
 import json
 import os
@@ -11,45 +11,50 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli import __version__, cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
 
+if TYPE_CHECKING:
+    from dlgmd_cli.video.frames import Video
+
 EXIT_FAILED, EXIT_USAGE = 1, 2
+INFINITE_DISTINGUISHABILITY = (
+    "inf: the membrane potential is 0 within 5 frames of the false positive."
+)
 
-
-# Sections of the help, each with its options in their order there, the common ones first. What
-# stands in none of them belongs to one command alone, and comes before them all.
+# Sections of the help, each with its options in order, the common ones first. An option in none of
+# them is specific to its command, and comes before all sections.
 SECTIONS = {
     "Model": "set config model param formulation no-ffi-gd normalise engine",
     "Input": "scale size fps start end crop mask repeats input-fps decoder",
     "Output": "out overwrite force format no-plots width dpi json",
     "General": "quiet verbose debug version help",
 }
-# What click adds to the help of numbers, such as [0<x<=1]; errors name the range.
+# The range that click adds to the help of numbers, such as [0<x<=1]. It is removed: errors name it.
 _BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
 _RANGE = re.compile(rf"; {_BOUNDS}(?=\]$)|\s*\[{_BOUNDS}\]$")
-# Extra arguments that an error lists.
+# Number of extra arguments that an error lists.
 _MAX_LISTED = 3
 
 
 class Settings:
-    """The general options, which stand before or after the name of the command."""
+    """The general options, which may be given before or after the name of the command."""
 
     quiet = verbose = debug = False
 
 
 def _setter(name: str) -> Any:
-    """What takes a general option down."""
+    """The callback that stores a general option."""
 
-    def take(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    def store(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         if value:
             setattr(ctx.ensure_object(Settings), name, True)
 
-    return take
+    return store
 
 
 def general_options() -> list[click.Parameter]:
@@ -88,7 +93,7 @@ def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 
 
 class Failed(click.ClickException):
-    """A library error on its way to one line on stderr."""
+    """A failure that click prints as one line on stderr."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
@@ -102,22 +107,27 @@ def settings() -> Settings:
 
 
 def note(message: str) -> None:
-    """What the user may want to know, on stderr, unless they want quiet."""
+    """Print a note on stderr, unless --quiet is given."""
     if not settings().quiet:
         say(f"Note: {message}.")
 
 
 def detail(message: str) -> None:
-    """What only --verbose tells, on stderr."""
+    """Print a detail on stderr if --verbose is given."""
     if settings().verbose:
         say(f"{message}.")
 
 
-class Command(click.Command):
-    """A command with the general options, whose help has sections, and whose errors are one line.
+def note_sampling(input_path: str, video: "Video", fps: float | str | None) -> None:
+    """Note which frames of a video were processed, unless the user chose a frame rate `fps`."""
+    if fps in (None, "all") and (sampling := video.sampling()):
+        note(f"{input_path}: {sampling}")
 
-    The library's errors, and bugs, end with an exit code. An option with the attribute `section`
-    stands in that section of the help.
+
+class Command(click.Command):
+    """A command with the general options, help in sections, and errors on one line.
+
+    An option with the attribute `section` is listed in that section of the help.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -125,11 +135,11 @@ class Command(click.Command):
         self.params += general_options()
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections, those of the command's own options first."""
+        """Write the sections, the command's own options first."""
         write_sections(self, ctx, formatter)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click does, but brief where a shell has expanded a pattern."""
+        """Parse the arguments; the error is brief if a shell has expanded a pattern."""
         if any("\0" in arg for arg in args):
             raise click.UsageError("an argument contains a NUL character.", ctx)
         is_strict, ctx.allow_extra_args = not ctx.allow_extra_args, True
@@ -141,7 +151,7 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         with errors_as_one_line(), warnings.catch_warnings():
-            # What the library warns of, such as letters that a figure's font lacks; each once.
+            # Warnings of the library, such as letters missing from a figure's font, each once.
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
             warnings.showwarning = lambda message, *_, **__: once(str(message))
@@ -162,7 +172,7 @@ class Group(click.Group):
 
 
 def _too_many(extra: list[str]) -> str:
-    """What to say of arguments that a command does not take."""
+    """The error for arguments that a command does not take."""
     n_extra = len(extra)
     endings = {Path(name).suffix.lower() for name in extra}
     if n_extra >= _MAX_LISTED and len(endings) == 1 and all(map(os.path.exists, extra)):
@@ -179,7 +189,7 @@ def _too_many(extra: list[str]) -> str:
 def write_sections(
     command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
 ) -> None:
-    """The options of a command in the sections of the help."""
+    """Write the options of a command in the sections of the help."""
     ranks = {
         f"--{name}": (section, rank)
         for section, names in SECTIONS.items()
@@ -204,7 +214,7 @@ def write_sections(
 
 @contextmanager
 def usage_errors_escaped() -> Iterator[None]:
-    """Let click quote what was typed, but not as it was typed."""
+    """Escape control characters in click's errors, which quote the arguments."""
     try:
         yield
     except click.ClickException as error:
@@ -214,13 +224,13 @@ def usage_errors_escaped() -> Iterator[None]:
 
 @contextmanager
 def errors_as_one_line() -> Iterator[None]:
-    """Turn what the library raises, bugs included, into click's own errors."""
+    """Turn exceptions of the library, and bugs, into click's own errors."""
     try:
         with usage_errors_escaped():
             yield
     except (click.ClickException, click.exceptions.Exit, click.Abort):
         raise
-    except BrokenPipeError:  # the reader of stdout has gone; click ends quietly
+    except BrokenPipeError:  # nobody reads stdout any more; click ends quietly
         raise
     except (KeyboardInterrupt, cancel.Interrupted):
         say("Interrupted.")
@@ -251,26 +261,26 @@ def errors_as_one_line() -> Iterator[None]:
 
 
 def say(message: str) -> None:
-    """A message on stderr."""
+    """Print a message on stderr."""
     click.echo(printable(message), err=True)
 
 
 def warn(message: str) -> None:
-    """A warning on stderr; never silenced."""
+    """Print a warning on stderr, even with --quiet."""
     say(f"Warning: {message}.")
 
 
 def show_traceback(
     kind: type[BaseException], error: BaseException, trace: TracebackType | None
 ) -> None:
-    """In place of Python's own hook: a traceback on stderr, which may quote names."""
+    """Print a traceback on stderr with control characters escaped; replaces Python's own hook."""
     for part in traceback.format_exception(kind, error, trace):
         for line in part.rstrip("\n").split("\n"):
             say(line)
 
 
 def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> None:
-    """After a stop, say what `target` holds and exit as interrupted."""
+    """If the user asked to stop, say what `target` holds and exit with code 130."""
     if not cancel.requested():
         return
     kept = f"the {n_frames} frames processed before the interruption"
@@ -279,17 +289,17 @@ def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> 
 
 
 def print_path(path: Path | str) -> None:
-    """A path or URL on stdout, on one line."""
+    """Print a path or URL on stdout, on one line."""
     click.echo(printable(os.fspath(path)))
 
 
 def print_json(facts: dict[str, Any]) -> None:
-    """An object on stdout, in ASCII: JSON has escapes of its own."""
+    """Print an object as JSON on stdout, in ASCII, which every terminal can encode."""
     click.echo(json.dumps(facts))
 
 
 def print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    """A table on stdout, as wide as it needs to be where that is no terminal."""
+    """Print a table on stdout; up to 200 characters wide if stdout is not a terminal."""
     from rich import box
     from rich.console import Console
     from rich.table import Table

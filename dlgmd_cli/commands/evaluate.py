@@ -1,4 +1,4 @@
-"""`dlgmd evaluate`: how well alarms announce labelled collisions."""
+"""`dlgmd evaluate`: score how well alarms announce labelled collisions."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -23,6 +23,7 @@ from dlgmd_cli.commands.options import (
     engine_option,
     formulation_option,
     input_options,
+    jobs_option,
     json_option,
     option_group,
     output_options,
@@ -34,20 +35,15 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError
 
 if TYPE_CHECKING:
-    from dlgmd_cli.evaluation.footage import Case, Field
+    from dlgmd_cli.evaluation.cases import Case, Evaluation
     from dlgmd_cli.evaluation.report import Report
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import InputOptions
 
 RECORD = "evaluate.yaml"
+FIGURES = ("trade-off", "leads")
 
-jobs_option = click.option(
-    "--jobs",
-    type=click.IntRange(1, 512),
-    metavar="N",
-    help="Number of videos to process at a time.  [default: all processors]",
-)
 rule_options = option_group(
     "rules",
     dict,
@@ -126,75 +122,76 @@ def evaluate(
     false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
     of the trade-off and of the leads, and evaluate.yaml.
     """
-    from dlgmd_cli.evaluation.footage import Field, read_cases
-    from dlgmd_cli.evaluation.report import evaluated
+    from dlgmd_cli.evaluation.cases import Evaluation, read_cases
+    from dlgmd_cli.evaluation.report import make_report
     from dlgmd_cli.results import store
+    from dlgmd_cli.video.frames import InputOptions
 
     if results is not None:
         _refuse_models()
     cases = read_cases(labels_path)
     for name in _names(output):
         store.refuse_existing(output.out / name, overwrite=output.overwrite)
-    field = Field(baselines=baselines)
+    evaluation = Evaluation(baselines=baselines)
     if results is None:
-        failed = run_over(field, cases, *_asked(setups, given, baselines), jobs)
+        failed = run_over(evaluation, cases, *_asked(setups, given, baselines), jobs)
     else:
-        failed = _read_over(field, cases, results)
-    require_some(field, labels_path)
-    report = evaluated(field, rules["horizon_s"], rules["max_false_per_min"])
+        from dlgmd_cli.evaluation.cases import stored_results
+
+        failed = _add_all(evaluation, cases, stored_results(results, cases))
+    require_some(evaluation, labels_path)
+    report = make_report(evaluation, rules["horizon_s"], rules["max_false_per_min"])
     record = {
         "labels": str(labels_path.absolute()),
-        **_counts(field, failed),
+        **_counts(evaluation, failed),
         **rules,
-        "models": [_described(field, label) for label in field.candidates],
-        "options": given_record(given),
+        "models": [_described(evaluation, label) for label in evaluation.candidates],
+        "options": InputOptions(**given).to_record(),
     }
-    files = _files(report, field, rules, record, output, width)
+    files = _files(report, evaluation, rules, record, output, width)
     with store.appearing(*(output.out / name for name in files)) as temporary:
         for path, write in zip(temporary, files.values(), strict=True):
             write(path)
     if as_json:
-        from dlgmd_cli.evaluation.report import as_json as facts
+        from dlgmd_cli.evaluation.report import report_json
 
-        models = facts(report, field.candidates)
-        print_json({"result": str(output.out), **_counts(field, failed), "models": models})
+        models = report_json(report, evaluation.candidates)
+        print_json({"result": str(output.out), **_counts(evaluation, failed), "models": models})
     else:
-        _show(report, field)
+        _show(report, evaluation)
         for name in files:
             print_path(output.out / name)
     raise_failed(failed, len(cases))
 
 
 def _names(output: Output) -> list[str]:
-    """The files that are written, the record last."""
-    figures = [f"evaluate-{kind}.{form}" for kind in _FIGURES for form in output.formats]
+    """The names of the files to write, the record last."""
+    figures = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
     return ["evaluate.csv", "curves.csv", "alarms.csv", *figures, RECORD]
-
-
-_FIGURES = ("trade-off", "leads")
 
 
 def _asked(
     setups: "list[Setup]", given: dict[str, Any], baselines: bool
 ) -> "tuple[list[Setup], InputOptions]":
-    """What is run, and how the videos are read: each model at the size that its file records."""
-    from dlgmd_cli.evaluation.footage import with_flow
+    """The models to run, and how videos are read; each model at the size that its file records."""
+    from dlgmd_cli.evaluation.cases import with_flow
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.runs.run import input_options as recorded
     from dlgmd_cli.video.frames import InputOptions
 
     for one in setups:
-        create_model(one.params, engine=one.engine)  # or its engine is missing
+        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
     options = recorded(setups[0], given) if len(setups) == 1 else InputOptions(**given)
     return with_flow(setups) if baselines else setups, options
 
 
 def _refuse_models() -> None:
-    """Raise a usage error if a model or how to read videos is given beside --results."""
+    """Raise UsageError if an option is given that only matters when models are run."""
     context = click.get_current_context()
     asked = {
         *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size"),
-        *("fps", "repeats", "input_fps", "decoder", "start", "end", "normalise", "jobs"),
+        *("fps", "repeats", "input_fps", "decoder", "start", "end", "crop", "mask", "normalise"),
+        "jobs",
     }
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
@@ -203,36 +200,29 @@ def _refuse_models() -> None:
 
 
 def run_over(
-    field: "Field",
+    evaluation: "Evaluation",
     cases: "list[Case]",
     setups: "list[Setup]",
     options: "InputOptions",
     jobs: int | None,
 ) -> dict[str, str]:
-    """Run the models over the videos; why a video could not be scored, by its name."""
-    from dlgmd_cli.evaluation.footage import computed
+    """Run the models over the videos; returns why videos could not be scored, by name."""
+    from dlgmd_cli.evaluation.cases import run_cases
     from dlgmd_cli.threads import n_processors
 
     labels = [one.label for one in setups]
     n_jobs = max(1, min(jobs or n_processors(), len(cases)))
     found = (
         (case, one if isinstance(one, DlgmdError) else dict(zip(labels, one, strict=True)))
-        for case, one in computed(cases, setups, options, n_jobs)
+        for case, one in run_cases(cases, setups, options, n_jobs)
     )
-    return _take(field, cases, found)
+    return _add_all(evaluation, cases, found)
 
 
-def _read_over(field: "Field", cases: "list[Case]", folder: Path) -> dict[str, str]:
-    """Read what a batch wrote of the videos; why a video could not be scored, by its name."""
-    from dlgmd_cli.evaluation.footage import stored
-
-    return _take(field, cases, stored(folder, cases))
-
-
-def _take(
-    field: "Field", cases: "list[Case]", found: "Iterator[tuple[Case, Any]]"
+def _add_all(
+    evaluation: "Evaluation", cases: "list[Case]", found: "Iterator[tuple[Case, Any]]"
 ) -> dict[str, str]:
-    """Add every video to the field, in the order of the labels, and warn of those that fail."""
+    """Add every video in the order of the labels; warns of videos that fail, and returns why."""
     failed, every = {}, {}
     with progress("evaluate", len(cases), "video") as advance:
         for number, (case, results) in enumerate(found, start=1):
@@ -242,21 +232,21 @@ def _take(
         try:
             if isinstance(every[case.name], DlgmdError):
                 raise every[case.name]
-            field.add(case, every[case.name])
+            evaluation.add(case, every[case.name])
         except DlgmdError as error:
             failed[case.name] = f"{error.why}. {error.mend}".strip().rstrip(".")
             warn(f"{case.name}: {failed[case.name]}")
     return failed
 
 
-def require_some(field: "Field", labels_path: Path) -> None:
-    """Raise if no video can be scored."""
-    if not field.cases:
+def require_some(evaluation: "Evaluation", labels_path: Path) -> None:
+    """Raise Failed if no video can be scored."""
+    if not evaluation.cases:
         raise Failed(f"{labels_path}: no video could be scored.", EXIT_FAILED)
 
 
 def raise_failed(failed: Mapping[str, str], n_cases: int) -> None:
-    """Raise what makes the exit code 1 if some videos could not be scored."""
+    """Raise Failed, exit code 1, if some videos could not be scored."""
     if failed:
         raise Failed(
             f"{len(failed)} of {n_cases} videos could not be scored and are left out. Fix or "
@@ -265,27 +255,20 @@ def raise_failed(failed: Mapping[str, str], n_cases: int) -> None:
         )
 
 
-def _counts(field: "Field", failed: Mapping[str, str]) -> dict[str, Any]:
-    """What the labels come to."""
-    courses = next(iter(field.candidates.values())).courses.values()
+def _counts(evaluation: "Evaluation", failed: Mapping[str, str]) -> dict[str, Any]:
+    """Numbers of videos, collisions and minutes, and the videos that failed."""
+    signals = next(iter(evaluation.candidates.values())).signals.values()
     return {
-        "videos": len(field.cases),
-        "collisions": sum(len(case.collisions) for case in field.cases),
-        "minutes": round(sum(course.minutes for course in courses), 3),
+        "videos": len(evaluation.cases),
+        "collisions": sum(len(case.collisions) for case in evaluation.cases),
+        "minutes": round(sum(signal.minutes for signal in signals), 3),
         "failed": dict(failed),
     }
 
 
-def given_record(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of the input that were given, as a record holds them."""
-    from dlgmd_cli.video.frames import InputOptions
-
-    return InputOptions(**given).to_record()
-
-
-def _described(field: "Field", label: str) -> dict[str, Any]:
-    """What the record says of a candidate."""
-    one = field.candidates[label]
+def _described(evaluation: "Evaluation", label: str) -> dict[str, Any]:
+    """The entry of a candidate in the record."""
+    one = evaluation.candidates[label]
     processed = one.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
     if one.params is None:
@@ -295,13 +278,13 @@ def _described(field: "Field", label: str) -> dict[str, Any]:
 
 def _files(
     report: "Report",
-    field: "Field",
+    evaluation: "Evaluation",
     rules: Mapping[str, float],
     record: dict[str, Any],
     output: Output,
     width: Any,
 ) -> "dict[str, Write]":
-    """What writes each file, by its name."""
+    """The function that writes each file, by name."""
     from dlgmd_cli.evaluation import report as tables
     from dlgmd_cli.results.record import record_text
 
@@ -309,8 +292,10 @@ def _files(
     horizon_s = rules["horizon_s"]
     files: dict[str, Write] = {
         "evaluate.csv": partial(tables.write_report, report=report),
-        "curves.csv": partial(tables.write_curves, report=report, candidates=field.candidates),
-        "alarms.csv": partial(tables.write_alarms, report=report, field=field, horizon_s=horizon_s),
+        "curves.csv": partial(tables.write_curves, report=report, candidates=evaluation.candidates),
+        "alarms.csv": partial(
+            tables.write_alarms, report=report, evaluation=evaluation, horizon_s=horizon_s
+        ),
     }
     if output.formats:
         from dlgmd_cli.plots.style import figure_files
@@ -323,7 +308,7 @@ def _files(
 def _figures(
     report: "Report", rules: Mapping[str, float], width: Any
 ) -> dict[str, Callable[[], Any]]:
-    """What draws each figure."""
+    """The function that draws each figure, by name."""
     from dlgmd_cli.evaluation.report import DEFAULT
     from dlgmd_cli.plots import evaluation as plots
 
@@ -341,8 +326,8 @@ def _figures(
     }
 
 
-def _show(report: "Report", field: "Field") -> None:
-    """The tables on stdout: all videos, then the recall of each target."""
+def _show(report: "Report", evaluation: "Evaluation") -> None:
+    """Print the tables: all videos, then hits and false alarms by target."""
     from dlgmd_cli.evaluation.report import ALL, interval_text
 
     header = ("model", "threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
@@ -364,10 +349,10 @@ def _show(report: "Report", field: "Field") -> None:
         return
     lines = []
     for target in targets:
-        mains = [report.main(label, target).scores for label in field.candidates]
+        mains = [report.main(label, target).scores for label in evaluation.candidates]
         shown = [f"{one.hits}/{one.collisions}" if one.collisions else "–" for one in mains]
         rates = [one.measures["false_alarms_per_min"].value for one in mains]
         cells = [f"{hits}, {rate:.1f}" for hits, rate in zip(shown, rates, strict=True)]
         lines.append((target, str(mains[0].videos), *cells))
     click.echo("Collisions announced, and false alarms per minute, by target:")
-    print_table(("target", "videos", *field.candidates), lines)
+    print_table(("target", "videos", *evaluation.candidates), lines)

@@ -1,4 +1,4 @@
-"""`dlgmd info`: what an input is, and what follows from it for a run."""
+"""`dlgmd info`: describe videos, and suggest options for a run."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,14 @@ from dlgmd_cli.commands.console import (
     say,
     warn,
 )
-from dlgmd_cli.commands.options import FiniteRange, complete_file, decoder_option
+from dlgmd_cli.commands.options import (
+    FiniteRange,
+    complete_file,
+    decoder_option,
+    file_ending,
+    json_option,
+    overwrite_option,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, SourceError, printable
 
@@ -34,11 +41,11 @@ if TYPE_CHECKING:
 @click.option(
     "--write-mask",
     "mask_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=file_ending("mask.png"),
     metavar="FILE.png",
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an earlier mask.")
+@overwrite_option
 @click.option(
     "--input-fps",
     type=FiniteRange(min=0, min_open=True, max=100_000),
@@ -46,7 +53,7 @@ if TYPE_CHECKING:
     help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
 )
 @decoder_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
+@json_option
 def info(
     input_paths: tuple[str, ...],
     mask_path: Path | None,
@@ -62,8 +69,7 @@ def info(
     """
     if mask_path is not None and len(input_paths) > 1:
         raise click.UsageError("--write-mask works with one INPUT.")
-    if mask_path is not None and mask_path.suffix.lower() != ".png":
-        raise click.UsageError(f"--write-mask {mask_path} does not end in .png.")
+
     from dlgmd_cli.results.store import refuse_existing
     from dlgmd_cli.video.survey import survey
 
@@ -100,7 +106,7 @@ def info(
 
 
 def _write_mask(path: Path, facts: "Survey") -> None:
-    """Paint what never changes black, the rest white."""
+    """Write a picture in which pixels that never change are black, the others white."""
     import cv2
     import numpy as np
 
@@ -116,7 +122,7 @@ def _write_mask(path: Path, facts: "Survey") -> None:
 
 
 def _show(facts: "Survey", advice: Sequence[str]) -> None:
-    """The facts on stdout, with the advice below; warnings on stderr."""
+    """Print the facts and the advice on stdout, the warnings on stderr."""
     print_table(("", printable(facts.path)), _rows(facts))
     for line in advice:
         click.echo(printable(line))
@@ -155,7 +161,7 @@ def _rows(facts: "Survey") -> list[tuple[str, str]]:
 
 
 def _rate(facts: "Survey") -> str:
-    """The frame rate, stated and true, in words."""
+    """The frame rate as stated and as measured, in words."""
     if facts.fps_true is None or facts.fps_range is None:
         return "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g} stated"
     stated = "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g}"

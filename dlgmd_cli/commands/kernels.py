@@ -1,4 +1,4 @@
-"""`dlgmd kernels`: the model's connections as a figure and as CSV."""
+"""`dlgmd kernels`: draw the model's kernels, and write them as CSV."""
 
 from functools import partial
 from pathlib import Path
@@ -58,7 +58,7 @@ def kernels(setup: "Setup", output: Output) -> None:
 
 
 def _write_csv(connections: "Connections", path: Path) -> None:
-    """Place, latency and strengths of every tap."""
+    """Write offset, latency and strengths of every tap."""
     import numpy as np
 
     from dlgmd_cli.results.csv import write_columns

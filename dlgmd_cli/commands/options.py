@@ -1,9 +1,9 @@
-"""The options that several commands share, in groups, and the kinds of value that they take."""
+"""Options that several commands share, and the types of their values."""
 
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,6 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.names import numbered
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
@@ -80,7 +79,7 @@ class Time(click.ParamType):
 
 
 class FiniteRange(click.FloatRange):
-    """A range of numbers that leaves out NaN and infinity."""
+    """A range of finite numbers."""
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -92,18 +91,30 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+def file_ending(example: str) -> Callable[[str], Path]:
+    """The type of a path that must end as `example` does."""
+
+    def convert(value: str) -> Path:
+        path, suffix = Path(value), Path(example).suffix
+        if path.suffix.lower() != suffix:
+            raise click.BadParameter(f"{value[:80]!r} does not end in {suffix}. Write {example}.")
+        return path
+
+    return convert
+
+
 Option = Callable[[Any], Any]
 
 
 def option_group(argument: str, collect: Callable[..., Any], *options: Option) -> Option:
-    """Several options as one decorator, which hands them to the command as one argument.
+    """One decorator for several options, which the command receives as one argument.
 
     Parameters
     ----------
     argument : str
         Name of the command's argument.
     collect : callable
-        Makes its value from the options' values, by name.
+        Called with the options' values by name; returns the argument.
     options : click.option decorators
         In the order of the help.
     """
@@ -129,7 +140,7 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
     return decorate
 
 
-# What the shell completes.
+# Completion in the shell.
 
 
 def complete_file(
@@ -149,7 +160,7 @@ def complete_folder(
 def complete_key(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Keys of parameters, those of the model if one is named, each with an equals sign."""
+    """Keys of parameters with an equals sign; if a model is named, only its own."""
     named = ctx.params.get("model")
     kinds = [MODELS[named]] if named in MODELS else MODELS.values()
     specs = {key: spec for kind in kinds for key, spec in kind.parameters.specs().items()}
@@ -163,7 +174,7 @@ def complete_key(
 def complete_config(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Presets, else files."""
+    """Presets whose names match, otherwise files."""
     names = [name for name in PRESETS if incomplete and name.startswith(incomplete)]
     return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
 
@@ -174,7 +185,7 @@ class SetName(click.ParamType):
     name = "set"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """`set9` -> 9; whether there is such a set is seen later."""
+        """`set9` -> 9; whether the set exists is checked later."""
         return str(value).removeprefix("set")
 
     def shell_complete(
@@ -206,7 +217,7 @@ FORMULATION_HELP = (
 
 
 def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
-    """The one value of an option that others of its kind would override silently."""
+    """The value of an option; raises UsageError if it is given more than once."""
     if len(values) > 1:
         raise click.UsageError(
             f"{param.opts[0]} is given {len(values)} times, but this command runs one model. "
@@ -305,13 +316,7 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
     )
 
 
-def labelled(setups: "list[Setup]") -> "list[Setup]":
-    """The setups under labels that differ."""
-    labels = numbered([one.label for one in setups])
-    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
-
-
-# What is read of an input.
+# How the input is read.
 
 
 class RateOrAll(FiniteRange):
@@ -383,12 +388,12 @@ input_options = option_group(
     ),
 )
 
-# What is written.
+# Output.
 
 
 @dataclass(frozen=True)
 class Output:
-    """Where results go, and the formats and resolution of their plots; none for no plots."""
+    """The folder of the results, and the formats (none: no plots) and resolution of the plots."""
 
     out: Path
     formats: tuple[str, ...]
@@ -399,16 +404,22 @@ class Output:
 def _output(
     out: str, formats: tuple[str, ...], dpi: int, no_plots: bool, overwrite: bool
 ) -> Output:
-    """What the options ask for, each format once."""
-    if not out.strip():
-        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
+    """The output that the options ask for, with each format once."""
     return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), dpi, overwrite)
+
+
+def _not_empty(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """The name of a folder."""
+    if not value.strip():
+        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
+    return value
 
 
 out_option = click.option(
     "-o",
     "--out",
     default="dlgmd-out",
+    callback=_not_empty,
     show_default=True,
     metavar="DIR",
     shell_complete=complete_folder,
@@ -437,7 +448,13 @@ output_options = option_group(
     "output", _output, out_option, format_option, dpi_option, no_plots_option, overwrite_option
 )
 json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print the summary as one JSON object."
+    "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
+)
+jobs_option = click.option(
+    "--jobs",
+    type=click.IntRange(1, 512),
+    metavar="N",
+    help="Number of processes that share the work.  [default: all processors]",
 )
 width_option = click.option(
     "--width",

@@ -1,4 +1,4 @@
-"""`dlgmd plot`: figures from stored results, without decoding."""
+"""`dlgmd plot`: draw stored results."""
 
 import os
 import re
@@ -27,13 +27,13 @@ KINDS = ("mp", "attenuation", "spikes", "overview")
 _FORMATS = ("png", "pdf", "svg")
 _OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "mp4", "ps", "tif", "tiff", "webp")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
-# Characters of a file's name, and of a wrong value in an error.
+# Greatest number of characters of a figure's name, and of a wrong value that an error quotes.
 _MAX_NAME, _MAX_SHOWN = 100, 60
 _frame = click.IntRange(0, 999_999_999)
 
 
 def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any, ...]]:
-    """What reads frames and a text with a colon between them: `40:pitching` -> (40, "pitching")."""
+    """A parser of frames and text: `40:pitching` -> (40, "pitching")."""
 
     def convert(value: str) -> tuple[Any, ...]:
         given = printable(value)
@@ -142,7 +142,7 @@ def plot(
     from dlgmd_cli.results.store import appearing, fitting, refuse_existing
 
     folders = [path.absolute().parent if path.name == "compare.csv" else path for path in paths]
-    # The names of all results, cut off where they get too long for a file.
+    # The names of all results, cut off if they get too long for a file name.
     names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in folders)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     for target in targets:
@@ -172,7 +172,7 @@ def plot(
 
 
 def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
-    """The files to write: `out` itself if it ends like a figure, otherwise some within it."""
+    """The files to write: `out` itself if its suffix is that of a figure, otherwise files in it."""
     suffix = out.suffix.lower().removeprefix(".")
     if suffix in _OTHER_FORMATS and not out.is_dir():
         raise click.UsageError(
@@ -192,9 +192,9 @@ def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
 def _read(
     paths: Sequence[Path], folders: Sequence[Path]
 ) -> tuple[list[tuple[str, "Result"]], bool]:
-    """Every result with a name, and whether all are from comparisons.
+    """Every result with its name, and whether all are from comparisons.
 
-    Those of several comparisons say which one they are from.
+    With several comparisons, each name begins with that of its comparison.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.results.result import read_comparison, read_result
@@ -224,7 +224,7 @@ def _read(
 def _column(
     kind: str, normalise: str | None, results: dict[str, "Result"], are_compared: bool
 ) -> str:
-    """Which potential is drawn; warns of several that are not alike."""
+    """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
         return _COLUMNS[normalise]
     if are_compared and kind in ("mp", "overview"):

@@ -1,4 +1,4 @@
-"""Progress bars on stderr; nothing else knows about them."""
+"""Progress bars on stderr. No other module knows about them."""
 
 import os
 import sys
@@ -11,15 +11,15 @@ from dlgmd_cli.errors import printable
 
 def is_lively() -> bool:
     """Whether stderr may show bars and colours."""
-    # None: it was closed by the shell.
+    # stderr is None if the shell closed it.
     return sys.stderr is not None and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
 
 
 @contextmanager
 def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Callable[..., None]]:
-    """A bar with speed and time left; yields what to call with the number done.
+    """Show a bar with speed and time left; yields a function that takes the number done.
 
-    A text given beside the number takes the place of `name`.
+    A text passed with the number replaces `name`.
     """
     if settings().quiet or not is_lively():
         yield lambda done, text=None: None
@@ -29,7 +29,7 @@ def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Call
     from rich.text import Text
 
     class Rate(bars.ProgressColumn):
-        """Frames, or what is counted, a second."""
+        """Frames, or other units, per second."""
 
         def render(self, task: bars.Task) -> Text:
             speed = task.finished_speed or task.speed
@@ -46,7 +46,7 @@ def progress(name: str, total: int | None, unit: str = "frame") -> Iterator[Call
         task = display.add_task(printable(name), total=total)
 
         def advance(done: int, text: str | None = None) -> None:
-            # The total is only what the container states.
+            # The total is what the container states, and may be too low.
             most = max(total, done) if total else None
             display.update(task, completed=done, total=most, description=printable(text or name))
 

@@ -1,4 +1,4 @@
-"""`dlgmd run`: one video to its membrane potential, attenuation and spikes."""
+"""`dlgmd run`: run a model over one video."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,7 @@ from dlgmd_cli.commands.console import (
     Command,
     detail,
     end_if_interrupted,
-    note,
+    note_sampling,
     print_json,
     print_path,
     print_table,
@@ -66,8 +66,7 @@ def run(
                 )
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
-            if options.fps in (None, "all") and (sampling := video.sampling()):
-                note(f"{input_path}: {sampling}")
+            note_sampling(input_path, video, options.fps)
             for line in details(result):
                 detail(line)
             runs.require_an_answer(input_path, video, [setup], [result], options)
@@ -78,7 +77,7 @@ def run(
 
 
 def details(result: "Result") -> list[str]:
-    """What was read, and by which model with which parameters: a line each, for --verbose."""
+    """Input, processed frames, and model with its parameters, one line each, for --verbose."""
     record, params = result.record, result.params.to_dict()
     source, processed = record["input"], record["processed"]
     values = ", ".join(f"{key} = {value}" for key, value in params.items())
@@ -91,7 +90,7 @@ def details(result: "Result") -> list[str]:
 
 
 def _show(result: "Result", folder: Path, as_json: bool) -> None:
-    """The summary on stdout."""
+    """Print the summary."""
     summary, processed = result.summary, result.record["processed"]
     if as_json:
         facts = {"result": str(folder), "complete": result.record["complete"]}

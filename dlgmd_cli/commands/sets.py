@@ -1,4 +1,4 @@
-"""`dlgmd sets`: the paper's parameter sets, as a table or as YAML."""
+"""`dlgmd sets`: list the parameter sets, or print one as YAML."""
 
 import click
 from click.shell_completion import CompletionItem
@@ -15,11 +15,11 @@ class _Sets(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does; what is no command is a name to show."""
+        """Find the command; a name that is not a command is shown."""
         return super().resolve_command(ctx, args if args[0] in self.commands else ["show", *args])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """What `show` takes, too."""
+        """The commands, and the names that `show` takes."""
         names = _complete_name(ctx, self.params[0], incomplete)
         return [*super().shell_complete(ctx, incomplete), *names]
 
@@ -59,7 +59,7 @@ def sets(ctx: click.Context) -> None:
 def _complete_name(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Sets, models and presets, for the shell."""
+    """The names of sets, models and presets."""
     names = [*preset_names(), *MODELS, *PRESETS]
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 

@@ -1,4 +1,4 @@
-"""`dlgmd sweep`: a model over a grid of two of its parameters."""
+"""`dlgmd sweep`: run a model over a grid of two of its parameters."""
 
 from contextlib import ExitStack
 from dataclasses import replace
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands.console import (
+    INFINITE_DISTINGUISHABILITY,
     Command,
     end_if_interrupted,
     print_json,
@@ -22,6 +23,7 @@ from dlgmd_cli.commands.options import (
     complete_key,
     engine_option,
     input_options,
+    jobs_option,
     json_option,
     option_group,
     optional_input_argument,
@@ -38,10 +40,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.sweep import Subject
 
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
-# The parameters of the paper's Fig. 11, without those that it varies.
+# The parameters of the paper's Fig. 11, except for those that it varies.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
-_INFINITE = "inf: the membrane potential is 0 within 5 frames of the false positive."
 
 cube_options = option_group(
     "shape",
@@ -93,12 +94,7 @@ cube_options = option_group(
 )
 @option_group("asked", dict, *ONE_MODEL, engine_option)
 @input_options
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, 512),
-    metavar="N",
-    help="Number of processes.  [default: all processors]",
-)
+@jobs_option
 @width_option
 @output_options
 @json_option
@@ -136,7 +132,7 @@ def sweep(
     from dlgmd_cli.threads import n_processors
 
     _refuse_others(input_path, shape, {**given, "false_positive_frame": false_positive_frame})
-    setup = _setup(asked, of_cubes=input_path is None)
+    setup = _setup(asked, sees_cubes=input_path is None)
     grid = _grid(x, y, type(setup.params), asked)
     with ExitStack() as opened:
         if input_path is None:
@@ -179,13 +175,13 @@ def sweep(
     else:
         print_table(("", "least", "at", "greatest", "at"), result.extremes())
         if np.isinf(result.columns.get("distinguishability", 0.0)).any():
-            print_table(("",), [(_INFINITE,)])
+            click.echo(INFINITE_DISTINGUISHABILITY)
         print_path(folder)
     end_if_interrupted(folder, n_points, complete=True)
 
 
 def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict[str, Any]) -> None:
-    """Raise UsageError if an option is given that has no meaning with, or without, INPUT."""
+    """Raise UsageError if an option is given that does not work with, or without, INPUT."""
     options, needed = (cubes, "without") if input_path else (of_input, "with an")
     for name, value in options.items():
         if value not in (None, ()) and name != "size":
@@ -193,22 +189,22 @@ def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict
             raise click.UsageError(f"--{option} works only {needed} INPUT. Leave it out.")
 
 
-def _setup(asked: dict[str, Any], *, of_cubes: bool) -> "Setup":
-    """The model that the options ask for; for cubes the paper's, if none is named."""
+def _setup(asked: dict[str, Any], *, sees_cubes: bool) -> "Setup":
+    """The model that the options ask for; for cubes, by default that of the paper's Fig. 11."""
     from dlgmd_cli.runs.run import DLGMD, choose
 
     overrides = parse_overrides(asked["pairs"])
     origin = asked["set_name"], asked["config"]
     model = asked["model"]
-    is_paper_s = of_cubes and origin == (None, None) and model in (None, DLGMD)
-    if is_paper_s:
+    is_fig11 = sees_cubes and origin == (None, None) and model in (None, DLGMD)
+    if is_fig11:
         model, overrides = DLGMD, {**FIG_11, **overrides}
     setup = choose(*origin, model, overrides, asked["formulation"], asked["engine"])
-    return replace(setup, label="fig11") if is_paper_s else setup
+    return replace(setup, label="fig11") if is_fig11 else setup
 
 
 def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Grid":
-    """Both axes; errors name whichever is at fault."""
+    """The grid of both axes; errors name the option of the axis."""
     from dlgmd_cli.results.sweep import Axis, Grid
 
     axes = []
@@ -228,7 +224,7 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
 def _cubes(
     shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
 ) -> "Subject":
-    """The cubes that the options ask for, with as many rows as any kernel of the grid reaches."""
+    """The cubes that the options ask for; clips are as high as the largest kernel needs."""
     from dlgmd_cli.runs.sweep import cubes
 
     speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX

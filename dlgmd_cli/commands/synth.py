@@ -1,4 +1,4 @@
-"""`dlgmd synth`: stimuli with their ground truth."""
+"""`dlgmd synth`: render stimuli with their ground truth."""
 
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from dlgmd_cli.commands.console import (
     say,
     settings,
 )
-from dlgmd_cli.commands.options import Size, complete_folder
+from dlgmd_cli.commands.options import Size, complete_folder, dpi_option, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.stimuli.clip import DrawSheet, Form
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
-# What a scene can be told, by section of the help: type and metavar of each flag, and its help. The
-# scenes check ranges, and have the defaults.
-_TOLD: dict[str, dict[str, tuple[Any, str | None, str]]] = {
+# The options of scenes by section of the help: type, metavar and help of each. The scenes check the
+# ranges, and have the defaults.
+_SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
     _PICTURE: {
         "size": (Size(), None, "Size of the frames in px.  [default: the scene's own; flat scenes "
             "480x270]"),
@@ -69,7 +69,7 @@ _TOLD: dict[str, dict[str, tuple[Any, str | None, str]]] = {
 
 
 class _SectionOption(click.Option):
-    """An option that the help shows in a section of its own."""
+    """An option in a given section of the help."""
 
     def __init__(self, *args: Any, section: str, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -82,7 +82,7 @@ _flight_option = partial(click.option, cls=_SectionOption, section=_FLIGHTS)
 def _complete_scene(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The scenes, for the shell."""
+    """The names of the scenes."""
     from dlgmd_cli.flights.scenes import SCENES
 
     scenes = [scene for name, scene in SCENES.items() if name.startswith(incomplete)]
@@ -91,10 +91,10 @@ def _complete_scene(
 
 def _scene_options(command: Any) -> Any:
     """The options of scenes, in the order of the help."""
-    for section in reversed(_TOLD):
-        for name, (kind, metavar, text) in reversed(_TOLD[section].items()):
-            told = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
-            command = click.option(f"--{name}", cls=_SectionOption, section=section, **told)(
+    for section in reversed(_SCENE_OPTIONS):
+        for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
+            facts = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
+            command = click.option(f"--{name}", cls=_SectionOption, section=section, **facts)(
                 command
             )
     return command
@@ -119,7 +119,8 @@ def _scene_options(command: Any) -> Any:
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
 @click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
 @click.option("--sheet", is_flag=True, help="Also draw a contact sheet of up to 12 frames.")
-@click.option("--overwrite", is_flag=True, help="Replace earlier files.")
+@dpi_option
+@overwrite_option
 @_scene_options
 @_flight_option(
     "--agile/--stabilised",
@@ -146,6 +147,7 @@ def synth(
     lossless: bool,
     png: bool,
     sheet: bool,
+    dpi: int,
     overwrite: bool,
     count: int | None,
     jobs: int | None,
@@ -177,10 +179,10 @@ def synth(
     options = scene.configure(_by_flag(given))
     form = Form.choose(lossless=lossless, png=png, playable=scene.is_flight)
     draw: DrawSheet | None = None
-    if sheet:  # Matplotlib is loaded only where one is asked for
+    if sheet:  # only now, as importing Matplotlib takes time
         from dlgmd_cli.plots.contact_sheet import save_contact_sheet
 
-        draw = save_contact_sheet
+        draw = partial(save_contact_sheet, dpi=dpi)
     if count is None:
         _render_one(scene, options, form, out, overwrite, draw)
         return
@@ -192,15 +194,18 @@ def synth(
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
-    """What the user has set, by flag, as scenes take it."""
+    """The options that the user has set, by flag, as scenes take them; sizes are (H, W)."""
     if given["size"]:
         given["size"] = given["size"][::-1]
-    told = {name: value for name, value in given.items() if value not in (None, ())}
-    return {f"--{name.replace('_', '-')}": value for name, value in told.items()}
+    return {
+        f"--{name.replace('_', '-')}": value
+        for name, value in given.items()
+        if value not in (None, ())
+    }
 
 
 def _list() -> None:
-    """The scenes by kind, on stdout."""
+    """Print the scenes by kind."""
     from dlgmd_cli.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
@@ -220,7 +225,7 @@ def _render_one(
     """Render a clip and print the paths of its files."""
     from dlgmd_cli.stimuli.clip import write_clip
 
-    # A flight has noise unless told otherwise, and what its video keeps of it is a camera's share.
+    # Flights have noise by default, and a camera's video would be compressed as well: no note.
     is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
@@ -233,7 +238,7 @@ def _render_one(
 
 
 def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
-    """Render the flights that are not there yet, and label all that are, even after an error."""
+    """Render the missing flights, and write the labels of all that exist, even after an error."""
     from dlgmd_cli.results.store import locked
 
     is_interrupted = False
@@ -264,7 +269,7 @@ def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
 
 
 def _render_missing(fleet: "Fleet", missing: list[int], jobs: int, overwrite: bool) -> None:
-    """Render flights and tell of what fails."""
+    """Render flights, and report those that fail."""
     from dlgmd_cli.flights.dataset import render_flights
 
     n_present = fleet.count - len(missing)
@@ -280,7 +285,7 @@ def _render_missing(fleet: "Fleet", missing: list[int], jobs: int, overwrite: bo
 
 
 def _label(fleet: "Fleet", overwrite: bool) -> int:
-    """Write the labels of the flights that are there, if any are; says how many."""
+    """Write the labels of the existing flights, if there are any; returns their number."""
     labels = fleet.present()
     if labels:
         fleet.write_labels(labels, overwrite=overwrite)
@@ -289,7 +294,7 @@ def _label(fleet: "Fleet", overwrite: bool) -> int:
 
 
 def _kept(fleet: "Fleet", n_present: int) -> str:
-    """What an end before the end leaves."""
+    """The message about the flights that exist after an early end."""
     return (
         f"{fleet.folder} holds {n_present} of {fleet.count} flights; "
         "run the same command again for the others."

@@ -1,4 +1,4 @@
-"""Measures over many videos: recall, false alarms, leads and AUC, with intervals; thresholds."""
+"""Measures over many videos: recall, false alarms, leads, AUC and their confidence intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.evaluation.scoring import (
     HORIZON_S,
     IGNORED,
-    Course,
+    Signal,
     Tally,
     kinds,
     onset_thresholds,
@@ -19,15 +19,16 @@ from dlgmd_cli.evaluation.scoring import (
 )
 from dlgmd_cli.models.detection import Flags, Series
 
-# Resamples of the videos, and the share of them that an interval holds.
+# Bootstrap resamples of the videos, and the confidence level of the intervals.
 N_RESAMPLES, CONFIDENCE = 1000, 0.95
-# Thresholds of a curve at most: the highest half of them exactly, for there the alarms are few.
+# Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
+# alarms are few, and each counts.
 MAX_THRESHOLDS = 4000
 MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
 
 
 class Estimate(NamedTuple):
-    """A measure and its interval over resampled videos; NaN where it is undefined."""
+    """A measure and its bootstrap interval over the videos; NaN where undefined."""
 
     value: float
     low: float
@@ -36,18 +37,19 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Scores:
-    """How a model does on some videos at one threshold.
+    """The performance of a model on some videos at one threshold.
 
     Attributes
     ----------
     videos, collisions, hits, at_contact, false_alarms, early : int
-        Counts. Hits are collisions announced; early alarms are false, too.
+        Counts. Hits are announced collisions. Early alarms are included in the false ones.
     minutes : float
-        Time in which alarms are false.
+        Time in which an alarm counts as false.
     measures : dict of str to Estimate
-        `recall`: hits among the collisions. `false_alarms_per_min`. `precision`: hits among hits
-        and false alarms. `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`:
-        how often the strength held within a horizon is above that outside, see `scoring.peaks`.
+        `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
+        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`: the
+        probability that the peak strength before a collision exceeds one elsewhere, see
+        `scoring.peaks`.
     """
 
     videos: int
@@ -62,7 +64,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Curve:
-    """What T increasing thresholds come to, shape (T,) each; `lead_s` is the median, or NaN."""
+    """Performance at T increasing thresholds; arrays of shape (T,). `lead_s` is a median or NaN."""
 
     threshold: Series
     recall: Series
@@ -70,14 +72,15 @@ class Curve:
     lead_s: Series
 
     def rank(self, i: int) -> tuple[float, float, float]:
-        """How good threshold number i is: recall, then few false alarms, then a long lead."""
+        """Sort key of threshold number i: high recall, then few false alarms, then a long lead."""
         lead_s = 0.0 if np.isnan(self.lead_s[i]) else float(self.lead_s[i])
         return float(self.recall[i]), -float(self.false_alarms_per_min[i]), lead_s
 
     def best(self, max_false_per_min: float) -> int:
-        """Number of the threshold of the best rank with at most so many false alarms a minute.
+        """Index of the best threshold with at most `max_false_per_min` false alarms per minute.
 
-        Of equal ranks, the middle one. The highest raises no alarm, so that there always is one.
+        Of equally good ones, the middle one. The highest threshold raises no alarm, so there is
+        always a solution.
         """
         allowed = np.flatnonzero(~(self.false_alarms_per_min > max_false_per_min))
         ranks = [self.rank(int(i)) for i in allowed]
@@ -86,16 +89,16 @@ class Curve:
         return int(equal[len(equal) // 2])
 
 
-def thresholds(courses: Sequence[Course], n_sp: int, horizon_s: float = HORIZON_S) -> Series:
-    """Thresholds that tell the alarms of all courses apart, increasing, shape (T,).
+def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_S) -> Series:
+    """All thresholds at which the alarms of the signals differ, increasing, shape (T,).
 
-    They lie midway between those at which something changes; of very many, of the lower ones
-    only some. The highest raises no alarm.
+    They lie midway between the values at which an alarm appears or disappears. Above
+    `MAX_THRESHOLDS`, the lower half is thinned out. The highest threshold raises no alarm.
     """
     found = []
-    for course in courses:
-        low, high = onset_thresholds(course, n_sp)
-        counts = (low < high) & (kinds(course, horizon_s)[0] != IGNORED)
+    for signal in signals:
+        low, high = onset_thresholds(signal, n_sp)
+        counts = (low < high) & (kinds(signal, horizon_s)[0] != IGNORED)
         found += [low[counts], high[counts]]
     edges = np.unique(np.concatenate(found)) if found else np.empty(0)
     edges = edges[np.isfinite(edges)]
@@ -106,17 +109,17 @@ def thresholds(courses: Sequence[Course], n_sp: int, horizon_s: float = HORIZON_
     if not edges.size:
         return np.array([np.inf])
     top = np.nextafter(edges[-1], np.inf)
-    # Where two neighbours are next to each other, their middle is one of them: both will do.
+    # The midpoint of two adjacent floats is one of the two, and either will do.
     return np.unique(np.concatenate((edges[:1], (edges[1:] + edges[:-1]) / 2, [top])))
 
 
-def curve(courses: Sequence[Course], n_sp: int, at: Series, horizon_s: float = HORIZON_S) -> Curve:
-    """Recall, false alarms and lead at every threshold."""
-    return curve_of([tally(course, n_sp, at, horizon_s) for course in courses], at)
+def curve(signals: Sequence[Signal], n_sp: int, at: Series, horizon_s: float = HORIZON_S) -> Curve:
+    """Recall, rate of false alarms and median lead at every threshold."""
+    return curve_of([tally(signal, n_sp, at, horizon_s) for signal in signals], at)
 
 
 def curve_of(tallies: Sequence[Tally], at: Series) -> Curve:
-    """The curve of videos that were counted at the same thresholds."""
+    """The curve of videos that were tallied at the same thresholds."""
     leads_s = np.concatenate([one.lead_s for one in tallies])
     n_false = np.sum([one.n_false for one in tallies], axis=0)
     recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
@@ -125,20 +128,20 @@ def curve_of(tallies: Sequence[Tally], at: Series) -> Curve:
 
 
 def _medians(columns: Series) -> Series:
-    """The median of every column of (n, T), without its NaN; NaN where there is nothing else."""
+    """The median of every column of an (n, T) array, ignoring NaN; NaN if a column has only NaN."""
     n = (~np.isnan(columns)).sum(axis=0)
     if not len(columns):
         return np.full(len(n), np.nan)
-    ordered = np.sort(columns, axis=0)  # NaN at last
+    ordered = np.sort(columns, axis=0)  # NaN comes last
     middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, len(columns) - 1)])
     return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
 @dataclass(frozen=True)
 class Count:
-    """What one video adds to the measures at one threshold, see `Tally` and `scoring.peaks`.
+    """The contribution of one video to the measures, see `Tally` and `scoring.peaks`.
 
-    `lead_s`, `at_contact` and `inside` have an entry for each collision; `outside` is (m,).
+    `lead_s`, `at_contact` and `inside` have one entry per collision; `outside` has shape (m,).
     """
 
     lead_s: Series
@@ -150,7 +153,7 @@ class Count:
     outside: Series
 
     def only(self, collisions: Flags) -> "Count":
-        """The same of some of the collisions; of false alarms, all."""
+        """The same for some of the collisions, but with all false alarms."""
         return replace(
             self,
             lead_s=self.lead_s[collisions],
@@ -159,16 +162,16 @@ class Count:
         )
 
 
-def count(course: Course, n_sp: int, threshold: float, horizon_s: float = HORIZON_S) -> Count:
-    """What a video adds to the measures at one threshold."""
-    one = tally(course, n_sp, threshold, horizon_s)
+def count(signal: Signal, n_sp: int, threshold: float, horizon_s: float = HORIZON_S) -> Count:
+    """The contribution of a video to the measures at one threshold."""
+    one = tally(signal, n_sp, threshold, horizon_s)
     n_false, n_early = int(one.n_false[0]), int(one.n_early[0])
-    sides = peaks(course, n_sp, horizon_s)
+    sides = peaks(signal, n_sp, horizon_s)
     return Count(one.lead_s[:, 0], one.at_contact[:, 0], n_false, n_early, one.minutes, *sides)
 
 
 def score(counts: Sequence[Count], seed: int = 0) -> Scores:
-    """The measures of at least one video; intervals are of `N_RESAMPLES` resamples of them."""
+    """The measures over at least one video, with intervals from `N_RESAMPLES` resamples."""
     n = len(counts)
     leads = [one.lead_s[~np.isnan(one.lead_s)] for one in counts]
     sums = np.array(
@@ -200,7 +203,7 @@ def _measured(
     leads: Sequence[Series],
     sides: Sequence[tuple[Series, Series]],
 ) -> dict[str, Series]:
-    """Every measure, for each row of how often each video counts."""
+    """Every measure for each row of `weights`, which says how often each video counts."""
     n_collisions, n_hits, n_false, minutes = (weights @ sums).T
     lead_s = np.concatenate(leads)
     order = np.argsort(lead_s)
@@ -220,7 +223,7 @@ def _measured(
 
 
 def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
-    """How often the inside of video i is above the outside of video j; a tie counts half."""
+    """Pairs in which a peak inside video i exceeds one outside of video j; a tie counts half."""
     found = np.zeros((len(sides), len(sides)))
     every = np.concatenate([inside for inside, _ in sides])
     owner = np.repeat(np.arange(len(sides)), [len(inside) for inside, _ in sides])
@@ -232,9 +235,9 @@ def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
 
 
 def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
-    """A percentile of increasing values, of which each counts so often, per row of `weights`.
+    """A percentile of increasing values for each row of `weights`: how often each value counts.
 
-    As NumPy's own, between neighbours in proportion.
+    Interpolates linearly, as NumPy does.
     """
     if not ordered.size:
         return np.full(len(weights), np.nan)
@@ -257,7 +260,7 @@ def _ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
 
 
 def _estimate(drawn: Series) -> Estimate:
-    """The first value, and the interval of the others that are defined."""
+    """The first value, with the interval of the others that are not NaN."""
     others = drawn[1:][~np.isnan(drawn[1:])]
     if np.isnan(drawn[0]) or not others.size:
         return Estimate(float(drawn[0]), np.nan, np.nan)

@@ -1,4 +1,4 @@
-"""The tables of an evaluation: one row a model, threshold and group of targets; curves; alarms."""
+"""The tables of an evaluation: scores by model, threshold and target; curves; alarms."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.evaluation.footage import Candidate, Case, Field
+from dlgmd_cli.evaluation.cases import Candidate, Case, Evaluation
 from dlgmd_cli.evaluation.measures import (
     MEASURES,
     Curve,
@@ -36,17 +36,17 @@ ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 
 @dataclass(frozen=True)
 class Row:
-    """How a candidate does on a group of videos at one of its thresholds.
+    """The scores of a candidate on a group of videos at one threshold.
 
     Attributes
     ----------
     at : str
-        `default`, the threshold of its parameters; or `best`, that of the greatest recall at the
-        allowed rate of false alarms, chosen on these very videos.
+        `default`: the threshold of the parameters. `best`: the threshold with the highest recall at
+        the allowed rate of false alarms, chosen on the same videos.
     target : str
-        `all`, `all without walls`, or what is hit.
+        `all`, `all without walls`, or the name of a target.
     excitation : float
-        The threshold in units of the mean excitation; `threshold` is the normalised potential.
+        The threshold of the mean excitation; `threshold` is that of the normalised potential.
     """
 
     candidate: Candidate
@@ -65,9 +65,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Report:
-    """All rows, those of `all` first; and of every candidate by label, its curve and its leads.
+    """All rows, those of target `all` first, and the curve and the leads of each candidate.
 
-    The leads, in seconds, are those at the default threshold, or at the best one of a baseline;
+    The leads, in seconds, are those at the default threshold, or, for a baseline, at the best one;
     NaN for collisions that are not announced.
     """
 
@@ -76,21 +76,21 @@ class Report:
     leads_s: dict[str, Series]
 
     def row(self, label: str, at: str, target: str = ALL) -> Row | None:
-        """One row, if there is such."""
+        """The row of a candidate, threshold and target, or None."""
         for row in self.rows:
             if (row.candidate.label, row.at, row.target) == (label, at, target):
                 return row
         return None
 
     def main(self, label: str, target: str = ALL) -> Row:
-        """The row at the default threshold, or at the best one of a baseline."""
+        """The row at the default threshold, or, for a baseline, at the best one."""
         found = self.row(label, DEFAULT, target) or self.row(label, BEST, target)
         assert found is not None
         return found
 
 
 def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
-    """Which videos, by number, and which of their collisions belong to each group of targets."""
+    """For each group of targets, its videos by number, and flags of the collisions in the group."""
     known = sorted({target for case in cases for target in case.targets if target})
     chosen: dict[str, Iterable[str]] = {}
     if WALL in known and len(known) > 1:
@@ -106,23 +106,23 @@ def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
     return found
 
 
-def evaluated(field: Field, horizon_s: float, max_false_per_min: float) -> Report:
-    """Score every candidate on the videos of a field, which holds at least one."""
+def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: float) -> Report:
+    """Score every candidate of an evaluation, which has at least one video."""
     rows: list[Row] = []
     curves, leads_s = {}, {}
-    for label, candidate in field.candidates.items():
-        courses = [candidate.courses[case.name] for case in field.cases]
+    for label, candidate in evaluation.candidates.items():
+        signals = [candidate.signals[case.name] for case in evaluation.cases]
         n_sp = candidate.n_sp
-        curves[label] = curve(courses, n_sp, thresholds(courses, n_sp, horizon_s), horizon_s)
+        curves[label] = curve(signals, n_sp, thresholds(signals, n_sp, horizon_s), horizon_s)
         best = curves[label].best(max_false_per_min)
         at = {BEST: float(curves[label].threshold[best])}
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
         for name, strength in at.items():
-            counts = [count(one, n_sp, strength, horizon_s) for one in courses]
+            counts = [count(one, n_sp, strength, horizon_s) for one in signals]
             if label not in leads_s:
                 leads_s[label] = np.concatenate([one.lead_s for one in counts])
-            for target, members in groups(field.cases).items():
+            for target, members in groups(evaluation.cases).items():
                 chosen = [counts[i].only(wanted) for i, wanted in members.items()]
                 rows.append(Row(candidate, name, target, strength, score(chosen)))
     rows.sort(key=lambda row: row.target != ALL)
@@ -144,7 +144,7 @@ def write_report(path: Path, report: Report) -> None:
 
 
 def write_curves(path: Path, report: Report, candidates: Mapping[str, Candidate]) -> None:
-    """Write curves.csv: of every curve, the thresholds from which on something changes."""
+    """Write curves.csv: the points of every curve at which a measure changes."""
 
     def rows() -> Iterator[list[str]]:
         for label, found in report.curves.items():
@@ -159,25 +159,25 @@ def write_curves(path: Path, report: Report, candidates: Mapping[str, Candidate]
     write_rows(path, CURVE_COLUMNS, rows())
 
 
-def write_alarms(path: Path, report: Report, field: Field, horizon_s: float) -> None:
-    """Write alarms.csv: every alarm that is not ignored, and every collision that is missed."""
+def write_alarms(path: Path, report: Report, evaluation: Evaluation, horizon_s: float) -> None:
+    """Write alarms.csv: every alarm that is not ignored, and every missed collision."""
 
     def rows() -> Iterator[list[str]]:
-        for case in field.cases:
-            for label, candidate in field.candidates.items():
-                row, course = report.main(label), candidate.courses[case.name]
+        for case in evaluation.cases:
+            for label, candidate in evaluation.candidates.items():
+                row, signal = report.main(label), candidate.signals[case.name]
                 found: list[tuple[int, float, str, float]] = []
                 announced = set()
-                for number, kind in alarms(course, candidate.n_sp, row.excitation, horizon_s):
-                    time_s, lead_s = float(course.time_s[number]), math.nan
+                for number, kind in alarms(signal, candidate.n_sp, row.excitation, horizon_s):
+                    time_s, lead_s = float(signal.time_s[number]), math.nan
                     if kind == HIT:
-                        contact_s = min(one for one in course.contacts_s if one > time_s)
+                        contact_s = min(one for one in signal.contacts_s if one > time_s)
                         announced.add(contact_s)
                         lead_s = contact_s - time_s
                     if kind != IGNORED:
-                        frame = number if course.frame is None else int(course.frame[number])
+                        frame = number if signal.frame is None else int(signal.frame[number])
                         found.append((frame, time_s, KINDS[kind], lead_s))
-                for frame, contact_s in zip(case.collisions, course.contacts_s, strict=True):
+                for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
                     if contact_s not in announced:
                         found.append((frame, contact_s, "missed", math.nan))
                 for frame, time_s, word, lead_s in sorted(found):
@@ -187,7 +187,7 @@ def write_alarms(path: Path, report: Report, field: Field, horizon_s: float) -> 
     write_rows(path, ALARM_COLUMNS, rows())
 
 
-def as_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, Any]:
+def report_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, Any]:
     """The measures of every candidate over all videos, by label; None where undefined."""
 
     def facts(row: Row) -> dict[str, Any]:
@@ -213,7 +213,7 @@ def as_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, An
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:
-    """Measures with their intervals, and counts."""
+    """The measures, their intervals and the counts as JSON values."""
     measures = scores.measures
     return {
         **{name: defined(one.value) for name, one in measures.items()},
@@ -225,12 +225,12 @@ def scores_json(scores: Scores) -> dict[str, Any]:
 
 
 def defined(value: float) -> float | None:
-    """None for what JSON and YAML have no number for."""
+    """The value, or None if it is not finite: JSON has no number for it."""
     return value if math.isfinite(value) else None
 
 
 def interval_text(one: Estimate, digits: int = 2) -> str:
-    """A measure with its interval, as tables show it."""
+    """A measure with its interval, for tables."""
     if math.isnan(one.value):
         return "–"
     if math.isnan(one.low):

@@ -1,4 +1,4 @@
-"""A search for parameters with Optuna, whose trials are kept in a file and continued from it."""
+"""A parameter search with Optuna; trials are stored in a file, and a later search continues it."""
 
 import json
 import math
@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
-from dlgmd_cli.evaluation.calibration import Calibration, Choice
+from dlgmd_cli.evaluation.crossvalidation import Choice, Choices
 from dlgmd_cli.parameters import Parameters, shown
 from dlgmd_cli.runs.run import Setup
 
 TRIALS = "trials.db"
 _NAME = "calibrate"
 WIDTH = "width_px"
-# From this ratio of the bounds on, the logarithm is searched.
+# Ranges wider than this ratio are searched on a logarithmic scale.
 _WIDE = 10.0
-# What is found for every trial without a search.
-_FOUND = ("kappa", "n_sp", "t_mp")
+# Parameters that are calibrated in every trial, and need no search.
+_CALIBRATED = ("kappa", "n_sp", "t_mp")
 _OPTION = "Invalid value for '--search'"
 
 
 @dataclass(frozen=True)
 class Range:
-    """Where a parameter is searched, both bounds included."""
+    """The range in which a parameter is searched, both bounds included."""
 
     low: float
     high: float
@@ -33,21 +33,24 @@ class Range:
 
     @property
     def is_wide(self) -> bool:
-        """Whether its logarithm is searched."""
+        """Whether it is searched on a logarithmic scale."""
         return self.low > 0 and self.high / self.low > _WIDE
 
     def text(self) -> str:
-        """As it was typed."""
+        """`LOW:HIGH`, as on the command line."""
         return f"{self.low:.9g}:{self.high:.9g}"
 
 
 def parse_ranges(texts: Sequence[str], params: Parameters) -> dict[str, Range]:
-    """`KEY=LOW:HIGH` strings, of parameters or `width_px`, by key; raises ParameterError."""
+    """Parse `KEY=LOW:HIGH`, KEY a parameter or `width_px`; returns the ranges by key.
+
+    Raises ParameterError.
+    """
     return dict(_range(text, params) for text in texts)
 
 
 def _range(text: str, params: Parameters) -> tuple[str, Range]:
-    """One of them."""
+    """The key and the range in one `KEY=LOW:HIGH`."""
     key, _, bounds = text.partition("=")
     key = key.strip()
     try:
@@ -57,7 +60,7 @@ def _range(text: str, params: Parameters) -> tuple[str, Range]:
         raise ParameterError(_OPTION, f"{shown(text)} is not KEY=LOW:HIGH", mend) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ParameterError(_OPTION, f"{shown(text)} does not rise from LOW to HIGH")
-    if key in _FOUND:
+    if key in _CALIBRATED:
         raise ParameterError(_OPTION, f"{key} is calibrated without a search", "Leave it out.")
     if key == WIDTH:
         least, most, is_whole = 16.0, 8192.0, True
@@ -77,7 +80,7 @@ def _range(text: str, params: Parameters) -> tuple[str, Range]:
 
 
 def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
-    """A setup with other values; raises ParameterError if they do not go together."""
+    """A setup with other values; raises ParameterError if they contradict each other."""
     own = {key: value for key, value in values.items() if key != WIDTH}
     width_px = values.get(WIDTH, setup.width_px)
     params: Parameters = replace(setup.params, **own)  # type: ignore[type-var]
@@ -86,32 +89,32 @@ def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
 
 @dataclass(frozen=True)
 class Trial:
-    """Parameters that were tried, and what was chosen with them."""
+    """The values of a trial, and the thresholds chosen with them."""
 
     values: dict[str, Any]
-    found: Calibration
+    found: Choices
 
 
 class Search:
-    """Trials in `folder`/trials.db; those of the same search that are there count.
+    """The trials in `folder`/trials.db; a search with the same settings continues them.
 
     Parameters
     ----------
     folder : Path
-        Must be there.
+        An existing folder.
     ranges : dict of str to Range
-        What is searched.
+        The ranges to search, by parameter.
     asked : dict
-        What tells this search from others.
+        Everything that the trials depend on: labels, rules, ranges, model and options.
     overwrite : bool
-        Whether the trials of another search may be removed.
+        Remove the trials of a search with other settings.
 
     Raises
     ------
     MissingExtraError
         If Optuna is not installed.
     OutputExistsError
-        If the trials of another search are there, and may not be removed.
+        If the folder has trials of a search with other settings, and not `overwrite`.
     """
 
     def __init__(
@@ -149,7 +152,7 @@ class Search:
             self._study.set_user_attr("asked", text)
 
     def _open(self, path: Path) -> Any:
-        """The study in a file, made if need be; it draws on from the number of its trials."""
+        """Open or create the study in a file; its sampler's seed is the number of its trials."""
         optuna = self._optuna
         storage = optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}")
         study = optuna.create_study(
@@ -160,7 +163,7 @@ class Search:
         return study
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._storage.remove_session()
         with suppress(AttributeError):
             self._storage.engine.dispose()
@@ -169,7 +172,7 @@ class Search:
         return sum(trial.state.is_finished() for trial in self._study.get_trials(deepcopy=False))
 
     def trials(self) -> list[Trial]:
-        """Every trial that was possible, in order."""
+        """Every trial whose values were valid, in order."""
         state = self._optuna.trial.TrialState.COMPLETE
         return [
             Trial(dict(one.params), _from_json(one.user_attrs["found"]))
@@ -177,11 +180,11 @@ class Search:
         ]
 
     def run(
-        self, n_trials: int, setup: Setup, measure: Callable[[Setup], Calibration]
+        self, n_trials: int, setup: Setup, measure: Callable[[Setup], Choices]
     ) -> Iterator[int]:
-        """Try until there are so many trials; yields how many there are after each.
+        """Run trials until there are `n_trials`; yields the number done after each.
 
-        The first has the setup's own values, as far as they are within the ranges.
+        The first trial has the setup's own values, limited to the ranges.
         """
         state = self._optuna.trial.TrialState
         if not self._study.get_trials(deepcopy=False):
@@ -194,19 +197,19 @@ class Search:
             values = {key: self._suggest(trial, key, one) for key, one in self.ranges.items()}
             try:
                 changed = with_values(setup, values)
-            except ParameterError:  # values that do not go together
+            except ParameterError:  # the values contradict each other
                 self._study.tell(trial, state=state.FAIL)
             else:
                 found = measure(changed)
                 trial.set_user_attr("found", _as_json(found))
                 recall, rate, lead_s = found.overall.rank
-                # So small that it only decides between equal recalls.
+                # Small weights: false alarms and lead decide between nearly equal recalls.
                 self._study.tell(trial, recall + 1e-3 * rate + 1e-4 * lead_s)
             yield n_done + 1
 
     @staticmethod
     def _suggest(trial: Any, key: str, one: Range) -> int | float:
-        """A value of a range."""
+        """Let Optuna suggest a value within a range."""
         if one.is_whole:
             whole: int = trial.suggest_int(key, int(one.low), int(one.high), log=one.is_wide)
             return whole
@@ -215,7 +218,7 @@ class Search:
 
 
 def best_trial(trials: Sequence[Trial], fold: int | None = None) -> Trial:
-    """The trial whose choice on all videos, or on all but those of a fold, ranks highest."""
+    """The trial whose choice ranks highest: on all videos, or on all but those of a fold."""
 
     def rank(trial: Trial) -> tuple[float, float, float]:
         chosen = trial.found.overall if fold is None else trial.found.of_folds[fold]
@@ -224,15 +227,15 @@ def best_trial(trials: Sequence[Trial], fold: int | None = None) -> Trial:
     return max(trials, key=rank)
 
 
-def _as_json(found: Calibration) -> list[Any]:
+def _as_json(found: Choices) -> list[Any]:
     """A calibration as lists of numbers."""
     return [[one.n_sp, one.threshold, list(one.rank)] for one in (found.overall, *found.of_folds)]
 
 
-def _from_json(lists: Sequence[Any]) -> Calibration:
+def _from_json(lists: Sequence[Any]) -> Choices:
     """The inverse of `_as_json`."""
     overall, *of_folds = (
         Choice(n_sp, threshold, tuple(rank))  # type: ignore[arg-type]
         for n_sp, threshold, rank in lists
     )
-    return Calibration(overall, tuple(of_folds))
+    return Choices(overall, tuple(of_folds))

@@ -1,4 +1,4 @@
-"""Some frames of a rendered clip as a contact sheet, with what is true of each below it."""
+"""A contact sheet: frames of a rendered clip, each with its ground truth below."""
 
 import math
 from pathlib import Path
@@ -21,17 +21,17 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.stimuli.clip import ContactSheet
 
 _N_COLUMNS = 4
-# Two columns of a paper; how high frames may be, so that 12 fit on a page; and about what the
-# words take, as Matplotlib leaves some room if it is too much.
+# Width of two columns of a paper; greatest height of a frame, so that 12 fit on a page; and
+# approximate heights of the texts, which Matplotlib's layout corrects.
 _WIDTH_IN, _MAX_TILE_IN, _CAPTION_IN, _TITLE_IN = width_in("two"), 2.2, 0.42, 0.36
 _LONGEST_NAME, _LONGEST_PHASE = 48, 28
 
 
-def plot_contact_sheet(sheet: ContactSheet) -> Figure:
-    """Frames in grey, four in a row, each with its number, time, phase, and how near contact is.
+def plot_contact_sheet(sheet: ContactSheet, dpi: int = DPI) -> Figure:
+    """Draw frames, four in a row, each with its number, time, phase and time to contact.
 
-    The collision frame has a thick black rim and says in bold words that it is one. Up to 12 frames
-    fit on a page; the figure is as wide as two columns of a paper.
+    The collision frame has a thick black rim and a bold caption. The figure is as wide as two
+    columns of a paper; up to 12 frames fit on a page.
     """
     height, width = sheet.images[0].shape
     n_columns = min(_N_COLUMNS, len(sheet.images))
@@ -48,7 +48,7 @@ def plot_contact_sheet(sheet: ContactSheet) -> Figure:
         for image, row, axes in zip(sheet.images, sheet.rows, grid, strict=False):
             is_collision = row.frame == sheet.record.get("collision_frame")
             rim = BLACK if is_collision else GREY
-            axes.imshow(_thumbnail(image), cmap="gray", vmin=0, vmax=255)
+            axes.imshow(_thumbnail(image, dpi), cmap="gray", vmin=0, vmax=255)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=rim, linewidth=2.5 if is_collision else 0.3)
             label = axes.set_xlabel(
@@ -60,15 +60,15 @@ def plot_contact_sheet(sheet: ContactSheet) -> Figure:
     return figure
 
 
-def save_contact_sheet(sheet: ContactSheet, path: Path) -> None:
+def save_contact_sheet(sheet: ContactSheet, path: Path, dpi: int = DPI) -> None:
     """Draw a sheet as PNG; OSError passes through."""
-    save_figure(plot_contact_sheet(sheet), path)
+    save_figure(plot_contact_sheet(sheet, dpi), path, dpi)
 
 
-def _thumbnail(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """A frame averaged over area, if it has more pixels than its tile."""
+def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:
+    """A frame, reduced by averaging if it has more pixels than its tile."""
     height, width = image.shape
-    scale = max(width / (_WIDTH_IN / _N_COLUMNS), height / _MAX_TILE_IN) / DPI
+    scale = max(width / (_WIDTH_IN / _N_COLUMNS), height / _MAX_TILE_IN) / dpi
     if scale <= 1.0:
         return image
     size_wh = max(1, round(width / scale)), max(1, round(height / scale))
@@ -76,7 +76,7 @@ def _thumbnail(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 
 
 def _title(sheet: ContactSheet) -> str:
-    """What the clip is; and, of a flight, how it ends."""
+    """The facts about the clip, and for a flight its outcome."""
     height, width = sheet.images[0].shape
     facts = (
         shortened(sheet.name, _LONGEST_NAME),
@@ -98,14 +98,14 @@ def _title(sheet: ContactSheet) -> str:
 
 
 def _caption(row: Any, is_collision: bool) -> str:
-    """What is true of a frame, as far as its scene defines it."""
+    """The ground truth of a frame, as far as its scene defines it."""
     left_s = getattr(row, "time_to_contact_s", math.nan)
     angle_deg = getattr(row, "angular_size_deg", math.nan)
     nearness = []
     if is_collision:
         nearness.append("collision frame")
     elif math.isfinite(left_s):
-        # Times that two decimals would make 0 have three.
+        # Three decimals where two might round to 0.
         nearness.append(f"contact in {left_s:.{2 if left_s >= 0.1 else 3}f} s")
     if math.isfinite(angle_deg):
         nearness.append(f"{angle_deg:.1f}° across")

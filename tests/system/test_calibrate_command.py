@@ -9,18 +9,18 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import load_config
 from dlgmd_cli.errors import OutputExistsError, ParameterError
-from dlgmd_cli.evaluation.calibration import (
-    Calibration,
+from dlgmd_cli.evaluation.cases import strength_at
+from dlgmd_cli.evaluation.crossvalidation import (
     Choice,
+    Choices,
     Rules,
-    calibrated,
+    choose,
     fold_of,
-    held_out,
-    on_the_same,
+    score_held_out,
+    score_same_videos,
     with_choice,
 )
-from dlgmd_cli.evaluation.footage import strength_at
-from dlgmd_cli.evaluation.scoring import Course
+from dlgmd_cli.evaluation.scoring import Signal
 from dlgmd_cli.evaluation.search import Search, best_trial, parse_ranges, with_values
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
@@ -31,12 +31,12 @@ pytestmark = pytest.mark.slow
 FPS = 30.0
 
 
-def course(bursts, contact=None):
+def signal(bursts, contact=None):
     """200 frames of faint noise, and bursts of `(first, n_frames, strength)`."""
     strength = 0.01 * np.random.default_rng(0).random(200)
     for first, n, level in bursts:
         strength[first : first + n] = level
-    return Course(
+    return Signal(
         np.arange(200) / FPS, strength, () if contact is None else (contact / FPS,), 1 / FPS
     )
 
@@ -44,50 +44,50 @@ def course(bursts, contact=None):
 def material(n=10):
     """Collisions announced by three frames of 0.5 and more; short flashes are stronger."""
     levels = np.linspace(0.5, 0.9, n)
-    near = [course([(20, 2, 2.0), (60, 8, 0.3), (135, 3, level)], 150) for level in levels]
-    return near + [course([(50, 2, 3.0), (90, 20, 0.4)]) for _ in range(n)]
+    near = [signal([(20, 2, 2.0), (60, 8, 0.3), (135, 3, level)], 150) for level in levels]
+    return near + [signal([(50, 2, 3.0), (90, 20, 0.4)]) for _ in range(n)]
 
 
 def test_the_threshold_and_the_count_are_found_again():
-    courses, rules = material(), Rules(max_false_per_min=0.0)
-    folds = fold_of([bool(one.contacts_s) for one in courses], rules)
-    found = calibrated(courses, folds, rules)
+    signals, rules = material(), Rules(max_false_per_min=0.0)
+    folds = fold_of([bool(one.contacts_s) for one in signals], rules)
+    found = choose(signals, folds, rules)
     for choice in (found.overall, *found.of_folds):
         assert choice.n_sp == 3 and 0.4 < choice.threshold <= 0.55
         assert choice.rank[:2] == (1.0, 0.0)
-    scores = held_out([courses] * 5, folds, found.of_folds, rules)
+    scores = score_held_out([signals] * 5, folds, found.of_folds, rules)
     assert scores.collisions == 10 and scores.false_alarms == 0
     # Whether the weakest is announced depends on the others alone.
     assert scores.hits >= 9
-    assert on_the_same(courses, found.overall, rules).measures["recall"].value == 1.0
+    assert score_same_videos(signals, found.overall, rules).measures["recall"].value == 1.0
     # With room for mistakes it announces no more, and so makes none.
-    assert calibrated(courses, folds, Rules(max_false_per_min=60.0)).overall == found.overall
+    assert choose(signals, folds, Rules(max_false_per_min=60.0)).overall == found.overall
 
 
 def test_recall_is_bought_with_the_false_alarms_that_are_allowed():
-    courses = [course([(135, 3, 0.5)], 150), course([(135, 3, 0.2)], 150), course([(50, 9, 0.3)])]
-    minutes = sum(one.minutes for one in courses)
+    signals = [signal([(135, 3, 0.5)], 150), signal([(135, 3, 0.2)], 150), signal([(50, 9, 0.3)])]
+    minutes = sum(one.minutes for one in signals)
     allowed, strict = (
         Rules(max_false_per_min=1.01 / minutes),
         Rules(max_false_per_min=0.99 / minutes),
     )
     folds = [0, 1, 0]
-    assert calibrated(courses, folds, allowed).overall.rank[0] == 1.0
-    assert calibrated(courses, folds, strict).overall.rank[0] == 0.5
+    assert choose(signals, folds, allowed).overall.rank[0] == 1.0
+    assert choose(signals, folds, strict).overall.rank[0] == 0.5
 
 
 def test_no_video_judges_what_was_chosen_on_it():
-    courses, rules = material(), Rules(max_false_per_min=0.0)
-    folds = fold_of([bool(one.contacts_s) for one in courses], rules)
+    signals, rules = material(), Rules(max_false_per_min=0.0)
+    folds = fold_of([bool(one.contacts_s) for one in signals], rules)
     # The videos of fold 0 are ten times as strong: what is chosen without them stays, and fails.
     scaled = [
         replace(one, strength=10 * one.strength) if fold == 0 else one
-        for one, fold in zip(courses, folds, strict=True)
+        for one, fold in zip(signals, folds, strict=True)
     ]
-    found = calibrated(scaled, folds, rules)
+    found = choose(scaled, folds, rules)
     assert 0.4 < found.of_folds[0].threshold <= 0.55
-    scores = held_out([scaled] * 5, folds, found.of_folds, rules)
-    assert scores.false_alarms > 0 < on_the_same(scaled, found.overall, rules).hits < 10
+    scores = score_held_out([scaled] * 5, folds, found.of_folds, rules)
+    assert scores.false_alarms > 0 < score_same_videos(scaled, found.overall, rules).hits < 10
 
 
 @pytest.mark.parametrize(("n_with", "n_without", "n_folds"), [(10, 15, 5), (3, 4, 5), (2, 0, 5)])
@@ -147,7 +147,7 @@ def test_a_search_continues_from_its_trials(tmp_path):
         seen.append((changed.params.sigma_i, changed.width_px))
         recall = 1 - abs(changed.params.sigma_i - 2.5)
         one = Choice(2, 0.1, (recall, -0.5, 0.2))
-        return Calibration(one, (one, Choice(3, 0.2, (changed.width_px / 500, 0.0, 0.0))))
+        return Choices(one, (one, Choice(3, 0.2, (changed.width_px / 500, 0.0, 0.0))))
 
     search = Search(tmp_path, ranges, {"a": 1})
     assert list(search.run(3, setup, measure)) == [1, 2, 3]

@@ -12,7 +12,7 @@ from conftest import looming_frames, write_video
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.evaluation.footage import Case, Field, read_cases
+from dlgmd_cli.evaluation.cases import Case, Evaluation, read_cases
 from dlgmd_cli.evaluation.report import groups
 from dlgmd_cli.evaluation.scoring import alarms
 
@@ -108,6 +108,8 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
         assert one == (pytest.approx(other, rel=1e-6) if is_number else other)
     refused = dlgmd("evaluate", footage / "labels.csv", "--results", "ba", "--set", 3)
     assert refused.exit_code == 2 and "--set does not work with --results" in refused.stderr
+    refused = dlgmd("evaluate", footage / "labels.csv", "--results", "ba", "--crop", "16x16+0+0")
+    assert refused.exit_code == 2 and "--crop does not work with --results" in refused.stderr
     assert read_result("ba/set9/near").params.kappa == 1e-4
 
 
@@ -118,10 +120,10 @@ def test_alarms_are_those_of_a_run(footage, options, repeats):
     found = dlgmd_cli.run(footage / "twice.avi", repeats=repeats, **options)
     level = np.sort(found.level[np.isfinite(found.level)])[-4]
     found = replace(found, params=replace(found.params, t_mp=float(level) - 1e-9, n_sp=1))
-    field = Field(baselines=False)
-    field.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
-    one = field.candidates["x"]
-    rows = [row for row, _ in alarms(one.courses["twice.avi"], one.n_sp, one.threshold)]
+    evaluation = Evaluation(baselines=False)
+    evaluation.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
+    one = evaluation.candidates["x"]
+    rows = [row for row, _ in alarms(one.signals["twice.avi"], one.n_sp, one.threshold)]
     assert rows == found.alarm_onsets.tolist() and rows
     assert found.repeated.any() == (repeats == "skip")
 

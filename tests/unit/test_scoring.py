@@ -6,19 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.evaluation import measures, scoring
-from dlgmd_cli.evaluation.scoring import KINDS, Course
+from dlgmd_cli.evaluation.scoring import KINDS, Signal
 from dlgmd_cli.models.detection import detect, onsets
 
 FPS = 30.0
 NAN = np.nan
 
 
-def course(bursts, contacts=(), n=200, fps=FPS):
+def signal(bursts, contacts=(), n=200, fps=FPS):
     """A video whose strength is 1 in the frames `(first, last)` of each burst, and 0 elsewhere."""
     strength = np.zeros(n)
     for first, last in bursts:
         strength[first : last + 1] = 1.0
-    return Course(np.arange(n) / fps, strength, tuple(frame / fps for frame in contacts), 1 / fps)
+    return Signal(np.arange(n) / fps, strength, tuple(frame / fps for frame in contacts), 1 / fps)
 
 
 def verdict(one, n_sp=2):
@@ -52,7 +52,7 @@ def verdict(one, n_sp=2):
     ],
 )
 def test_what_an_alarm_is(bursts, contacts, expected, lead_frames):
-    one = course(bursts, contacts)
+    one = signal(bursts, contacts)
     assert verdict(one) == expected
     counted = scoring.tally(one, 2, 0.5)
     leads = [NAN if lead is None else lead / FPS for lead in lead_frames]
@@ -67,11 +67,11 @@ def test_what_an_alarm_is(bursts, contacts, expected, lead_frames):
     ("contacts", "n_frames"), [([], 200), ([150], 150), ([70, 150], 70), ([205], 200)]
 )
 def test_minutes_run_to_contact_or_the_end(contacts, n_frames):
-    assert course([], contacts).minutes == pytest.approx(n_frames / FPS / 60)
+    assert signal([], contacts).minutes == pytest.approx(n_frames / FPS / 60)
 
 
 def test_a_longer_horizon_leaves_less_that_is_false():
-    one = course([(80, 90)], [150])
+    one = signal([(80, 90)], [150])
     assert [KINDS[kind] for _, kind in scoring.alarms(one, 2, 0.5, horizon_s=3.0)] == ["hit"]
     assert scoring.tally(one, 2, 0.5, horizon_s=3.0).n_false[0] == 0
 
@@ -116,7 +116,7 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
     repeated[0] = False
     for row in np.flatnonzero(repeated):
         strength[row] = strength[row - 1]
-    one = Course(time_s, strength, contacts, 1 / 30, repeated)
+    one = Signal(time_s, strength, contacts, 1 / 30, repeated)
     at = np.array([0.1, 0.25, 0.5, 0.6, 1.0, 1.1])
     counted = scoring.tally(one, n_sp, at)
     for number, threshold in enumerate(at):
@@ -135,18 +135,18 @@ def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
 
 def test_the_strongest_inside_and_outside_of_horizons():
     strength = np.arange(200) / 200
-    one = Course(np.arange(200) / FPS, strength, (150 / FPS,), 1 / FPS)
+    one = Signal(np.arange(200) / FPS, strength, (150 / FPS,), 1 / FPS)
     inside, outside = scoring.peaks(one, 2)
     # The frame before contact; a run of two has the strength of its weaker frame.
     np.testing.assert_allclose(inside, [148 / 200])
     np.testing.assert_allclose(outside, [(last - 1) / 200 for last in (119, 89, 59, 29)])
-    inside, outside = scoring.peaks(course([], n=50), 1)
+    inside, outside = scoring.peaks(signal([], n=50), 1)
     assert inside.shape == (0,) and len(outside) == 2  # 1 s, and 0.67 s that is left
 
 
 def test_measures_of_several_videos():
     counts = [
-        measures.count(course(bursts, contacts), 2, 0.5)
+        measures.count(signal(bursts, contacts), 2, 0.5)
         for bursts, contacts in [
             ([(119, 130)], [150]),  # 1 s
             ([(143, 150)], [150]),  # 0.2 s
@@ -177,7 +177,7 @@ def test_measures_of_several_videos():
 def test_an_interval_is_that_of_resampled_videos():
     rng = np.random.default_rng(5)
     counts = [
-        measures.count(course([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
+        measures.count(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
         for _ in range(100)
     ]
     recall = measures.score(counts).measures["recall"]
@@ -189,26 +189,26 @@ def test_an_interval_is_that_of_resampled_videos():
 
 def test_the_best_threshold():
     # The stronger bursts announce; at 0.2 there are false alarms, at 0.6 one collision is missed.
-    courses = []
+    signals = []
     for level, noise in ((0.5, 0.2), (0.7, 0.25), (0.9, 0.1)):
-        one = course([(130, 140)], [150])
+        one = signal([(130, 140)], [150])
         one.strength[one.strength > 0] = level
         one.strength[20:23] = noise
-        courses.append(one)
-    at = measures.thresholds(courses, 2)
-    found = measures.curve(courses, 2, at)
+        signals.append(one)
+    at = measures.thresholds(signals, 2)
+    found = measures.curve(signals, 2, at)
     best = at[found.best(0.0)]
     assert 0.25 < best <= 0.5
-    assert measures.curve(courses, 2, np.array([best])).recall[0] == 1.0
+    assert measures.curve(signals, 2, np.array([best])).recall[0] == 1.0
     # Allowed 60 false alarms a minute, it is still this one: of equal recall, the fewest.
     assert at[found.best(60.0)] == best
     # Every threshold in between says the same as one of the curve.
     grid = np.linspace(0.01, 1.2, 200)
-    dense = measures.curve(courses, 2, grid)
+    dense = measures.curve(signals, 2, grid)
     pairs = set(zip(found.recall, found.false_alarms_per_min, strict=True))
     assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
     assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
-    silent = [course([], [150])]
+    silent = [signal([], [150])]
     at = measures.thresholds(silent, 2)
     assert at[measures.curve(silent, 2, at).best(1.0)] > 0
 
@@ -216,8 +216,8 @@ def test_the_best_threshold():
 def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
     monkeypatch.setattr(measures, "MAX_THRESHOLDS", 20)
     rng = np.random.default_rng(2)
-    courses = [Course(np.arange(400) / FPS, rng.random(400), (), 1 / FPS) for _ in range(3)]
-    at = measures.thresholds(courses, 1)
+    signals = [Signal(np.arange(400) / FPS, rng.random(400), (), 1 / FPS) for _ in range(3)]
+    at = measures.thresholds(signals, 1)
     assert len(at) <= 21
     monkeypatch.setattr(measures, "MAX_THRESHOLDS", 10**6)
-    assert set(at[-8:]) <= set(measures.thresholds(courses, 1))
+    assert set(at[-8:]) <= set(measures.thresholds(signals, 1))

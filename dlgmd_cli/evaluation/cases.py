@@ -1,4 +1,4 @@
-"""Labelled videos, and what models say about them: computed here, or read from a batch."""
+"""Labelled videos, and the results of models on them: computed here, or read from a batch."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
-from dlgmd_cli.evaluation.scoring import CONTACT_FRAMES, Course
+from dlgmd_cli.evaluation.scoring import CONTACT_FRAMES, Signal
 from dlgmd_cli.models.detection import Flags, Series, absolute
 from dlgmd_cli.parameters import FlowDivergenceParameters, Parameters
 from dlgmd_cli.pool import run_tasks
@@ -31,13 +31,13 @@ class Case:
     Attributes
     ----------
     name : str
-        What the labels call it.
+        Its name in the labels.
     path : str
-        Where it lies.
+        Its path.
     collisions : tuple of int
         The frames of its collisions, increasing; empty if there is none.
     targets : tuple of str
-        What is hit in each, or in the only label of a video without a collision.
+        The target of each label, in the order of the collisions.
     """
 
     name: str
@@ -62,7 +62,7 @@ def read_cases(path: Path) -> list[Case]:
 
 
 def _case(path: Path, video: str, labels: Sequence[Label]) -> Case:
-    """What the labels of one video come to."""
+    """The labels of one video as a case; raises ResultError if they contradict each other."""
     frames = [one.collision_frame for one in labels]
     if len(set(frames)) < len(frames):
         what = "no frame" if None in frames else f"frame {max(f for f in frames if f is not None)}"
@@ -78,40 +78,40 @@ def _case(path: Path, video: str, labels: Sequence[Label]) -> Case:
 
 @dataclass
 class Candidate:
-    """What is scored: a model, or a baseline that has no threshold of its own.
+    """A model that is scored, or a baseline, which has no threshold of its own.
 
     Attributes
     ----------
     label : str
-        What tables call it.
+        Its name in tables.
     n_sp : int
-        Spikes in a row that raise its alarm.
+        Number of successive spikes that raise an alarm.
     params : Parameters or None
-        The model's; None of a baseline.
+        The model's parameters; None for a baseline.
     by_sequence : bool
         Whether the potential is normalised by its own sequence.
-    courses : dict of str to Course
-        What is thresholded of each video, by the name that the labels use.
+    signals : dict of str to Signal
+        The thresholded signal of each video, by the video's name in the labels.
     record : dict
-        What run.yaml says of one of its results.
+        The record (run.yaml) of one of its results.
     """
 
     label: str
     n_sp: int
     params: Parameters | None
     by_sequence: bool = False
-    courses: dict[str, Course] = field(default_factory=dict)
+    signals: dict[str, Signal] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
 
     @property
     def threshold(self) -> float | None:
-        """The strength at which its normalised potential reaches T_MP; None of a baseline."""
+        """The strength at which the normalised potential reaches T_MP; None for a baseline."""
         if self.params is None or self.by_sequence:
             return None if self.params is None else self.params.t_mp
         return strength_at(self.params.t_mp, self.params.kappa)
 
     def level(self, strength: float) -> float:
-        """The normalised potential that a strength comes to, the strength itself of a baseline."""
+        """The normalised potential at a strength; for a baseline, the strength itself."""
         if self.params is None or self.by_sequence or np.isinf(strength):
             return strength
         return float(absolute(strength, 1, self.params.kappa))
@@ -124,12 +124,13 @@ def strength_at(level: float, kappa: float | None) -> float:
         return float(np.log(odds)) if kappa is None else kappa * odds
 
 
-def computed(
+def run_cases(
     cases: Sequence[Case], setups: Sequence[Setup], options: InputOptions, jobs: int
 ) -> Iterator[tuple[Case, "list[Result] | DlgmdError"]]:
-    """Every video with a result a setup, or why there is none, as they are done.
+    """Run all setups over every video; yields each video with one result per setup, or its error.
 
-    Each video is decoded once, in one of `jobs` processes. What is no DlgmdError is raised.
+    Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
+    error that is not a DlgmdError is raised.
     """
     if jobs == 1:
         for case in cases:
@@ -151,16 +152,16 @@ def _run(setups: tuple[Setup, ...], options: InputOptions, case: Case) -> list[R
 
 
 def with_flow(setups: Sequence[Setup]) -> list[Setup]:
-    """The setups and the divergence of optical flow, which sees what the first of them does."""
+    """The setups, and the divergence of optical flow at the frame size and rate of the first."""
     first = setups[0]
     params = FlowDivergenceParameters(n_sp=first.params.n_sp)
     return [*setups, replace(first, params=params, label=FLOW, engine="auto")]
 
 
-def stored(
+def stored_results(
     folder: Path, cases: Sequence[Case]
 ) -> Iterator[tuple[Case, "dict[str, Result] | DlgmdError"]]:
-    """Every video with its results in the folder of a batch, by the model's label."""
+    """Every video with its results by label, read from the folder of a batch, or its error."""
     places = stored_models(folder)
     for case in cases:
         try:
@@ -170,7 +171,7 @@ def stored(
 
 
 def stored_models(folder: Path) -> dict[str, Path]:
-    """The folder of each model of a batch by its label; raises ResultError if there is none."""
+    """The folder of each model of a batch, by label; raises ResultError if there is none."""
     if (folder / SUMMARY).is_file():
         return {"": folder}
     found = {path.parent.name: path.parent for path in sorted(folder.glob(f"*/{SUMMARY}"))}
@@ -181,7 +182,7 @@ def stored_models(folder: Path) -> dict[str, Path]:
 
 
 def _stored(place: Path, case: Case) -> Result:
-    """The result of a video, whose folder is called after it, with or without its extension."""
+    """The result of a video; its folder has the video's name, with or without the extension."""
     name = PurePosixPath(case.name)
     for folder in (place / name, place / name.with_suffix("")):
         if (folder / store.RUN).is_file():
@@ -191,18 +192,18 @@ def _stored(place: Path, case: Case) -> Result:
     raise ResultError(str(place), f"there is no result of {case.name}", "Run 'dlgmd batch' again.")
 
 
-def course_of(result: Result, case: Case, strength: Series | None = None) -> Course:
-    """What is thresholded of a result, and when its video shows collisions.
+def signal_of(result: Result, case: Case, strength: Series | None = None) -> Signal:
+    """The thresholded signal of a result, with the times of the labelled collisions.
 
-    `strength` is the mean excitation per cell unless given, or the potential that is normalised
-    by its own sequence where that drives the spikes. Raises SourceError if the video ends before
-    a collision, or was not read to its end.
+    Unless given, `strength` is the mean excitation per cell; if the spikes follow the potential
+    normalised by its own sequence, it is that potential. Raises SourceError if the video was not
+    read up to its end, or ends before a collision.
     """
     if not result.record.get("complete", True):
         raise SourceError(case.name, "its result was interrupted", "Run again.")
     frame, time_s = result.frame, result.time_s
     frame_s = 1.0 / float(result.record["input"]["fps"])
-    # The last ones may have been dropped to keep to the model's frame rate.
+    # The last frames may have been dropped to reduce the frame rate.
     first, last = int(frame[0]), max(int(frame[-1]), result.record["input"]["frames"] - 1)
     for collision in case.collisions:
         if not first <= collision <= last + CONTACT_FRAMES:
@@ -217,18 +218,18 @@ def course_of(result: Result, case: Case, strength: Series | None = None) -> Cou
     ]
     if strength is None:
         strength = result.mp_seq if result.by_sequence else result.mp / result.n_cells
-    return Course(time_s, strength, tuple(contacts_s), frame_s, result.repeated, frame)
+    return Signal(time_s, strength, tuple(contacts_s), frame_s, result.repeated, frame)
 
 
-class Field:
-    """The candidates and the videos that could be scored, filled video by video.
+class Evaluation:
+    """The candidates, and the videos on which they are scored; videos are added one by one.
 
     Attributes
     ----------
     candidates : dict of str to Candidate
         By label, models first.
     cases : list of Case
-        The videos that all candidates were run over.
+        The videos for which all candidates have a result.
     """
 
     def __init__(self, *, baselines: bool = True) -> None:
@@ -237,24 +238,24 @@ class Field:
         self._has_baselines = baselines
 
     def add(self, case: Case, results: Mapping[str, Result]) -> None:
-        """Take in the results of a video by label; raises DlgmdError if it cannot be scored."""
-        found: dict[str, tuple[Result, Course]] = {
-            label: (result, course_of(result, case)) for label, result in results.items()
+        """Add the results of a video, by label; raises DlgmdError if it cannot be scored."""
+        found: dict[str, tuple[Result, Signal]] = {
+            label: (result, signal_of(result, case)) for label, result in results.items()
         }
         first = next(iter(results.values()))
         if self._has_baselines:
             p_sum = first.p_sum / first.n_cells
             found.pop(FLOW, None)
-            found[P_SUM] = (first, course_of(first, case, p_sum))
+            found[P_SUM] = (first, signal_of(first, case, p_sum))
             if FLOW in results:
                 flow = results[FLOW]
-                found[FLOW] = (flow, course_of(flow, case, flow.mp / flow.n_cells))
+                found[FLOW] = (flow, signal_of(flow, case, flow.mp / flow.n_cells))
         for label, (result, _) in found.items():
             known = self.candidates.get(label)
             if known and known.params not in (None, result.params):
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-        for label, (result, course) in found.items():
+        for label, (result, signal) in found.items():
             if label not in self.candidates:
                 is_baseline = label in (P_SUM, FLOW)
                 self.candidates[label] = Candidate(
@@ -264,5 +265,5 @@ class Field:
                     result.by_sequence and not is_baseline,
                     record=result.record,
                 )
-            self.candidates[label].courses[case.name] = course
+            self.candidates[label].signals[case.name] = signal
         self.cases.append(case)
