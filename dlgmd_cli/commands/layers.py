@@ -1,4 +1,4 @@
-"""`dlgmd layers`: what a model's layers hold, as a contact sheet, as arrays, or as a film."""
+"""`dlgmd layers`: show a model's layers as a contact sheet, as arrays, or as a film."""
 
 import re
 from contextlib import nullcontext
@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, note, print_path, say, warn
+from dlgmd_cli.commands.console import Command, note_sampling, print_path, say, warn
 from dlgmd_cli.commands.options import (
     Output,
+    file_ending,
     input_argument,
     input_options,
     model_options,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import Video
 
-# What is readable at the width of two columns of a paper.
+# More frames are not readable at the width of two columns of a paper.
 MAX_FRAMES = 12
 
 
@@ -46,14 +47,6 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
             f"{len(frames)} frames are too many for one sheet. Choose up to {MAX_FRAMES}."
         )
     return frames
-
-
-def _video_file(value: str) -> Path:
-    """A path that ends in .mp4."""
-    path = Path(value)
-    if path.suffix.lower() != ".mp4":
-        raise click.BadParameter(f"{value[:80]!r} does not end in .mp4. Write film.mp4.")
-    return path
 
 
 @click.command(
@@ -74,7 +67,7 @@ def _video_file(value: str) -> Path:
 @click.option(
     "--video",
     "film_path",
-    type=_video_file,
+    type=file_ending("film.mp4"),
     metavar="FILE",
     help="Write an .mp4 of the input, S, G and the membrane potential.",
 )
@@ -147,8 +140,7 @@ def layers(
                 result.warnings.extend(result.doubts() if film_path else [])
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
-            if options.fps in (None, "all") and (sampling := video.sampling()):
-                note(f"{input_path}: {sampling}")
+            note_sampling(input_path, video, options.fps)
             if folder is not None and sheet is not None:
                 files = _files(result, sheet, output, npz)
                 store.commit(folder, store.LAYERS, files, is_new_input=is_new)
@@ -156,32 +148,21 @@ def layers(
     if folder is not None and cancel.requested():
         n_kept = f"{len(result.record['frames'])} of {len(frames)} frames"
         unmade = f", no frame of {film_path} was rendered" if film_path else ""
-        say(f"Interrupted: {folder} holds {n_kept}{unmade}.")
+        say(f"Interrupted. {folder} holds {n_kept}{unmade}.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
     if film_path is None:
         return
     if not result.n_valid:
         raise runs.too_short(input_path, video, setup.label, model.first_valid_frame + 1, options)
-    from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.plots.heat import Scale
-    from dlgmd_cli.plots.overlay import Overlay
-
-    width, height = video.size_wh
-    scales = Scale.over(*ranges["s"]), Scale.over(*ranges["g"])
-    label = f"{video.info.name} · {setup.label}"
     with runs.open_input(input_path, [setup], options) as again:
-        film: Film | Overlay
-        if overlay:
-            film = Overlay(result, again.source_wh[::-1], scales[1].high)
-        else:
-            film = Film(result, (height, width), scales, model.layer_units[1:], label)
-        _render(film, again, model, again.rate_fps, len(result), film_path)
+        film = _film(result, ranges, again, model, setup.label, overlay=overlay)
+        _render(film, again, model, len(result), film_path)
 
 
 def _strongest(
     input_path: str, setup: "Setup", options: Any, identity: dict[str, Any]
 ) -> tuple[int, ...]:
-    """The frames of a sheet, found by a first look at the whole input."""
+    """Choose the frames of a sheet, by running the model over the whole input."""
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import strongest_frames
 
@@ -197,7 +178,7 @@ def _strongest(
 
 
 def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: bool) -> None:
-    """Refuse at once what could not be written at the end."""
+    """Raise now if the film could not be written at the end."""
     from dlgmd_cli.results.store import refuse_existing, unwritable
 
     if folder is not None and film.resolve().parent == folder.resolve():
@@ -214,7 +195,7 @@ def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: 
 
 
 def _files(result: "Result", sheet: "LayerSheet", output: Output, npz: bool) -> "dict[str, Write]":
-    """What writes each file of a sheet, by its name."""
+    """The function that writes each file of a sheet, by name."""
     from dlgmd_cli.plots.layers import plot_layers
     from dlgmd_cli.plots.style import figure_files
     from dlgmd_cli.results.layers import write_npz
@@ -229,23 +210,33 @@ def _files(result: "Result", sheet: "LayerSheet", output: Output, npz: bool) -> 
     }
 
 
+def _film(
+    result: "Result", ranges: Any, video: "Video", model: "Model", label: str, *, overlay: bool
+) -> "Film | Overlay":
+    """The film of a result; `ranges` are the extremes of `s` and `g`."""
+    from dlgmd_cli.plots.film import Film
+    from dlgmd_cli.plots.heat import Scale
+    from dlgmd_cli.plots.overlay import Overlay
+
+    scales = Scale.over(*ranges["s"]), Scale.over(*ranges["g"])
+    if overlay:
+        return Overlay(result, video.source_wh[::-1], scales[1].high)
+    label = f"{video.info.name} · {label}"
+    return Film(result, video.size_wh[::-1], scales, model.layer_units[1:], label)
+
+
 def _render(
-    film: "Film | Overlay",
-    video: "Video",
-    model: "Model",
-    nominal_fps: float,
-    n_frames: int,
-    path: Path,
+    film: "Film | Overlay", video: "Video", model: "Model", n_frames: int, path: Path
 ) -> None:
-    """Write the film while the model sees the input a second time; a stop cuts it off."""
+    """Write the film while the model runs over the input again; an interruption cuts it short."""
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.runs.layers import shown_frames
     from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
     from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
-    fps = playable_fps(nominal_fps)
-    if abs(fps / nominal_fps - 1.0) > 0.01:
-        warn(f"{path} plays at {fps:g} frames a second, not at {nominal_fps:g}")
+    fps = playable_fps(video.rate_fps)
+    if abs(fps / video.rate_fps - 1.0) > 0.01:
+        warn(f"{path} plays at {fps:g} frames a second, not at {video.rate_fps:g}")
     n_rendered = 0
     model.reset()
     with (

@@ -1,4 +1,4 @@
-"""`dlgmd reproduce`: the paper's figures and tables, with each of its claims checked."""
+"""`dlgmd reproduce`: regenerate the paper's figures and tables, and check its claims."""
 
 import shlex
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, print_table
+from dlgmd_cli.commands.options import dpi_option, jobs_option, overwrite_option
 from dlgmd_cli.commands.progress import progress
 
 
@@ -33,20 +34,17 @@ from dlgmd_cli.commands.progress import progress
     default="dlgmd-paper",
     show_default=True,
     metavar="DIR",
-    help="Where the report goes.",
+    help="Folder for the report.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an earlier report.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, 512),
-    metavar="N",
-    help="Processes that share the work.  [default: all processors]",
-)
+@dpi_option
+@overwrite_option
+@jobs_option
 def reproduce(
     only: tuple[str, ...],
     quick: bool,
     reference: Path | None,
     out: Path,
+    dpi: int,
     overwrite: bool,
     jobs: int | None,
 ) -> None:
@@ -65,7 +63,7 @@ def reproduce(
         counts,
         findings,
         load_claims,
-        matching,
+        select,
     )
     from dlgmd_cli.reproduce.clips import check_reference
     from dlgmd_cli.reproduce.compute import EXHIBITS, compute, jobs_for
@@ -74,26 +72,25 @@ def reproduce(
     from dlgmd_cli.results.store import locked, refuse_existing
     from dlgmd_cli.threads import n_processors
 
-    stories, inconsistencies = load_claims()
-    stories = matching(stories, [name for text in only for name in text.split(",")])
+    specs, inconsistencies = load_claims()
+    specs = select(specs, [name for text in only for name in text.split(",")])
     check_reference(reference)
     require_jinja()
     for name in (REPORT, TABLE):
         refuse_existing(out / name, overwrite=overwrite)
     plan = Plan(quick, reference)
-    todo = jobs_for(stories, plan)
+    todo = jobs_for(specs, plan)
     with locked(out):
         with progress("reproduce", len(todo), "clip") as on_job:
             data = compute(todo, jobs or n_processors(), on_job)
         found = {
-            name: findings(story, EXHIBITS[name].values(plan, data))
-            for name, story in stories.items()
+            name: findings(spec, EXHIBITS[name].values(plan, data)) for name, spec in specs.items()
         }
-        with progress("figures", len(stories), "figure") as on_figure:
+        with progress("figures", len(specs), "figure") as on_figure:
+            command = _command(only, quick, reference)
             paths = write_report(
-                out, stories, found, inconsistencies, plan, data, _command(only, quick, reference),
-                on_figure,
-            )  # fmt: skip
+                *(out, specs, found, inconsistencies, plan, data, command, on_figure), dpi
+            )
     every = [one for some in found.values() for one in some]
     rows = [
         ("not about the D-LGMD" if name == ANY else name,
@@ -106,7 +103,7 @@ def reproduce(
 
 
 def _command(only: tuple[str, ...], quick: bool, reference: Path | None) -> str:
-    """What repeats this report."""
+    """The command line that repeats this report."""
     words = ["dlgmd", "reproduce"]
     words += ["--only", ",".join(only)] if only else []
     words += ["--quick"] if quick else []

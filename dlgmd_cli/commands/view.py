@@ -1,4 +1,4 @@
-"""`dlgmd view`: stored results as web pages, with the film of the input."""
+"""`dlgmd view`: make web pages of stored results, with the film of the input."""
 
 import os
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from urllib.parse import quote
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import complete_file, overwrite_option
+from dlgmd_cli.commands.options import complete_file, file_ending, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered
@@ -19,16 +19,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.pages.gather import Gathered, Input
     from dlgmd_cli.pages.page import Part
 
-# Longer names are cut off, and a page above this many bytes is too large for most mailboxes.
+# Greatest number of characters of a page's name; and the size in bytes from which on a page is too
+# large for most mailboxes.
 _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
-
-
-def _page_file(value: str) -> Path:
-    """A path that ends in .html."""
-    path = Path(value)
-    if path.suffix.lower() != ".html":
-        raise click.BadParameter(f"{value[:80]!r} does not end in .html. Write page.html.")
-    return path
 
 
 @click.command(
@@ -42,7 +35,7 @@ def _page_file(value: str) -> Path:
 @click.option(
     "-o",
     "--out",
-    type=_page_file,
+    type=file_ending("page.html"),
     metavar="FILE",
     help="The page, ending in .html.  [default: dlgmd-out/view-NAME.html]",
 )
@@ -115,17 +108,17 @@ def view(
     stem = fitting(Path(name).stem[:_MAX_NAME].replace("/", "-")) or "results"
     out = out or Path("dlgmd-out") / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
-    job = _Job(frames, labels, input_path, width_px, no_film)
+    request = _Request(frames, labels, input_path, width_px, no_film)
     if is_one:
-        _write_page(gathered.inputs[0], out, job)
+        _write_page(gathered.inputs[0], out, request)
     else:
-        _write_index(gathered, out, job, overwrite=overwrite)
+        _write_index(gathered, out, request, overwrite=overwrite)
     print_path(out)
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What is the same for every page."""
+class _Request:
+    """The options that all pages share."""
 
     frames: tuple[int, ...]
     labels: dict[str, list[int]]
@@ -135,12 +128,12 @@ class _Job:
 
 
 def _link(name: str) -> str:
-    """A file's name, of whatever bytes, as part of a link."""
+    """A file's name, which may have any bytes, as part of a link."""
     return quote(os.fsencode(name))
 
 
-def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool) -> None:
-    """A page for each input in a folder beside the index, and the index at last."""
+def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrite: bool) -> None:
+    """Write a page for each input into a folder beside the index, then the index."""
     from dlgmd_cli.pages.page import index_page
     from dlgmd_cli.results.store import fitting, refuse_existing, write_text
 
@@ -153,7 +146,7 @@ def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool)
         refuse_existing(page, overwrite=overwrite)
     rows = []
     for one, page in zip(gathered.inputs, pages, strict=True):
-        rows.append(_write_page(one, page, job, index=out.name))
+        rows.append(_write_page(one, page, request, index=out.name))
         rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
     write_text(out, index_page(rows, gathered.failed))
     if gathered.failed:
@@ -162,21 +155,21 @@ def _write_index(gathered: "Gathered", out: Path, job: _Job, *, overwrite: bool)
         say(f"{those} listed at the end of the index.")
 
 
-def _write_page(one: "Input", out: Path, job: _Job, index: str = "") -> dict[str, Any]:
-    """Write the page of an input; returns its row of an index."""
+def _write_page(one: "Input", out: Path, request: _Request, index: str = "") -> dict[str, Any]:
+    """Write the page of an input; returns its row of the index."""
     from dlgmd_cli.pages.gather import collisions_of
     from dlgmd_cli.pages.page import index_row, page
     from dlgmd_cli.results.store import write_text
 
-    collisions = collisions_of(one, job.frames, job.labels)
+    collisions = collisions_of(one, request.frames, request.labels)
     first, last = int(one.shown[0].result.frame[0]), int(one.shown[0].result.frame[-1])
     for frame in collisions:
         if not first <= frame <= last:
             warn(f"{one.name}: the collision at frame {frame} is outside frames {first} to {last}")
-    if len(collisions) == 1:  # what follows it is the recoil
+    if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
         until = [replace(s, result=s.result.until(collisions[0])) for s in one.shown]
         one = replace(one, shown=tuple(until))
-    parts = _parts(one, job)
+    parts = _parts(one, request)
     text = page(one, parts, collisions, index=f"../{_link(index)}" if index else "")
     if len(text) > _LARGE_BYTES:
         say(
@@ -187,13 +180,13 @@ def _write_page(one: "Input", out: Path, job: _Job, index: str = "") -> dict[str
     return dict(index_row(one, out.name, parts, collisions))
 
 
-def _parts(one: "Input", job: _Job) -> "Sequence[Part]":
-    """Every result of an input, with its film or the reason why there is none."""
+def _parts(one: "Input", request: _Request) -> "Sequence[Part]":
+    """Every result of an input, with its film, or the reason why it has none."""
     from dlgmd_cli.pages.film import render
     from dlgmd_cli.pages.page import Part, thumbnail_row
     from dlgmd_cli.video.writer import best_codec
 
-    parts, no_film = [], "--no-film was given." if job.no_film else ""
+    parts, no_film = [], "--no-film was given." if request.no_film else ""
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         warn(f"{one.name}: no film: {no_film.rstrip('.')}")
@@ -206,14 +199,14 @@ def _parts(one: "Input", job: _Job) -> "Sequence[Part]":
                     film = render(
                         shown.result,
                         shown.peers,
-                        job.input_path or one.path,
-                        job.width_px,
+                        request.input_path or one.path,
+                        request.width_px,
                         thumbnail_row(shown.result),
                         on_frame,
                     )
             except DlgmdError as error:
                 warn(f"{one.name} · {shown.label}: no film: {str(error).rstrip('.')}")
-                # The page is for others, too: it does not say where the file was.
+                # Pages are shared: they do not name the folder of the file.
                 why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
         parts.append(Part(shown, film, why))
     return parts

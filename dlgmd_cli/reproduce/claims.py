@@ -1,4 +1,4 @@
-"""The paper's claims with their thresholds, and what was found of each."""
+"""The paper's claims with their thresholds, and the findings about them."""
 
 import math
 import operator
@@ -18,7 +18,7 @@ from dlgmd_cli.results.csv import cell, write_rows
 CLAIMS = Path(__file__).with_name("claims.yaml")
 COLUMNS = ("id", "claim", "source", "formulation", "measure", "value", "threshold", "holds")
 YES, NO, UNDECIDED = "yes", "no", "undecided"
-# How a value is held against the threshold; and which of the values of several seeds is the worst.
+# Comparison of a value with the threshold; and the worst of the values of several seeds.
 _HOLDS = {
     "at least": (operator.ge, np.min),
     "above": (operator.gt, np.min),
@@ -29,7 +29,7 @@ _HOLDS = {
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper; see `claims.yaml` for what its texts are."""
+    """One claim of the paper; `claims.yaml` explains the fields."""
 
     id: str
     claim: str
@@ -41,8 +41,8 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Story:
-    """An exhibit's texts and claims; `repeat` holds commands."""
+class ExhibitSpec:
+    """Texts and claims of an exhibit, from `claims.yaml`; `repeat` has commands that repeat it."""
 
     id: str
     title: str
@@ -54,7 +54,7 @@ class Story:
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of a claim under one formulation: the worst of its values, one per seed."""
+    """The values of a claim under one formulation, one per seed."""
 
     claim: Claim
     source: str
@@ -63,87 +63,88 @@ class Finding:
 
     @property
     def value(self) -> float:
-        """The value of the worst seed, of those for which there is one; NaN if there is none."""
+        """The worst value of all seeds, ignoring NaN; NaN if all are."""
         known = [value for value in self.values if not math.isnan(value)]
         return float(_HOLDS[self.claim.holds][1](known)) if known else math.nan
 
     @property
     def holds(self) -> str:
-        """`yes` if it holds for every seed, `no` if it fails for one, else `undecided`."""
+        """`yes` if it holds for every seed, `no` if it fails for one, otherwise `undecided`."""
         if not math.isnan(self.value) and not self._meets(self.value):
             return NO
         return YES if self.n_met == len(self.values) else UNDECIDED
 
     @property
     def n_met(self) -> int:
-        """For how many seeds it holds."""
+        """Number of seeds for which it holds."""
         return sum(self._meets(value) for value in self.values)
 
     def _meets(self, value: float) -> bool:
         return bool(_HOLDS[self.claim.holds][0](value, self.claim.threshold))
 
     def row(self) -> list[str]:
-        """Its row of `claims.csv`."""
+        """The row of `claims.csv`."""
         one = self.claim
         numbers = cell(self.value), cell(one.threshold)
         return [one.id, one.claim, self.source, self.formulation, one.measure, *numbers, self.holds]
 
 
-def load_claims(path: Path = CLAIMS) -> tuple[dict[str, Story], list[str]]:
-    """The exhibits by id, in the order of the file, and the paper's inconsistencies."""
+def load_claims(path: Path = CLAIMS) -> tuple[dict[str, ExhibitSpec], list[str]]:
+    """The exhibits by id, in the order of the file, and the inconsistencies of the paper."""
     document = yaml.safe_load(path.read_text("utf-8"))
-    stories = {}
+    specs = {}
     for name, spec in document["exhibits"].items():
         claims = {key: Claim(key, **each) for key, each in spec.pop("claims").items()}
-        stories[name] = Story(name, claims=claims, **spec)
-    return stories, document["inconsistencies"]
+        specs[name] = ExhibitSpec(name, claims=claims, **spec)
+    return specs, document["inconsistencies"]
 
 
-def matching(stories: Mapping[str, Story], only: Iterable[str]) -> dict[str, Story]:
-    """The exhibits and claims that ids or their beginnings stand for; all if there is none.
+def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, ExhibitSpec]:
+    """The exhibits and claims whose ids begin with one of `only`; all of them if it is empty.
 
-    `fig1` is fig1 alone, not fig10; `fig13` is fig13a and fig13b; `table4` is all of Table IV.
+    `fig1` selects fig1 alone, not fig10; `fig13` selects fig13a and fig13b; `table4` selects all of
+    Table IV.
 
     Raises
     ------
     ParameterError
-        If an id stands for nothing.
+        If nothing begins with one of `only`.
     """
     asked = [text.strip() for text in only if text.strip()]
     if not asked:
-        return dict(stories)
-    ids = {each: story.id for story in stories.values() for each in (story.id, *story.claims)}
+        return dict(specs)
+    ids = {each: spec.id for spec in specs.values() for each in (spec.id, *spec.claims)}
     for text in asked:
-        if not any(_stands_for(text, each) for each in ids):
+        if not any(_matches(text, each) for each in ids):
             near = nearest(text[:100], ids)
             hint = f"Did you mean '{near}'? " if near else ""
-            mend = f"{hint}Choose from {', '.join(stories)}, or one of their claims."
+            mend = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
             raise ParameterError(
                 "Invalid value for '--only'", f"there is no {text[:40]!r} to reproduce", mend
             )
     found = {}
-    for story in stories.values():
-        is_whole = any(_stands_for(text, story.id) for text in asked)
+    for spec in specs.values():
+        is_whole = any(_matches(text, spec.id) for text in asked)
         claims = {
             key: claim
-            for key, claim in story.claims.items()
-            if is_whole or any(_stands_for(text, key) for text in asked)
+            for key, claim in spec.claims.items()
+            if is_whole or any(_matches(text, key) for text in asked)
         }
         if claims:
-            found[story.id] = Story(**{**vars(story), "claims": claims})
+            found[spec.id] = ExhibitSpec(**{**vars(spec), "claims": claims})
     return found
 
 
-def _stands_for(text: str, name: str) -> bool:
-    """Whether `name` is `text`, or goes on behind it with something else than a digit."""
+def _matches(text: str, name: str) -> bool:
+    """Whether `name` begins with `text`, and the next character, if any, is not a digit."""
     return name.startswith(text) and not name[len(text) : len(text) + 1].isdigit()
 
 
-def findings(story: Story, values: Values) -> list[Finding]:
+def findings(spec: ExhibitSpec, values: Values) -> list[Finding]:
     """Each claim of an exhibit under each formulation."""
     return [
-        Finding(claim, story.source, formulation, tuple(values[key][formulation]))
-        for key, claim in story.claims.items()
+        Finding(claim, spec.source, formulation, tuple(values[key][formulation]))
+        for key, claim in spec.claims.items()
         for formulation in (ANY, *FORMULATIONS)
         if formulation in values[key]
     ]
@@ -155,7 +156,7 @@ def write_claims(path: Path, found: Iterable[Finding]) -> None:
 
 
 def counts(found: Sequence[Finding]) -> dict[str, dict[str, int]]:
-    """Formulation -> how many claims hold, do not, are undecided.
+    """Formulation -> numbers of claims that hold, do not hold, and are undecided.
 
     Claims that are not about the D-LGMD count under `any`.
     """

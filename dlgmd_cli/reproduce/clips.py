@@ -1,4 +1,4 @@
-"""What the models see when the paper is reproduced, and what they say about it."""
+"""The clips on which the paper's claims are checked, and the models' responses to them."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -29,7 +29,7 @@ REFERENCE_FPS = 30.0
 
 @dataclass(frozen=True)
 class Clip:
-    """A scene with options, by flag, or a folder of pictures; the same clip is rendered once."""
+    """A scene with its options by flag, or a folder of pictures."""
 
     scene: str
     flags: tuple[tuple[str, Any], ...] = ()
@@ -42,18 +42,18 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class Watcher:
-    """A model, and the linear scale at which it sees the clip."""
+class ModelSpec:
+    """The parameters of a model, and the linear scale of its frames."""
 
     params: Parameters
     scale: float = 1.0
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What models said of a clip: results by label, and the ground truth of a scene by column.
+class ClipResults:
+    """The results of models on a clip by label, and the scene's ground truth by column.
 
-    `phases` holds the first and the last frame of each phase of a flight.
+    `phases` has the first and the last frame of each phase of a flight.
     """
 
     results: dict[str, Result]
@@ -62,7 +62,7 @@ class Seen:
 
     @property
     def collision_frame(self) -> int:
-        """The first frame at or after contact, else the last frame."""
+        """The first frame at or after contact; without contact, the last frame."""
         result = next(iter(self.results.values()))
         found = result.collision_frame
         return int(result.frame[-1]) if found is None else found
@@ -70,66 +70,68 @@ class Seen:
 
 @dataclass(frozen=True)
 class Job:
-    """Something to compute, under the key that finds it again; `alone` if it is timed."""
+    """A call, the key of its result, and whether its time is measured."""
 
     key: Any
     name: str
     call: Callable[[], Any] = field(compare=False)
-    alone: bool = False
+    is_timed: bool = False
 
 
 def model(name: str, formulation: str = "default", **changes: Any) -> Parameters:
-    """Parameters by name, `set9`, `lgmd` or `emd-lgmd`, with some of them replaced."""
+    """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
     if name in MODELS:
         return merge(MODELS[name].parameters, load_model_preset(name), changes)
     return load_set(name.removeprefix("set"), formulation=formulation, **changes)
 
 
-def in_all(name: str, **changes: Any) -> dict[str, Watcher]:
-    """A set of the D-LGMD in every formulation, by labels such as `set9/released`."""
-    return {f"{name}/{f}": Watcher(model(name, f, **changes)) for f in FORMULATIONS}
+def all_formulations(*names: str, **changes: Any) -> dict[str, ModelSpec]:
+    """Sets of the D-LGMD in every formulation, by labels such as `set9/released`."""
+    return {
+        f"{name}/{f}": ModelSpec(model(name, f, **changes)) for name in names for f in FORMULATIONS
+    }
 
 
-def others(*names: str) -> dict[str, Watcher]:
-    """The models that it is compared with, by name."""
-    return {name: Watcher(model(name)) for name in names}
+def other_models(*names: str) -> dict[str, ModelSpec]:
+    """Models that the D-LGMD is compared with, by name."""
+    return {name: ModelSpec(model(name)) for name in names}
 
 
-def watch(clip: Clip, watchers: Mapping[str, Watcher]) -> Seen:
-    """Render a clip once and step every model with it.
+def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
+    """Render a clip once, and run every model over it.
 
-    Peaks of the results end at the collision, if the scene has one.
+    If the scene has a collision, the results' peaks end there.
     """
-    frames, fps, collision_frame, truth, phases = _opened(clip)
-    models = {label: create_model(one.params, engine="opencv") for label, one in watchers.items()}
-    rows: dict[str, list[tuple[float, ...]]] = {label: [] for label in watchers}
+    frames, fps, collision_frame, truth, phases = _open_clip(clip)
+    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
+    rows: dict[str, list[tuple[float, ...]]] = {label: [] for label in models}
     sizes: dict[str, tuple[int, int]] = {}
     n_frames = 0
     with opencv_threads(1):
         for index, grey in enumerate(frames):
             n_frames = index + 1
             height, width = grey.shape
-            for label, one in watchers.items():
+            for label, one in models.items():
                 sizes[label] = max(1, round(width * one.scale)), max(1, round(height * one.scale))
             at = {size: grey if size == (width, height) else resized(grey, size)
                   for size in sizes.values()}  # fmt: skip
-            for label, each in models.items():
-                said = each.step(at[sizes[label]])
-                rows[label].append((said.mp, said.p_sum, said.s_sum, said.attenuation_db))
+            for label, each in created.items():
+                found = each.step(at[sizes[label]])
+                rows[label].append((found.mp, found.p_sum, found.s_sum, found.attenuation_db))
     frame = np.arange(n_frames)
     results = {}
-    for label, one in watchers.items():
+    for label, one in models.items():
         width, height = sizes[label]
         record: dict[str, Any] = {"processed": {"width": width, "height": height}}
         if collision_frame is not None:
             record["collision_frame"] = collision_frame
         mp, p_sum, s_sum, db = np.array(rows[label]).T
         results[label] = Result(frame, frame / fps, mp, p_sum, s_sum, db, one.params, record)
-    return Seen(results, truth, phases)
+    return ClipResults(results, truth, phases)
 
 
-def _opened(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Series], Any]:
-    """Frames, frame rate, collision, truth and phases of a clip."""
+def _open_clip(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Series], Any]:
+    """Frames, frame rate, collision frame, ground truth and phases of a clip."""
     if clip.folder:
         return pictures(clip.folder), REFERENCE_FPS, None, {}, {}
     scene = find_scene(clip.scene)
@@ -144,14 +146,14 @@ def _opened(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Se
 
 
 def pictures(folder: str) -> Iterator[Grey]:
-    """The pictures of a folder at their own size, as grey levels."""
+    """The pictures in a folder at full size, as grey levels."""
     with open_video(folder, scale=1.0) as video:
         for frame in video:
             yield frame.grey
 
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
-    """The authors' own frames of a scene where they are given, else the tool's scene."""
+    """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
     folder = None if reference is None else reference / scene.replace("-", "_")
     if folder is not None and folder.is_dir():
         return Clip(scene, folder=str(folder))
@@ -159,38 +161,39 @@ def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
 
 
 def check_reference(reference: Path | None) -> None:
-    """Raise ParameterError if a folder of reference frames holds none."""
+    """Raise ParameterError if the folder of reference frames has none of them."""
     names = ("looming_ball", "ball_and_capsules")
     if reference is not None and not any((reference / name).is_dir() for name in names):
         why = f"{reference} holds neither {names[0]} nor {names[1]}"
         raise ParameterError("--reference", why, "Give the folder that holds them.")
 
 
-# The objects of the paper's Fig. 8, in a picture 800 px wide: how far below the middle, in px, and
-# speed to the right in px/frame; half of the width and height of a box around each; and the ball's
-# distance of its centre at frame 0 and at frame 61, in units of its radius.
+# The objects of the paper's Fig. 8, in a picture 800 px wide. Of each capsule: offset below the
+# middle in px, and speed to the right in px/frame; then their start, and half the size of their
+# boxes. Of the ball: radius in px at frame 0, radius in m, distance in m on arrival, frame of the
+# arrival, and focal length in px.
 CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
 _START_PX, _HALF_PX = -312.0, (38.0, 48.0)
 _BALL_PX, _BALL_M, _ARRIVES_M, _ARRIVES_AT, _FOCAL_PX = 25.0, 0.5, 0.6, 61.0, 476.7
-# Later, boxes of capsules and of the ball overlap.
+# Last frame at which the boxes of the capsules and of the ball do not overlap.
 LAST_APART = 42
 
 
-def object_sums(clip: Clip, watchers: Mapping[str, Watcher]) -> dict[str, Series]:
-    """Sums of P and S in the box of the ball and of each capsule, by label.
+def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series]:
+    """Sums of P and S within a box around each object, by label.
 
-    Each has the shape (2, n_frames, 5), NaN before the model is valid, the ball first.
+    Shape (2, n_frames, 5): the ball, then the capsules. NaN until the model's first valid frame.
     """
-    models = {label: create_model(one.params, engine="opencv") for label, one in watchers.items()}
-    sums: dict[str, list[Series]] = {label: [] for label in watchers}
+    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
+    sums: dict[str, list[Series]] = {label: [] for label in models}
     with opencv_threads(1):
-        for index, grey in enumerate(_opened(clip)[0]):
+        for index, grey in enumerate(_open_clip(clip)[0]):
             boxes = _boxes(grey.shape, index)
-            for label, each in models.items():
-                said = each.step(grey, layers=True)
+            for label, each in created.items():
+                response = each.step(grey, layers=True)
                 found = np.full((2, len(boxes)), np.nan)
-                if said.is_valid and said.layers is not None:
-                    for row, layer in enumerate((said.layers.p, said.layers.s)):
+                if response.is_valid and response.layers is not None:
+                    for row, layer in enumerate((response.layers.p, response.layers.s)):
                         assert layer is not None
                         found[row] = [float(np.abs(layer[box]).sum()) for box in boxes]
                 sums[label].append(found)
@@ -198,7 +201,7 @@ def object_sums(clip: Clip, watchers: Mapping[str, Watcher]) -> dict[str, Series
 
 
 def _boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
-    """Rows and columns of the ball and of each capsule at a frame."""
+    """Rows and columns of the boxes around the ball and each capsule at a frame."""
     height, width = shape
     px = width / 800.0
     far_m = _FOCAL_PX * _BALL_M / _BALL_PX

@@ -1,4 +1,4 @@
-"""Everything that a report needs, computed by several processes."""
+"""Run the jobs of a report in several processes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -7,29 +7,29 @@ from dlgmd_cli import cancel
 from dlgmd_cli.errors import WorkerError
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.reproduce import flights, stimuli
-from dlgmd_cli.reproduce.claims import Story
+from dlgmd_cli.reproduce.claims import ExhibitSpec
 from dlgmd_cli.reproduce.clips import Job
-from dlgmd_cli.reproduce.plan import Data, Plan, joined
+from dlgmd_cli.reproduce.plan import Data, Plan, merged
 
 EXHIBITS = {one.id: one for one in (*stimuli.EXHIBITS, *flights.EXHIBITS)}
 
 
-def jobs_for(stories: Mapping[str, Story], plan: Plan) -> list[Job]:
-    """What some exhibits need, each once; what is timed comes last."""
-    needed = joined([job for name in stories for job in EXHIBITS[name].jobs(plan)])
-    return sorted(needed, key=lambda job: job.alone)
+def jobs_for(specs: Mapping[str, ExhibitSpec], plan: Plan) -> list[Job]:
+    """The jobs that some exhibits need, each once; timed jobs come last."""
+    needed = merged([job for name in specs for job in EXHIBITS[name].jobs(plan)])
+    return sorted(needed, key=lambda job: job.is_timed)
 
 
 def compute(jobs: Sequence[Job], n_processes: int, on_job: Callable[[int, str], None]) -> Data:
-    """Do all jobs, those that are timed one by one in this process.
+    """Run all jobs; timed jobs run one by one in this process.
 
-    `on_job` is called with the number that are done, and the name of one. Raises Interrupted if the
-    user asks to stop, and what a job raises.
+    `on_job` is called with the number of jobs done and the name of the last. Raises Interrupted if
+    the user asks to stop, and passes on the exceptions of a job.
     """
     data: dict[Any, Any] = {}
-    shared = [job for job in jobs if not job.alone]
+    shared = [job for job in jobs if not job.is_timed]
     if n_processes > 1 and len(shared) > 1:
-        for job, outcome in run_tasks(do, shared, min(n_processes, len(shared))):
+        for job, outcome in run_tasks(run_job, shared, min(n_processes, len(shared))):
             if isinstance(outcome.error, WorkerError):
                 raise WorkerError(job.name, outcome.error.why, outcome.error.mend)
             data[job.key] = outcome.result()
@@ -37,12 +37,12 @@ def compute(jobs: Sequence[Job], n_processes: int, on_job: Callable[[int, str], 
     for job in jobs:
         if job.key not in data:
             cancel.check()
-            data[job.key] = do(job)
+            data[job.key] = job.call()
             on_job(len(data), job.name)
     cancel.check()
     return data
 
 
-def do(job: Job) -> Any:
-    """What a job computes, in any process."""
+def run_job(job: Job) -> Any:
+    """Run a job; a function of the module, so that workers can import it."""
     return job.call()

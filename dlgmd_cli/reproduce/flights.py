@@ -1,4 +1,4 @@
-"""The paper's figures of flights, groups 1 to 5, and its Table IV."""
+"""The exhibits with flights: the figures of groups 1 to 5, and Table IV."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,15 @@ import numpy as np
 
 from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.reproduce.clips import Clip, Job, Seen, Watcher, in_all, model, others
+from dlgmd_cli.reproduce.clips import (
+    Clip,
+    ClipResults,
+    Job,
+    ModelSpec,
+    all_formulations,
+    model,
+    other_models,
+)
 from dlgmd_cli.reproduce.plan import (
     ANY,
     Data,
@@ -18,7 +26,7 @@ from dlgmd_cli.reproduce.plan import (
     Plan,
     Values,
     by_formulation,
-    watching,
+    clip_jobs,
 )
 from dlgmd_cli.reproduce.stimuli import mean_db, share_of_peak
 from dlgmd_cli.results.result import Result, Series
@@ -35,7 +43,9 @@ from dlgmd_cli.video.frames import open_video
 
 SIZE = (270, 480)
 FIGURE_SEED = 0
-# The last second before contact is the approach; what is before it is the flight.
+_SET9 = all_formulations("set9")
+_LABELS = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
+# Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
 
 
@@ -43,45 +53,45 @@ def _flight(group: int, seed: int) -> Clip:
     return Clip.of(f"group{group}", size=SIZE, seed=seed)
 
 
-def _jobs(group: int, watchers: dict[str, Watcher]) -> Callable[[Plan], list[Job]]:
+def _jobs(group: int, models: dict[str, ModelSpec]) -> Callable[[Plan], list[Job]]:
     """The jobs of a group's flights, one for each seed."""
 
     def jobs(plan: Plan) -> list[Job]:
-        return [job for seed in plan.seeds for job in watching(_flight(group, seed), watchers)]
+        return [job for seed in plan.seeds for job in clip_jobs(_flight(group, seed), models)]
 
     return jobs
 
 
 def sustained(level: Series, first: int, last: int, n_frames: int = 2) -> float:
-    """The greatest level that is held for `n_frames` in a row, from `first` to `last`.
+    """The greatest level that `n_frames` successive frames reach, from `first` to `last`.
 
-    An alarm needs as many spikes in a row: there is one if this reaches the threshold.
+    There is an alarm if this reaches the threshold: an alarm needs as many successive spikes.
     """
     windows = np.lib.stride_tricks.sliding_window_view(level[first : last + 1], n_frames)
     return float(windows.min(axis=1).max())
 
 
-def phase(seen: Seen, name: str) -> tuple[int, int]:
-    """First and last frame of a phase; it ends before the approach."""
-    first, last = seen.phases[name]
-    return first, max(first + 1, min(last, seen.collision_frame - APPROACH_FRAMES))
+def phase(flight: ClipResults, name: str) -> tuple[int, int]:
+    """First and last frame of a phase, without the approach."""
+    first, last = flight.phases[name]
+    return first, max(first + 1, min(last, flight.collision_frame - APPROACH_FRAMES))
 
 
-def held(seen: Seen, label: str, name: str) -> float:
-    """The greatest sustained share of the peak in a phase, or in the last frames to contact."""
-    end = seen.collision_frame
-    window = (end - CONTACT_FRAMES, end) if name == "contact" else phase(seen, name)
-    return sustained(share_of_peak(seen.results[label]), *window)
+def level_in(flight: ClipResults, label: str, name: str) -> float:
+    """The greatest sustained K, as a share of its peak, in a phase or in the window to contact."""
+    end = flight.collision_frame
+    window = (end - CONTACT_FRAMES, end) if name == "contact" else phase(flight, name)
+    return sustained(share_of_peak(flight.results[label]), *window)
 
 
-def _each(plan: Plan, data: Data, group: int) -> list[Seen]:
+def _flights(plan: Plan, data: Data, group: int) -> list[ClipResults]:
     return [data[_flight(group, seed)] for seed in plan.seeds]
 
 
-def _spans(seen: Seen) -> list[tuple[float, float, str]]:
-    """The phases but the first, for figures, in frames."""
+def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
+    """First frame, last frame and name of the phases that a figure shows: all but the first."""
     short = {"accelerate": "accel.", "decelerate": "brake", "collision": ""}
-    named = list(seen.phases.items())[1:]
+    named = list(flight.phases.items())[1:]
     return [
         (float(first), float(last), short.get(name, name))
         for name, (first, last) in named
@@ -89,71 +99,66 @@ def _spans(seen: Seen) -> list[tuple[float, float, str]]:
     ]
 
 
-def _panel(title: str, seen: Seen, curves: dict[str, Series], **more: Any) -> Panel:
-    frame = np.arange(seen.collision_frame + 1.0)
+def _panel(title: str, flight: ClipResults, curves: dict[str, Series], **more: Any) -> Panel:
+    frame = np.arange(flight.collision_frame + 1.0)
     shown = {label: (frame, values[: len(frame)]) for label, values in curves.items()}
-    return Panel(title, shown, _spans(seen), float(seen.collision_frame), **more)
+    return Panel(title, shown, _spans(flight), float(flight.collision_frame), **more)
 
 
-def _shares(title: str, seen: Seen, labels: dict[str, str]) -> Panel:
-    """K as a share of its peak; `labels` are what the legend calls the results."""
-    curves = {shown: share_of_peak(seen.results[label]) for label, shown in labels.items()}
-    return _panel(title, seen, curves, level=0.4)
+def _shares(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
+    """A panel of K as a share of its peak; `labels` maps labels of results to the legend's."""
+    curves = {shown: share_of_peak(flight.results[label]) for label, shown in labels.items()}
+    return _panel(title, flight, curves, level=0.4)
 
 
 # --- Fig. 1 -----------------------------------------------------------------------------------
 
 
 def _fig1_values(plan: Plan, data: Data) -> Values:
-    flights = _each(plan, data, 1)
+    flights = _flights(plan, data, 1)
     return {
-        "fig1-pitch": {ANY: [held(seen, "lgmd", "pitch") for seen in flights]},
-        "fig1-accelerate": {ANY: [held(seen, "lgmd", "accelerate") for seen in flights]},
+        "fig1-pitch": {ANY: [level_in(flight, "lgmd", "pitch") for flight in flights]},
+        "fig1-accelerate": {ANY: [level_in(flight, "lgmd", "accelerate") for flight in flights]},
     }
 
 
 def _fig1_figures(plan: Plan, data: Data) -> Figures:
-    seen = data[_flight(1, FIGURE_SEED)]
-    panels = [_shares("Group 1", seen, {"lgmd": "LGMD"})]
+    flight = data[_flight(1, FIGURE_SEED)]
+    panels = [_shares("Group 1", flight, {"lgmd": "LGMD"})]
     return {"fig1": partial(plot_panels, panels, "Frame", "K / max K")}
 
 
 # --- Fig. 13 ----------------------------------------------------------------------------------
 
-_FIG_13 = {**in_all("set9"), **others("lgmd", "emd-lgmd")}
+_FIG_13 = {**_SET9, **other_models("lgmd", "emd-lgmd")}
 _WITHOUT = {
-    f"{label}/no-ffi-gd": one for label, one in in_all("set9", ffi_gd=False).items()
-}  # fmt: skip
+    f"{label}/no-ffi-gd": one for label, one in all_formulations("set9", ffi_gd=False).items()
+}
 
 
 def _fig13a_jobs(plan: Plan) -> list[Job]:
     return [*_jobs(1, _FIG_13)(plan), *_jobs(2, _FIG_13)(plan)]
 
 
-def _most_before(flights: list[Seen], label: str) -> list[float]:
-    """The greatest sustained share of the peak before the approach, of each flight."""
-    return [max(held(seen, label, name) for name in ("pitch", "accelerate")) for seen in flights]
-
-
-def _of_set9(value: Callable[[str], list[float]], formulation: str) -> list[float]:
-    return value(f"set9/{formulation}")
+def _most_before(flights: list[ClipResults], label: str) -> list[float]:
+    """The greatest sustained share of the peak before the approach of each flight."""
+    phases = ("pitch", "accelerate")
+    return [max(level_in(flight, label, name) for name in phases) for flight in flights]
 
 
 def _fig13a_values(plan: Plan, data: Data) -> Values:
     values: Values = {}
     for group in (1, 2):
-        flights = _each(plan, data, group)
-
-        most = partial(_most_before, flights)
-        values[f"fig13a-silent-group{group}"] = by_formulation(partial(_of_set9, most))
+        most = partial(_most_before, _flights(plan, data, group))
+        own = {f: most(f"set9/{f}") for f in FORMULATIONS}
+        values[f"fig13a-silent-group{group}"] = own
         values[f"fig13a-lgmd-group{group}"] = {ANY: most("lgmd")}
         values[f"fig13a-emd-group{group}"] = {ANY: most("emd-lgmd")}
     return values
 
 
 def _fig13a_figures(plan: Plan, data: Data) -> Figures:
-    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
-    labels["emd-lgmd"] = "EMD-LGMD"
+    labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
     panels = [
         _shares(f"Group {group}", data[_flight(group, FIGURE_SEED)], labels) for group in (1, 2)
     ]
@@ -161,17 +166,17 @@ def _fig13a_figures(plan: Plan, data: Data) -> Figures:
 
 
 def _fig13b_jobs(plan: Plan) -> list[Job]:
-    return _jobs(1, {**in_all("set9"), **_WITHOUT})(plan)
+    return _jobs(1, {**_SET9, **_WITHOUT})(plan)
 
 
-def _n_active(seen: Seen, label: str) -> int:
-    """Frames before the approach at which something passes the threshold of G."""
-    before = seen.results[label].mp[: seen.collision_frame - APPROACH_FRAMES]
+def _n_active(flight: ClipResults, label: str) -> int:
+    """Number of frames before the approach with K above 0."""
+    before = flight.results[label].mp[: flight.collision_frame - APPROACH_FRAMES]
     return int(np.count_nonzero(np.nan_to_num(before) > 0.0))
 
 
 def _fig13b_values(plan: Plan, data: Data) -> Values:
-    flights = _each(plan, data, 1)
+    flights = _flights(plan, data, 1)
 
     def left(formulation: str) -> list[float]:
         label = f"set9/{formulation}"
@@ -185,14 +190,14 @@ def _fig13b_values(plan: Plan, data: Data) -> Values:
 
 
 def _fig13b_figures(plan: Plan, data: Data) -> Figures:
-    seen = data[_flight(1, FIGURE_SEED)]
+    flight = data[_flight(1, FIGURE_SEED)]
 
     def panel(formulation: str) -> Panel:
         label = f"set9/{formulation}"
         raw = {"without FFI-GD": f"{label}/no-ffi-gd", "with FFI-GD": label}
-        curves = {shown: seen.results[of].mp for shown, of in raw.items()}
+        curves = {shown: flight.results[of].mp for shown, of in raw.items()}
         curves = {shown: np.where(mp > 0.0, mp, np.nan) for shown, mp in curves.items()}
-        return _panel(formulation, seen, curves)
+        return _panel(formulation, flight, curves)
 
     panels = [panel(f) for f in FORMULATIONS]
     return {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)}
@@ -201,31 +206,32 @@ def _fig13b_figures(plan: Plan, data: Data) -> Figures:
 # --- Fig. 14 ----------------------------------------------------------------------------------
 
 _FIG_14_SETS = (3, 6, 7, 8)
-_FIG_14 = {k: v for n in _FIG_14_SETS for k, v in in_all(f"set{n}").items()} | others("lgmd")
+_FIG_14 = all_formulations(*(f"set{n}" for n in _FIG_14_SETS)) | other_models("lgmd")
 _BRAKE_FRAMES = 10
-# Of the peak; less before braking is nothing that could drop.
+# Least level before braking, as a share of the peak, whose drop is measured.
 _TO_DROP = 0.05
 
 
 def _drop(level: Series, first: int) -> float:
-    """The mean level after braking begins over that before; NaN if that is next to nothing."""
+    """Mean level after braking begins, divided by that before; NaN if that is too low."""
     before = float(level[first - _BRAKE_FRAMES : first].mean())
     after = float(level[first : first + _BRAKE_FRAMES].mean())
     return after / before if before >= _TO_DROP else math.nan
 
 
 def _fig14_values(plan: Plan, data: Data) -> Values:
-    flights = _each(plan, data, 2)
+    flights = _flights(plan, data, 2)
 
-    def pitch(seen: Seen, formulation: str, *numbers: int) -> list[float]:
-        return [held(seen, f"set{n}/{formulation}", "pitch") for n in numbers]
+    def pitch(flight: ClipResults, formulation: str, *numbers: int) -> list[float]:
+        return [level_in(flight, f"set{n}/{formulation}", "pitch") for n in numbers]
 
-    def order(seen: Seen, formulation: str) -> float:
-        most, least = max(pitch(seen, formulation, 6, 8)), min(pitch(seen, formulation, 3, 7))
+    def order(flight: ClipResults, formulation: str) -> float:
+        most, least = max(pitch(flight, formulation, 6, 8)), min(pitch(flight, formulation, 3, 7))
         return most / least if least > 0.0 else math.nan
 
-    def worse(seen: Seen, formulation: str) -> float:
-        return max(pitch(seen, formulation, *_FIG_14_SETS)) / held(seen, "lgmd", "pitch")
+    def worse(flight: ClipResults, formulation: str) -> float:
+        lgmd = level_in(flight, "lgmd", "pitch")
+        return max(pitch(flight, formulation, *_FIG_14_SETS)) / lgmd
 
     def drop(number: int, formulation: str) -> list[float]:
         label = f"set{number}/{formulation}"
@@ -243,9 +249,9 @@ def _fig14_values(plan: Plan, data: Data) -> Values:
 
 
 def _fig14_figures(plan: Plan, data: Data) -> Figures:
-    seen = data[_flight(2, FIGURE_SEED)]
+    flight = data[_flight(2, FIGURE_SEED)]
     panels = [
-        _shares(f, seen, {**{f"set{n}/{f}": f"set {n}" for n in _FIG_14_SETS}, "lgmd": "LGMD"})
+        _shares(f, flight, {**{f"set{n}/{f}": f"set {n}" for n in _FIG_14_SETS}, "lgmd": "LGMD"})
         for f in FORMULATIONS
     ]
     return {"fig14": partial(plot_panels, panels, "Frame", "K / max K")}
@@ -253,21 +259,21 @@ def _fig14_figures(plan: Plan, data: Data) -> Figures:
 
 # --- Figs. 15, 16 and 17 ------------------------------------------------------------------------
 
-_FIG_15 = {**in_all("set9"), **others("lgmd")}
+_FIG_15 = {**_SET9, **other_models("lgmd")}
 
 
 def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
-    """Of group 4, Fig. 15, and group 5, Fig. 16."""
-    flights = _each(plan, data, group)
+    """The values of Fig. 15 (group 4) or Fig. 16 (group 5)."""
+    flights = _flights(plan, data, group)
 
-    def flying(seen: Seen, label: str) -> float:
+    def flying(flight: ClipResults, label: str) -> float:
         """Mean attenuation from take-off until the drone accelerates."""
-        first, last = seen.phases["take off"][0], seen.phases["accelerate"][0] - 1
-        return mean_db(seen.results[label], first, last)
+        first, last = flight.phases["take off"][0], flight.phases["accelerate"][0] - 1
+        return mean_db(flight.results[label], first, last)
 
-    def rise(seen: Seen, label: str) -> float:
-        end = seen.collision_frame
-        return mean_db(seen.results[label], end - CONTACT_FRAMES, end) - flying(seen, label)
+    def rise(flight: ClipResults, label: str) -> float:
+        end = flight.collision_frame
+        return mean_db(flight.results[label], end - CONTACT_FRAMES, end) - flying(flight, label)
 
     def causal(result: Result, end: int) -> float:
         return sustained(np.nan_to_num(result.mp_abs), 0, end)
@@ -277,42 +283,36 @@ def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
         f"{name}-attenuates": by_formulation(lambda f: [flying(s, f"set9/{f}") for s in flights]),
         f"{name}-rising": by_formulation(lambda f: [rise(s, f"set9/{f}") for s in flights]),
         f"{name}-detects": by_formulation(
-            lambda f: [held(s, f"set9/{f}", "contact") for s in flights]
+            lambda f: [level_in(s, f"set9/{f}", "contact") for s in flights]
         ),
         f"{name}-causal": by_formulation(
             lambda f: [causal(s.results[f"set9/{f}"], s.collision_frame) for s in flights]
         ),
-        f"{name}-lgmd": {ANY: [held(s, "lgmd", "contact") for s in flights]},
+        f"{name}-lgmd": {ANY: [level_in(s, "lgmd", "contact") for s in flights]},
     }
 
 
 def _approach_figures(group: int, number: int, plan: Plan, data: Data) -> Figures:
-    seen = data[_flight(group, FIGURE_SEED)]
-    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
-    db = {shown: seen.results[label].attenuation_db for label, shown in labels.items()}
+    flight = data[_flight(group, FIGURE_SEED)]
+    db = {shown: flight.results[label].attenuation_db for label, shown in _LABELS.items()}
     db = {shown: np.maximum(values, -60.0) for shown, values in db.items()}
     panels = [
-        _shares(f"Group {group}: K / max K", seen, labels),
-        _panel("Attenuation", seen, db, y_label="dB"),
+        _shares(f"Group {group}: K / max K", flight, _LABELS),
+        _panel("Attenuation", flight, db, y_label="dB"),
     ]
     return {f"fig{number}": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
 
 
 def _fig17_values(plan: Plan, data: Data) -> Values:
-    flights = _each(plan, data, 3)
-
-    def near(part: str, formulation: str) -> list[float]:
-        return [held(seen, f"set9/{formulation}", part) for seen in flights]
-
+    flights = _flights(plan, data, 3)
     return {
-        "fig17-silent": by_formulation(partial(near, "yaw")),
-        "fig17-answers": by_formulation(partial(near, "contact")),
+        claim: {f: [level_in(s, f"set9/{f}", part) for s in flights] for f in FORMULATIONS}
+        for claim, part in (("fig17-silent", "yaw"), ("fig17-answers", "contact"))
     }
 
 
 def _fig17_figures(plan: Plan, data: Data) -> Figures:
-    labels = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
-    panels = [_shares("Group 3", data[_flight(3, FIGURE_SEED)], labels)]
+    panels = [_shares("Group 3", data[_flight(3, FIGURE_SEED)], _LABELS)]
     return {"fig17": partial(plot_panels, panels, "Frame", "K / max K")}
 
 
@@ -323,7 +323,7 @@ BEST_SCALE = 0.25
 
 
 def _scales(plan: Plan) -> tuple[float, ...]:
-    """Linear scales of 1920x1080; a quick report renders half of that."""
+    """The scales of Table IV relative to 1920x1080; a quick report leaves out the full scale."""
     return SCALES[1:] if plan.quick else SCALES
 
 
@@ -342,38 +342,35 @@ def _point(formulation: str, radius: int, scale: float) -> str:
 
 
 def _da_jobs(plan: Plan) -> list[Job]:
-    # A job for each formulation, so that processes share them; rendering is the lesser part.
+    # One job per formulation, to run in parallel: rendering the clip again costs less than a model.
     jobs = []
     scales = _scales(plan)
     for seed in _table4_seeds(plan):
         for f in FORMULATIONS:
-            watchers = {
-                _point(f, r, x): Watcher(model(_SET, f, r=r), x / scales[0])
+            models = {
+                _point(f, r, x): ModelSpec(model(_SET, f, r=r), x / scales[0])
                 for r in RADII
                 for x in scales
             }
             clip = _table4_clip(plan, seed)
-            call = watching(clip, watchers)[0].call
+            call = clip_jobs(clip, models)[0].call
             jobs.append(Job(("da", clip, f), f"table4, {f}", call))
     return jobs
 
 
-def distinguishability(seen: Seen, label: str) -> float:
-    """DA with the middle of the pitch as the false positive; 0 where the model never answers."""
-    first, last = seen.phases["pitch"]
-    found = seen.results[label].distinguishability((first + last) // 2)
+def distinguishability(flight: ClipResults, label: str) -> float:
+    """DA with the middle of the pitch as the false positive; 0 if the model never responds."""
+    first, last = flight.phases["pitch"]
+    found = flight.results[label].distinguishability((first + last) // 2)
     return 0.0 if math.isnan(found) else found
 
 
 def da_table(plan: Plan, data: Data, formulation: str, seed: int) -> Series:
-    """DA, a row for each radius and a column for each scale.
-
-    Infinite where the model is silent at the pitch.
-    """
-    seen = data["da", _table4_clip(plan, seed), formulation]
+    """DA by radius (rows) and scale (columns); infinite where the model is silent at the pitch."""
+    flight = data["da", _table4_clip(plan, seed), formulation]
     return np.array(
         [
-            [distinguishability(seen, _point(formulation, r, x)) for x in _scales(plan)]
+            [distinguishability(flight, _point(formulation, r, x)) for x in _scales(plan)]
             for r in RADII
         ]
     )
@@ -406,7 +403,7 @@ def _da_values(plan: Plan, data: Data) -> Values:
 
 
 def _ratio(one: float, other: float) -> float:
-    """How many times as great; 1 where both are infinite, or both 0."""
+    """The ratio of two DA; 1 if both are infinite, or both 0."""
     if math.isinf(one) and math.isinf(other):
         return 1.0
     if other == 0.0:
@@ -437,13 +434,13 @@ _CORNERS = ((6, 1.0), (6, 0.25), (2, 0.02))
 
 def _time_jobs(plan: Plan) -> list[Job]:
     return [
-        Job(("time", f), f"timing, {f}", partial(times, f, plan.quick), alone=True)
+        Job(("time", f), f"timing, {f}", partial(time_model, f, plan.quick), is_timed=True)
         for f in FORMULATIONS
     ]
 
 
-def times(formulation: str, quick: bool) -> list[dict[str, Any]]:
-    """Rows of `dlgmd bench`, of single radii and scales if `quick`."""
+def time_model(formulation: str, quick: bool) -> list[dict[str, Any]]:
+    """The rows of `dlgmd bench`; if `quick`, only three combinations of radius and scale."""
     params = model(_SET, formulation)
     assert isinstance(params, DlgmdParameters)
     n_frames = 24 if quick else 48
@@ -474,7 +471,7 @@ def _time_values(plan: Plan, data: Data) -> Values:
 
 
 def da_rows(plan: Plan, data: Data) -> list[tuple[float, ...]]:
-    """Radius, scale, the paper's DA, and ours under each formulation; empty if not computed."""
+    """Radius, scale, the paper's DA, and our DA for each formulation; empty if not computed."""
     if ("da", _table4_clip(plan, FIGURE_SEED), FORMULATIONS[0]) not in data:
         return []
     tables = [da_table(plan, data, f, FIGURE_SEED) for f in FORMULATIONS]
@@ -486,7 +483,7 @@ def da_rows(plan: Plan, data: Data) -> list[tuple[float, ...]]:
 
 
 def time_rows(data: Data) -> list[tuple[float, ...]]:
-    """Radius, scale, the paper's seconds, and ours under each formulation; empty if not timed."""
+    """Radius, scale, the paper's time in s, and ours for each formulation; empty if not timed."""
     timed = [data["time", f] for f in FORMULATIONS if ("time", f) in data]
     return [
         (
@@ -501,7 +498,7 @@ def time_rows(data: Data) -> list[tuple[float, ...]]:
 
 
 EXHIBITS = (
-    Exhibit("fig1", _jobs(1, others("lgmd")), _fig1_values, _fig1_figures),
+    Exhibit("fig1", _jobs(1, other_models("lgmd")), _fig1_values, _fig1_figures),
     Exhibit("fig13a", _fig13a_jobs, _fig13a_values, _fig13a_figures),
     Exhibit("fig13b", _fig13b_jobs, _fig13b_values, _fig13b_figures),
     Exhibit("fig14", _jobs(2, _FIG_14), _fig14_values, _fig14_figures),

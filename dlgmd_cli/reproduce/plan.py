@@ -1,4 +1,4 @@
-"""How much is computed, and the seam that every part of the paper has: jobs, values, figures."""
+"""The plan of a report, and the interface of an exhibit: its jobs, values and figures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,35 +7,35 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.parameters import FORMULATIONS
-from dlgmd_cli.reproduce.clips import Clip, Job, Watcher, watch
+from dlgmd_cli.reproduce.clips import Clip, Job, ModelSpec, run_clip
 
-# In place of a formulation, where the claim is not about the D-LGMD.
+# Replaces the formulation of claims that are not about the D-LGMD.
 ANY = "any"
 
-# What the jobs computed, by their keys.
+# Results of the jobs, by their keys.
 Data = Mapping[Any, Any]
-# Claim -> formulation -> a value for each seed; NaN where nothing can be said.
+# Claim -> formulation -> one value per seed; NaN where it is undefined.
 Values = dict[str, dict[str, list[float]]]
-# File name without its suffix -> what draws the figure, as `plots` do.
+# File name without suffix -> the function that draws the figure.
 Figures = dict[str, Callable[[], Any]]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is computed: quickly, with one seed, or in full; and the authors' own frames."""
+    """The extent of a report (`quick`: one seed per flight), and the folder of reference frames."""
 
     quick: bool = False
     reference: Path | None = None
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Where the random parts of flights start."""
+        """The seeds of the flights."""
         return (0,) if self.quick else (0, 1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
 class Exhibit:
-    """A figure or a table of the paper: what is computed for it, and what is made of that."""
+    """A figure or table of the paper: the jobs it needs, and how its values and figures follow."""
 
     id: str
     jobs: Callable[[Plan], list[Job]]
@@ -43,24 +43,24 @@ class Exhibit:
     figures: Callable[[Plan, Data], Figures]
 
 
-def watching(clip: Clip, watchers: Mapping[str, Watcher]) -> list[Job]:
-    """The job of rendering a clip for models."""
-    return [Job(clip, clip.scene, partial(watch, clip, watchers))]
+def clip_jobs(clip: Clip, models: Mapping[str, ModelSpec]) -> list[Job]:
+    """A list of one job, which renders a clip and runs models over it."""
+    return [Job(clip, clip.scene, partial(run_clip, clip, models))]
 
 
 def by_formulation(value: Callable[[str], list[float]]) -> dict[str, list[float]]:
-    """The values of each formulation."""
+    """The values for each formulation."""
     return {formulation: value(formulation) for formulation in FORMULATIONS}
 
 
-def joined(jobs: list[Job]) -> list[Job]:
-    """Each job once; models that watch the same clip do so together."""
+def merged(jobs: list[Job]) -> list[Job]:
+    """Each job once; jobs with the same clip become one, with the models of all."""
     found: dict[Any, Job] = {}
     for job in jobs:
         before = found.get(job.key)
         if before is None or not isinstance(job.key, Clip):
             found[job.key] = job
             continue
-        watchers = {**before.call.args[1], **job.call.args[1]}  # type: ignore[attr-defined]
-        found[job.key] = watching(job.key, watchers)[0]
+        models = {**before.call.args[1], **job.call.args[1]}  # type: ignore[attr-defined]
+        found[job.key] = clip_jobs(job.key, models)[0]
     return list(found.values())

@@ -1,4 +1,4 @@
-"""The report: one HTML page that loads nothing, its figures, and `claims.csv`."""
+"""The report: one self-contained HTML page, its figures, and `claims.csv`."""
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +10,15 @@ from typing import Any
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.plots.style import save_figure
-from dlgmd_cli.reproduce.claims import NO, UNDECIDED, YES, Finding, Story, counts, write_claims
+from dlgmd_cli.reproduce.claims import (
+    NO,
+    UNDECIDED,
+    YES,
+    ExhibitSpec,
+    Finding,
+    counts,
+    write_claims,
+)
 from dlgmd_cli.reproduce.clips import model
 from dlgmd_cli.reproduce.compute import EXHIBITS
 from dlgmd_cli.reproduce.flights import da_rows, time_rows
@@ -26,7 +34,7 @@ _SETS = tuple(f"set{number}" for number in range(1, 10))
 
 
 def require_jinja() -> Any:
-    """The package that fills the template; MissingExtraError if it is not installed."""
+    """Import Jinja2; raises MissingExtraError if it is not installed."""
     try:
         import jinja2
     except ImportError:
@@ -37,42 +45,43 @@ def require_jinja() -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """An exhibit in the report: its texts, what was found, and its figures as PNG by name."""
+    """An exhibit in the report: its texts, its findings, and its figures as base64 PNG by name."""
 
-    story: Story
+    spec: ExhibitSpec
     found: Sequence[Finding]
     pictures: Mapping[str, str]
 
 
 def write_report(
     folder: Path,
-    stories: Mapping[str, Story],
+    specs: Mapping[str, ExhibitSpec],
     found: Mapping[str, Sequence[Finding]],
     inconsistencies: Sequence[str],
     plan: Plan,
     data: Data,
     command: str,
     on_figure: Callable[[int], None],
+    dpi: int,
 ) -> list[Path]:
-    """Write figures as PNG and PDF, `claims.csv`, and the report last; the paths, it first.
+    """Write the figures as PNG and PDF, then `claims.csv`, then the report; returns their paths.
 
-    An earlier report is removed first: where one is, it is of the files beside it. Raises
-    OutputError.
+    The path of the report comes first. An earlier report is removed at the start, so that a report
+    always belongs to the files beside it. Raises OutputError.
     """
     sections, paths = [], []
     with writing(folder):
         (folder / REPORT).unlink(missing_ok=True)
-        for name, story in stories.items():
+        for name, spec in specs.items():
             pictures = {}
             for stem, draw in EXHIBITS[name].figures(plan, data).items():
                 figure = draw()
                 for suffix in ("png", "pdf"):
                     path = folder / f"{stem}.{suffix}"
-                    write_file(path, partial(save_figure, figure))
+                    write_file(path, partial(save_figure, figure, dpi=dpi))
                     paths.append(path)
                 png = (folder / f"{stem}.png").read_bytes()
                 pictures[stem] = base64.b64encode(png).decode()
-            sections.append(Section(story, found[name], pictures))
+            sections.append(Section(spec, found[name], pictures))
             on_figure(len(sections))
         every = [one for some in found.values() for one in some]
         write_file(folder / TABLE, lambda file: write_claims(file, every))
@@ -114,7 +123,7 @@ def page(
 
 
 def _by_claim(found: Sequence[Finding]) -> list[list[Finding]]:
-    """The findings of each claim together."""
+    """The findings grouped by claim."""
     by_id: dict[str, list[Finding]] = {}
     for one in found:
         by_id.setdefault(one.claim.id, []).append(one)
@@ -122,7 +131,7 @@ def _by_claim(found: Sequence[Finding]) -> list[list[Finding]]:
 
 
 def number(value: float) -> str:
-    """A value with three digits, as readers want it; a dash where there is none."""
+    """A value with three digits, or whole from 1000 on; a dash for NaN."""
     if value != value:
         return "–"
     text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"

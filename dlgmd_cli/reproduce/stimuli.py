@@ -1,4 +1,4 @@
-"""The paper's figures of simple stimuli: geometry, kernels, looming, receding, translating."""
+"""The exhibits with simple stimuli: geometry, kernels, looming, receding and translation."""
 
 import tempfile
 from functools import partial
@@ -17,11 +17,10 @@ from dlgmd_cli.reproduce.clips import (
     LAST_APART,
     Clip,
     Job,
-    Seen,
-    in_all,
+    all_formulations,
     model,
     object_sums,
-    others,
+    other_models,
     reference_clip,
 )
 from dlgmd_cli.reproduce.plan import (
@@ -32,21 +31,21 @@ from dlgmd_cli.reproduce.plan import (
     Plan,
     Values,
     by_formulation,
-    watching,
+    clip_jobs,
 )
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.runs.run import Setup
 from dlgmd_cli.runs.sweep import Sweep, cubes
 
-# What counts as an answer, as a share of the peak: less is not told from zero in a figure.
+# Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05
 SILENT_DB = -60.0
 SIZE = (270, 480)
 
 
 def mean_db(result: Result, first: int = 0, last: int | None = None) -> float:
-    """Mean attenuation in dB over frames `first` to `last`; below -60 dB, nothing passes."""
+    """Mean attenuation in dB over frames `first` to `last`; values below -60 dB count as -60."""
     end = int(result.frame[-1]) if last is None else last
     within = (result.frame >= first) & (result.frame <= end) & ~np.isnan(result.attenuation_db)
     values = np.maximum(result.attenuation_db[within], SILENT_DB)
@@ -54,7 +53,7 @@ def mean_db(result: Result, first: int = 0, last: int | None = None) -> float:
 
 
 def share_of_peak(result: Result) -> Series:
-    """K / max K up to the collision, 0 before it is defined and where nothing is answered."""
+    """K divided by its peak up to the collision; 0 where undefined, or if nothing responds."""
     mp = np.nan_to_num(result.mp)
     end = result.collision_frame
     peak = float(mp[: None if end is None else end + 1].max())
@@ -62,7 +61,7 @@ def share_of_peak(result: Result) -> Series:
 
 
 def onset(result: Result) -> int:
-    """The first frame with at least `ONSET` of the peak."""
+    """The first frame at which K reaches `ONSET` of its peak."""
     return int(np.argmax(share_of_peak(result) >= ONSET))
 
 
@@ -74,7 +73,7 @@ def _fig3_clip(plan: Plan) -> Clip:
 
 
 def _fig3_jobs(plan: Plan) -> list[Job]:
-    return watching(_fig3_clip(plan), others("lgmd"))
+    return clip_jobs(_fig3_clip(plan), other_models("lgmd"))
 
 
 def _fig3_values(plan: Plan, data: Data) -> Values:
@@ -134,6 +133,7 @@ def _fig5_figures(plan: Plan, data: Data) -> Figures:
 _SPEEDS = (1.0, 2.0, 3.0, 4.0)
 _PAIRS = ((4, 1), (5, 2), (6, 3))
 _SIDE_PX = 40.0
+_SETS_1_TO_6 = all_formulations(*(f"set{n}" for n in range(1, 7)))
 
 
 def _cube(speed: float) -> Clip:
@@ -142,8 +142,7 @@ def _cube(speed: float) -> Clip:
 
 
 def _fig6_jobs(plan: Plan) -> list[Job]:
-    models = {k: v for n in range(1, 7) for k, v in in_all(f"set{n}").items()}
-    return [job for speed in _SPEEDS for job in watching(_cube(speed), models)]
+    return [job for speed in _SPEEDS for job in clip_jobs(_cube(speed), _SETS_1_TO_6)]
 
 
 def _cube_db(data: Data, speed: float, label: str) -> float:
@@ -152,7 +151,7 @@ def _cube_db(data: Data, speed: float, label: str) -> float:
 
 def _fig6_values(plan: Plan, data: Data) -> Values:
     def gain(speed: float, formulation: str) -> list[float]:
-        """By how much radial latency changes the attenuation, of each pair of sets."""
+        """The attenuation with radial latency minus that without, for each pair of sets."""
         return [
             _cube_db(data, speed, f"set{radial}/{formulation}")
             - _cube_db(data, speed, f"set{plain}/{formulation}")
@@ -185,9 +184,9 @@ _STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
 def _strength_jobs(plan: Plan) -> list[Job]:
     models = {}
     for a in _STRENGTHS:
-        for label, watcher in in_all("set4", a=a).items():
-            models[f"{label}/a{a:g}"] = watcher
-    return [job for speed in _SPEEDS for job in watching(_cube(speed), models)]
+        for label, spec in all_formulations("set4", a=a).items():
+            models[f"{label}/a{a:g}"] = spec
+    return [job for speed in _SPEEDS for job in clip_jobs(_cube(speed), models)]
 
 
 def _strength_curve(data: Data, speed: float, formulation: str) -> Series:
@@ -219,7 +218,7 @@ def _strength_figures(plan: Plan, data: Data) -> Figures:
 
 # --- Fig. 8 -----------------------------------------------------------------------------------
 
-# The last frames before contact, in which the ball passes.
+# Number of frames before contact over which the ball is measured.
 _BALL_FRAMES = 10
 
 
@@ -229,11 +228,13 @@ def _fig8_clip(plan: Plan) -> Clip:
 
 def _fig8_jobs(plan: Plan) -> list[Job]:
     clip = _fig8_clip(plan)
-    return [Job(("objects", clip), clip.scene, partial(object_sums, clip, in_all("set9")))]
+    return [
+        Job(("objects", clip), clip.scene, partial(object_sums, clip, all_formulations("set9")))
+    ]
 
 
 def _object_db(sums: Series) -> Series:
-    """Attenuation of the ball shortly before contact, and of each capsule, in dB."""
+    """Attenuation in dB: of the ball shortly before contact, then of each capsule."""
     p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
     p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
     with np.errstate(divide="ignore"):
@@ -277,8 +278,8 @@ _APPROACHES = {
 
 
 def _fig9_jobs(plan: Plan) -> list[Job]:
-    models = {**in_all("set9"), **others("lgmd")}
-    return [job for clip in _APPROACHES.values() for job in watching(clip, models)]
+    models = {**all_formulations("set9"), **other_models("lgmd")}
+    return [job for clip in _APPROACHES.values() for job in clip_jobs(clip, models)]
 
 
 def _fig9_values(plan: Plan, data: Data) -> Values:
@@ -311,7 +312,7 @@ def _fig9_figures(plan: Plan, data: Data) -> Figures:
 
     def panel(kind: str) -> Panel:
         results = data[_APPROACHES[kind]].results
-        shown = {label: results[label] for label in (*in_all("set9"), "lgmd")}
+        shown = {label: results[label] for label in (*all_formulations("set9"), "lgmd")}
         curves = {label: (r.time_s, share_of_peak(r)) for label, r in shown.items()}
         return Panel(titles[kind], curves, level=ONSET)
 
@@ -327,15 +328,14 @@ def _ball(plan: Plan) -> Clip:
 
 
 def _fig10_jobs(plan: Plan) -> list[Job]:
-    return watching(_ball(plan), {**in_all("set7"), **others("lgmd")})
+    return clip_jobs(_ball(plan), {**all_formulations("set7"), **other_models("lgmd")})
 
 
 def _fig10_values(plan: Plan, data: Data) -> Values:
-    seen: Seen = data[_ball(plan)]
+    results = data[_ball(plan)].results
 
     def curve(label: str) -> Series:
-        db = np.maximum(seen.results[label].attenuation_db, SILENT_DB)
-        return db[3:]
+        return np.maximum(results[label].attenuation_db, SILENT_DB)[3:]
 
     def part(formulation: str) -> Series:
         return curve(f"set7/{formulation}")
@@ -355,7 +355,7 @@ def _fig10_figures(plan: Plan, data: Data) -> Figures:
     results = data[_ball(plan)].results
     curves = {
         label: (results[label].frame.astype(float), results[label].attenuation_db)
-        for label in (*in_all("set7"), "lgmd")
+        for label in (*all_formulations("set7"), "lgmd")
     }
     return {
         "fig10": partial(
@@ -365,8 +365,7 @@ def _fig10_figures(plan: Plan, data: Data) -> Figures:
 
 
 def _fig12_jobs(plan: Plan) -> list[Job]:
-    models = {k: v for n in range(1, 7) for k, v in in_all(f"set{n}").items()}
-    return watching(_ball(plan), models)
+    return clip_jobs(_ball(plan), _SETS_1_TO_6)
 
 
 def _fig12_values(plan: Plan, data: Data) -> Values:
@@ -413,10 +412,10 @@ def _fig12_figures(plan: Plan, data: Data) -> Figures:
 
 # --- Fig. 11 -----------------------------------------------------------------------------------
 
-# Remarks in the paper's source say that it was made without latency, with a = 1.5 and r = 4.
+# Comments in the paper's source say: no latency, a = 1.5 and r = 4.
 _FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 _SIZE_WH = (200, 150)
-# Alone: at 1 px/frame a tenth of the change passes at most, at the others half or more.
+# Only 1 px/frame is suppressed if at most a tenth of its change passes, and half at other speeds.
 _SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
 
 
@@ -430,13 +429,13 @@ def _grid(plan: Plan) -> Grid:
 
 def _fig11_jobs(plan: Plan) -> list[Job]:
     return [
-        Job(("fig11", f), f"fig11, {f}", partial(swept, f, _grid(plan), plan.quick))
+        Job(("fig11", f), f"fig11, {f}", partial(sweep_cubes, f, _grid(plan), plan.quick))
         for f in FORMULATIONS
     ]
 
 
-def swept(formulation: str, grid: Grid, quick: bool) -> SweepResult:
-    """Attenuation of cubes at 1 to 4 px/frame at every point of a grid."""
+def sweep_cubes(formulation: str, grid: Grid, quick: bool) -> SweepResult:
+    """The attenuation of cubes at 1 to 4 px/frame for every point of a grid."""
     params = model("set1", formulation, **_FIG_11)
     subject = cubes(_SPEEDS, _SIDE_PX, 21 if quick else None, _SIZE_WH, int(_FIG_11["r"]))
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
@@ -460,7 +459,7 @@ def _fig11_values(plan: Plan, data: Data) -> Values:
         points = (values[0] <= _SUPPRESSED_DB) & (values[1:] >= _FREE_DB).all(axis=0)
         return [float(points.mean())]
 
-    # A kernel of r = 4 cuts wider Gaussians off.
+    # A kernel with r = 4 cuts off wider Gaussians.
     n_within = sum(value <= _FIG_11["r"] for value in _grid(plan).y.values)
     return {
         "fig11-speed": by_formulation(lambda f: share(np.diff(db(f), axis=0) >= 0.0)),
@@ -482,7 +481,7 @@ _LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.
 
 
 def _lateral_jobs(plan: Plan) -> list[Job]:
-    return watching(_LATERAL, in_all("set9"))
+    return clip_jobs(_LATERAL, all_formulations("set9"))
 
 
 def _lateral_values(plan: Plan, data: Data) -> Values:

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from dlgmd_cli.parameters import FORMULATIONS
-from dlgmd_cli.reproduce.claims import load_claims, matching
+from dlgmd_cli.reproduce.claims import load_claims, select
 
 pytestmark = pytest.mark.slow
 COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
@@ -20,10 +20,10 @@ def test_a_quick_report(tmp_path):
     only = "fig6,fig8,fig11,fig13,fig15,table4"
     out = tmp_path / "paper"
     subprocess.run([*COMMAND, "--only", only, "--out", out, "--jobs", "2"], check=True, timeout=600)
-    stories = matching(load_claims()[0], only.split(","))
+    specs = select(load_claims()[0], only.split(","))
     with (out / "claims.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    ids = [key for story in stories.values() for key in story.claims]
+    ids = [key for spec in specs.values() for key in spec.claims]
     assert list(dict.fromkeys(row["id"] for row in rows)) == ids
     verdict = {(row["id"], row["formulation"]): row["holds"] for row in rows}
     for key in ids:

@@ -57,7 +57,7 @@ def title(sheet):
 def synth(dlgmd, monkeypatch):
     """Call `dlgmd synth quick --sheet`, with some seeds at fault; sheets are quickly drawn."""
 
-    def draw(sheet, path):
+    def draw(sheet, path, dpi):
         path.write_bytes(cv2.imencode(".png", np.hstack(sheet.images))[1].tobytes())
 
     monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
@@ -191,18 +191,18 @@ def test_any_name_can_be_drawn_and_the_same_every_time(tmp_path):
 def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     drawn = []
 
-    def draw(sheet, path):
+    def draw(sheet, path, dpi):
         drawn.append(sheet)
-        save_contact_sheet(sheet, path)
+        save_contact_sheet(sheet, path, dpi)
 
     monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", draw)
-    result = synth("--seed", 3, "--png", "--out", Path("new", "folder"))
+    result = synth("--seed", 3, "--png", "--dpi", 100, "--out", Path("new", "folder"))
     assert result.exit_code == 0 and result.stderr == ""
     paths = [Path(line) for line in result.stdout.splitlines()]
     names = ["quick", "quick.csv", "quick.yaml", "quick-sheet.png"]
     assert paths == [Path("new", "folder", name) for name in names]
     assert sorted(paths) == sorted(Path("new", "folder").iterdir())
-    assert cv2.imread(str(paths[-1])).shape[1] <= 1432
+    assert cv2.imread(str(paths[-1])).shape[1] <= 716
     record = yaml.safe_load(paths[2].read_text())
     assert record["sheet"] == "quick-sheet.png"
     (sheet,) = drawn
@@ -226,7 +226,7 @@ def test_a_sheet_is_replaced_only_when_told(synth):
 
 
 def test_a_sheet_that_cannot_be_written_keeps_all_files_away(synth, monkeypatch):
-    def full(sheet, path):
+    def full(sheet, path, dpi):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("dlgmd_cli.plots.contact_sheet.save_contact_sheet", full)

@@ -304,7 +304,7 @@ def test_a_stop_keeps_the_frames_reached(dlgmd, clips, stop_at):
     result = dlgmd("layers", clips / "loom.avi", "--set", 9, "--frames", "2,5,15", "--no-plots")
     assert result.exit_code == 130
     folder = os.path.join("dlgmd-out", "loom")
-    assert result.stderr == f"Interrupted: {folder} holds 2 of 3 frames.\n"
+    assert result.stderr == f"Interrupted. {folder} holds 2 of 3 frames.\n"
     assert record()["frames"] == [2, 5] and record()["complete"] is False
     assert record()["input"]["frames"] == record()["processed"]["frames"] == 9
 

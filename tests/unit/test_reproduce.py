@@ -7,12 +7,14 @@ import shlex
 import sys
 from itertools import islice
 
+import cv2
 import numpy as np
 import pytest
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import FORMULATIONS
+from dlgmd_cli.plots.style import width_in
 from dlgmd_cli.reproduce import clips, compute, flights, stimuli
 from dlgmd_cli.reproduce.claims import (
     COLUMNS,
@@ -20,18 +22,18 @@ from dlgmd_cli.reproduce.claims import (
     UNDECIDED,
     YES,
     Claim,
+    ExhibitSpec,
     Finding,
-    Story,
     findings,
     load_claims,
-    matching,
+    select,
 )
-from dlgmd_cli.reproduce.clips import Clip, Watcher, in_all, model, others
-from dlgmd_cli.reproduce.plan import ANY, Plan, joined, watching
+from dlgmd_cli.reproduce.clips import Clip, ModelSpec, all_formulations, model, other_models
+from dlgmd_cli.reproduce.plan import ANY, Plan, clip_jobs, merged
 from dlgmd_cli.reproduce.report import Section, number, page
 
 NAN = math.nan
-STORIES, INCONSISTENCIES = load_claims()
+SPECS, INCONSISTENCIES = load_claims()
 
 
 def found(values, holds="at least", threshold=1.0):
@@ -59,21 +61,21 @@ def test_a_claim_holds_if_it_does_for_the_worst_seed(values, holds, value, verdi
 
 
 def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
-    assert set(STORIES) == set(compute.EXHIBITS)
+    assert set(SPECS) == set(compute.EXHIBITS)
     assert len(INCONSISTENCIES) >= 4
-    ids = [key for story in STORIES.values() for key in story.claims]
+    ids = [key for spec in SPECS.values() for key in spec.claims]
     assert len(ids) == len(set(ids))
-    for story in STORIES.values():
-        for key, claim in story.claims.items():
-            assert key.startswith((story.id, story.id.rstrip("ab"))), key
+    for spec in SPECS.values():
+        for key, claim in spec.claims.items():
+            assert key.startswith((spec.id, spec.id.rstrip("ab"))), key
             found([0.0], claim.holds, claim.threshold)
-            for text in (claim.claim, claim.reason, story.about):
+            for text in (claim.claim, claim.reason, spec.about):
                 assert text[-1] == "." and text[0] == text[0].upper(), text
 
 
 def test_commands_that_repeat_an_exhibit_exist():
-    for story in STORIES.values():
-        for line in story.repeat:
+    for spec in SPECS.values():
+        for line in spec.repeat:
             name, *words = shlex.split(line)[1:]
             command = cli.get_command(None, name)
             with cli.make_context("dlgmd", [name]) as ctx:
@@ -86,21 +88,21 @@ def test_commands_that_repeat_an_exhibit_exist():
         (["fig1"], ["fig1"]),
         (["fig13", "fig3"], ["fig3", "fig13a", "fig13b"]),
         (["table4"], ["table4-da", "table4-time"]),
-        ([], list(STORIES)),
+        ([], list(SPECS)),
     ],
 )
 def test_ids_and_their_beginnings(only, names):
-    assert list(matching(STORIES, only)) == names
+    assert list(select(SPECS, only)) == names
 
 
 def test_single_claims():
-    chosen = matching(STORIES, ["fig9b", "fig5-rises"])
-    assert {name: list(story.claims) for name, story in chosen.items()} == {
+    chosen = select(SPECS, ["fig9b", "fig5-rises"])
+    assert {name: list(spec.claims) for name, spec in chosen.items()} == {
         "fig5": ["fig5-rises"],
         "fig9": ["fig9b-rest"],
     }
     with pytest.raises(ParameterError, match=r"'fig2' to reproduce.*Choose from fig1, fig3"):
-        matching(STORIES, ["fig2"])
+        select(SPECS, ["fig2"])
 
 
 def test_levels_that_are_held():
@@ -112,20 +114,22 @@ def test_levels_that_are_held():
 
 def test_clips_are_rendered_once_for_all_their_models():
     clip = Clip.of("looming-cube", size=(30, 40))
-    jobs = joined([*watching(clip, others("lgmd")), *watching(clip, in_all("set3"))])
-    seen = jobs[0].call()
-    assert len(jobs) == 1 and set(seen.results) == {"lgmd", *in_all("set3")}
+    jobs = merged(
+        [*clip_jobs(clip, other_models("lgmd")), *clip_jobs(clip, all_formulations("set3"))]
+    )
+    found = jobs[0].call()
+    assert len(jobs) == 1 and set(found.results) == {"lgmd", *all_formulations("set3")}
     assert np.array_equal(
-        seen.results["set3/default"].mp,
-        clips.watch(clip, {"x": Watcher(model("set3"))}).results["x"].mp,
+        found.results["set3/default"].mp,
+        clips.run_clip(clip, {"x": ModelSpec(model("set3"))}).results["x"].mp,
         equal_nan=True,
     )
-    assert stimuli.onset(seen.results["lgmd"]) > 0 and seen.truth["frame"][-1] == 74
+    assert stimuli.onset(found.results["lgmd"]) > 0 and found.truth["frame"][-1] == 74
 
 
 def test_boxes_hold_the_objects_of_fig_8():
     clip = Clip.of("ball-and-capsules", size=(150, 200))
-    frames = [frame.astype(float) for frame in islice(clips._opened(clip)[0], 42)]
+    frames = [frame.astype(float) for frame in islice(clips._open_clip(clip)[0], 42)]
     for index in (5, 20, 41):
         change = np.abs(frames[index] - frames[index - 1]) > 12
         boxes = clips._boxes(change.shape, index)
@@ -136,8 +140,11 @@ def test_boxes_hold_the_objects_of_fig_8():
 
 
 def test_latency_without_models(dlgmd, tmp_path):
-    result = dlgmd("reproduce", "--only", "fig5, fig3-size", "--quick", "--out", "paper")
+    common = ("reproduce", "--only", "fig5, fig3-size", "--quick", "--out", "paper")
+    result = dlgmd(*common, "--dpi", 60)
     assert result.exit_code == 0, result.output
+    width_px = cv2.imread("paper/fig3.png").shape[1]
+    assert width_px == pytest.approx(60 * width_in("two"), abs=2)
     with open("paper/claims.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == COLUMNS
@@ -155,8 +162,8 @@ def test_latency_without_models(dlgmd, tmp_path):
 
 def test_texts_are_escaped():
     claim = Claim("c", "<i>a</i>", "<b>", 1.0, "above", "<u>", "<s>")
-    story = Story("fig1", "<script>", "&", "<img>", ["dlgmd run '<x>'"], {"c": claim})
-    section = Section(story, [Finding(claim, "&", f, (0.5, 2.0)) for f in FORMULATIONS], {})
+    spec = ExhibitSpec("fig1", "<script>", "&", "<img>", ["dlgmd run '<x>'"], {"c": claim})
+    section = Section(spec, [Finding(claim, "&", f, (0.5, 2.0)) for f in FORMULATIONS], {})
     html = page([section], ["<em>"], Plan(quick=True), {}, "dlgmd --out '<y>'")
     for raw in ("<i>", "<script>", "<img>", "<x>", "<u>", "<s>", "<em>", "<y>"):
         assert raw not in html
@@ -169,8 +176,8 @@ def test_numbers_for_readers():
 
 
 def test_findings_of_every_formulation():
-    story = matching(STORIES, ["fig9b"])["fig9"]
-    rows = findings(story, {"fig9b-rest": {f: [-1.0, -2.0] for f in FORMULATIONS}})
+    spec = select(SPECS, ["fig9b"])["fig9"]
+    rows = findings(spec, {"fig9b-rest": {f: [-1.0, -2.0] for f in FORMULATIONS}})
     assert [(row.formulation, row.holds, row.value) for row in rows] == [
         (f, YES, -1.0) for f in FORMULATIONS
     ]
