@@ -16,10 +16,10 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
-    FiniteRange,
     complete_file,
     decoder_option,
     file_ending,
+    input_fps_option,
     json_option,
     overwrite_option,
 )
@@ -46,12 +46,7 @@ if TYPE_CHECKING:
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
 )
 @overwrite_option
-@click.option(
-    "--input-fps",
-    type=FiniteRange(min=0, min_open=True, max=100_000),
-    metavar="F",
-    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
-)
+@input_fps_option
 @decoder_option
 @json_option
 def info(

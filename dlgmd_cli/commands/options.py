@@ -329,7 +329,12 @@ class RateOrAll(FiniteRange):
         return value if value == "all" else super().convert(value, param, ctx)
 
 
-_RATE = FiniteRange(min=0, min_open=True, max=100_000)
+input_fps_option = click.option(
+    "--input-fps",
+    type=FiniteRange(min=0, min_open=True, max=100_000),
+    metavar="F",
+    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
+)
 decoder_option = click.option(
     "--decoder",
     type=click.Choice(DECODERS),
@@ -361,12 +366,7 @@ input_options = option_group(
         help="Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
-    click.option(
-        "--input-fps",
-        type=_RATE,
-        metavar="F",
-        help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
-    ),
+    input_fps_option,
     decoder_option,
     click.option(
         "--crop",

@@ -97,7 +97,7 @@ def reproduce(
          *(str(count[kind]) for kind in (YES, NO, UNDECIDED)))
         for name, count in counts(every).items()
     ]  # fmt: skip
-    print_table(("formulation", "claims hold", "do not", "undecided"), rows)
+    print_table(("formulation", "claims hold", "do not hold", "undecided"), rows)
     for path in paths[:2]:
         print_path(path)
 
