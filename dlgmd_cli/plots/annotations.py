@@ -1,26 +1,22 @@
-"""Remarks on single frames: data for the figures."""
+"""Annotations of frames, as data for the figures."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Annotations:
-    """Frames and stretches of frames worth a remark.
+    """Annotated frames and ranges of frames; frame numbers are those of the input, from 0.
 
     Attributes
     ----------
     marks : tuple of (int, str)
-        A frame and its text.
+        Frame and text.
     spans : tuple of (int, int, str)
         First frame, last frame, text.
     collision_frame : int or None
-        Where the camera truly collides.
+        Frame of the true collision.
     false_positive_frame : int or None
-        Where an alarm is a false one.
-
-    Notes
-    -----
-    Frames are numbers of the input's frames, from 0.
+        Frame of a false alarm.
     """
 
     marks: tuple[tuple[int, str], ...] = ()
@@ -38,7 +34,7 @@ class Annotations:
         ]
 
     def outside(self, first_frame: int, last_frame: int) -> list[str]:
-        """What a figure of frames `first_frame` to `last_frame` cannot show, one line for each."""
+        """A line for each annotation that a figure of these frames cannot show in full."""
         frames = f"frames {first_frame} to {last_frame}"
         lines = []
         for start, end, text, kind in self.remarks():

@@ -1,7 +1,6 @@
-"""How well models announce collisions: recall against false alarms, and how early they are."""
+"""Figures of an evaluation: recall against false alarms, and leads."""
 
-from collections.abc import Iterator, Mapping
-from itertools import cycle
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,14 @@ from dlgmd_cli.plots.style import (
     add_legend,
     house_style,
     new_figure,
+    plain,
 )
-from dlgmd_cli.plots.traces import LOOKS
+from dlgmd_cli.plots.traces import LOOKS, MAX_TOGETHER
 from dlgmd_cli.results.result import Series
 
-_HEIGHT_IN = 2.2
-# Dots stand for models' own thresholds.
-_MARKERS = ("", "s", "^", "D")
+_HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
+# Panels side by side, if every label has its own.
+_PER_ROW = {"one": 2, "two": 4}
 # The trade-off is shown up to this rate, or as far as a model's own threshold needs.
 _FALSE_PER_MIN, _MOST_PER_MIN = 5.0, 30.0
 _DOT: Any = {
@@ -46,37 +46,33 @@ def trade_off(
     Parameters
     ----------
     curves : mapping of str to (ndarray, ndarray), shape (T,)
-        By label: false alarms a minute, and recall, at every threshold.
+        By label: false alarms per minute, and recall, at every threshold. More than four have a
+        panel each.
     points : mapping of str to (float, float)
         The same at a model's own threshold, drawn as a dot; NaN is left out.
     max_false_per_min : float
-        The rate that is allowed, drawn as a line.
+        The allowed rate, drawn as a line.
     width : "one" or "two"
         Columns of the paper that the figure takes.
     """
+    own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
+    right = max([_FALSE_PER_MIN, 2 * max_false_per_min, *(1.1 * rate for rate in own)])
+    lines = {}
+    for label, (rate, recall) in curves.items():
+        order = np.lexsort((recall, rate))
+        best = np.maximum.accumulate(recall[order])
+        end = np.fmax.reduce(rate, initial=right)
+        x = np.concatenate(([0.0], rate[order], [end]))
+        lines[label] = x, np.concatenate(([0.0], best, best[-1:]))
     with house_style():
-        figure = new_figure(_HEIGHT_IN, width)
-        axes: Axes = figure.subplots()
-        own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
-        right = max([_FALSE_PER_MIN, 2 * max_false_per_min, *(1.1 * rate for rate in own)])
-        entries: Entries = []
-        for (label, (rate, recall)), look in zip(curves.items(), _looks(), strict=False):
-            order = np.lexsort((recall, rate))
-            best = np.maximum.accumulate(recall[order])
-            x = np.concatenate(([0.0], rate[order], [right]))
-            y = np.concatenate(([0.0], best, best[-1:]))
-            (line,) = axes.plot(x, y, drawstyle="steps-post", **look)
-            entries.append((line, label))
+        figure, drawn, entries = _draw(lines, ("False alarms per minute", "Recall"), width)
+        for label, line in drawn.items():
+            line.axes.axvline(max_false_per_min, color="0.8", linewidth=0.6, zorder=0.5)
+            line.axes.set_xlim(0.0, right)
             if label in points:
-                axes.plot(*points[label], color=look["color"], **_DOT)
+                line.axes.plot(*points[label], color=line.get_color(), **_DOT)
         if points:
             entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
-        axes.axvline(max_false_per_min, color="0.8", linewidth=0.6, zorder=0.5)
-        axes.set_xlim(0.0, right)
-        axes.set_ylim(0.0, 1.02)
-        axes.set_xlabel("False alarms per minute")
-        axes.set_ylabel("Recall")
-        axes.spines["top"].set_visible(False)
         add_legend(figure, entries)
     return figure
 
@@ -84,31 +80,51 @@ def trade_off(
 def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one") -> Figure:
     """Share of the collisions that are announced by each time before contact.
 
-    `leads_s` holds for each label the lead to every collision, in seconds, NaN where missed.
+    `leads_s` has for each label the lead to every collision in seconds, NaN where missed.
     """
+    at = np.linspace(0.0, horizon_s, 501)
+    lines = {
+        label: (at, np.array([(found >= left).mean() if len(found) else np.nan for left in at]))
+        for label, found in leads_s.items()
+    }
     with house_style():
-        figure = new_figure(_HEIGHT_IN, width)
-        axes: Axes = figure.subplots()
-        at = np.linspace(0.0, horizon_s, 501)
-        entries: Entries = []
-        for (label, found), look in zip(leads_s.items(), _looks(), strict=False):
-            share = [(found >= left).mean() if len(found) else np.nan for left in at]
-            (line,) = axes.plot(at, share, **look)
-            entries.append((line, label))
-        axes.set_xlim(horizon_s, 0.0)
-        axes.set_ylim(0.0, 1.02)
-        axes.set_xlabel("Time to contact (s)")
-        axes.set_ylabel("Collisions announced")
-        axes.spines["top"].set_visible(False)
+        figure, drawn, entries = _draw(
+            lines, ("Time to contact (s)", "Collisions announced"), width
+        )
+        for line in drawn.values():
+            line.axes.set_xlim(horizon_s, 0.0)
         add_legend(figure, entries)
     return figure
 
 
-def _looks() -> Iterator[dict[str, Any]]:
-    """A look for each line, over and over."""
-    every = [
-        {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3, "markevery": 0.2}
-        for marker in _MARKERS
-        for color, dashes in LOOKS
-    ]
-    return cycle(every)
+def _draw(
+    lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: Width
+) -> tuple[Figure, dict[str, Any], Entries]:
+    """Draw steps in one panel, or, if there are many, in a panel each, with the others in grey.
+
+    Returns the figure, the line of each label, and the entries of the legend.
+    """
+    is_split = len(lines) > MAX_TOGETHER
+    per_row = _PER_ROW[width] if is_split else 1
+    n_rows = -(-len(lines) // per_row) if is_split else 1
+    figure = new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
+    grid: Any = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
+    grid[0, 0].set_ylim(0.0, 1.02)
+    figure.supxlabel(names[0], fontsize=8)
+    figure.supylabel(names[1], fontsize=8)
+    drawn = {}
+    panels: list[Axes] = list(grid.flat)
+    for place, axes in enumerate(panels):
+        axes.spines["top"].set_visible(False)
+        axes.tick_params(labelbottom=not is_split or place + per_row >= len(lines))
+    for unused in panels[len(lines) :] if is_split else ():
+        unused.set_axis_off()
+    for place, (label, line) in enumerate(lines.items()):
+        axes = panels[place if is_split else 0]
+        color, dashes = LOOKS[0 if is_split else place]
+        if is_split:
+            axes.set_title(plain(label, 30), loc="left", pad=2, fontsize=7)
+            for other in lines.values():
+                axes.plot(*other, color="0.85", linewidth=0.6, drawstyle="steps-post")
+        (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")
+    return figure, drawn, [] if is_split else [(line, label) for label, line in drawn.items()]

@@ -1,4 +1,4 @@
-"""Layers as colours: one scale for many pictures, and cells that stay visible when made small."""
+"""Layers as colours: scales shared by many pictures, and a reduction that keeps single cells."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,18 +15,18 @@ from matplotlib.colors import Normalize
 FloatImage = npt.NDArray[np.float32]
 BgrImage = npt.NDArray[np.uint8]
 
-# From black through red to yellow: its brightness grows with the value, also on grey paper.
+# From black through red to yellow. Its brightness grows with the value, so it survives grey print.
 _UNSIGNED = "inferno"
-# Blue below zero, red above it, white between: told apart by all common kinds of colour vision.
+# Blue below zero, white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED = "RdBu_r"
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour map by its name, and the values at its two ends.
+    """The name of a colour map, and the values at its ends.
 
-    These are 0 and the greatest value, or, where values have signs, the greatest magnitude both
-    ways. Both are 0 where nothing differs from 0.
+    The ends are 0 and the greatest value. If there are negative values, they are minus and plus the
+    greatest magnitude. Both are 0 if all values are 0.
     """
 
     low: float
@@ -35,7 +35,7 @@ class Scale:
 
     @classmethod
     def over(cls, lowest: float, highest: float) -> "Scale":
-        """The scale that holds both values."""
+        """The scale for values from `lowest` to `highest`."""
         if lowest < 0.0:
             bound = max(-lowest, highest)
             return cls(-bound, bound, _SIGNED)
@@ -43,7 +43,7 @@ class Scale:
 
     @classmethod
     def of(cls, layers: FloatImage) -> "Scale | None":
-        """The scale of all that is not NaN in `layers`."""
+        """The scale for all values of `layers` that are not NaN; None if all are."""
         defined = layers[~np.isnan(layers)]
         return cls.over(float(defined.min()), float(defined.max())) if defined.size else None
 
@@ -54,14 +54,14 @@ class Scale:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """`low` and `high`, apart even where all values are 0."""
+        """`low` and `high`; (0, 1) if all values are 0."""
         return (self.low, 1.0) if self.is_flat else (self.low, self.high)
 
     def painted(self, layer: FloatImage) -> BgrImage:
         """`layer` in colour, shape (H, W, 3); 256 steps."""
         low, high = self.limits
         steps = 255.0 / (high - low)
-        # Never below 0, so that the absolute value that OpenCV takes changes nothing.
+        # OpenCV takes the absolute value, which changes nothing: no index is below 0.
         index = cv2.convertScaleAbs(layer, alpha=steps, beta=-low * steps)
         rgba = matplotlib.colormaps[self.colours](np.arange(256), bytes=True)
         table = np.ascontiguousarray(rgba[:, None, 2::-1])
@@ -72,7 +72,7 @@ INPUT_SCALE = Scale(0.0, 1.0, "gray")
 
 
 def add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str, **look: Any) -> Colorbar:
-    """The colour bar of a panel; its place stays free where there are no values but 0."""
+    """Add the colour bar of a panel; if all values are 0, its place stays empty."""
     known = scale or INPUT_SCALE
     colours = ScalarMappable(Normalize(*known.limits), known.colours)
     bar: Colorbar = figure.colorbar(colours, ax=axes, **look)
@@ -82,10 +82,10 @@ def add_bar(figure: Any, axes: Axes, scale: Scale | None, unit: str, **look: Any
 
 
 def strongest(layer: FloatImage, height: int, width: int) -> FloatImage:
-    """`layer`, (H, W), at no more than `height` x `width`: each value the strongest it replaces.
+    """Reduce `layer`, (H, W), to at most `height` x `width` by the strongest value of each area.
 
-    A single active cell among silent ones thus stays visible in a picture with fewer pixels than
-    the layer has cells. Where values have signs, the strongest is that of greatest magnitude.
+    The strongest value is that of greatest magnitude. A single active cell among silent ones thus
+    stays visible in a picture with fewer pixels than the layer has cells.
     """
     highest = _reduced(np.maximum, layer, height, width)
     if float(layer.min()) >= 0.0:

@@ -1,4 +1,4 @@
-"""The model's connections as heat maps, like the paper's Fig. 5."""
+"""Heat maps of the model's kernels, as in the paper's Fig. 5."""
 
 from typing import Any
 
@@ -13,17 +13,24 @@ from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_fig
 Kernel = npt.NDArray[np.float64]
 
 _ROW_IN = 1.6
-# Below this share of the greatest value, a kernel's least says nothing.
+# If a kernel's least value is below this share of its greatest, only the greatest is stated.
 _NEGLIGIBLE = 1e-3
 
 
 def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Kernel) -> Figure:
-    """Excitation, inhibition at each delay, and latency, one panel each.
+    """Draw excitation, inhibition at each delay, and latency, one panel each.
 
-    All strengths share one scale from 0, so that they can be compared; under its title, every
-    panel says between which values its connections lie, or how far up they go.
-    Shapes are (2r + 1, 2r + 1). `excitation` is K_E, strength per unit of luminance change;
-    `inhibition` has K_d by delay in frames, at least one; `latency` is τ in frames.
+    All strengths share one scale from 0, so that they can be compared. The range of a kernel's
+    values is written below the title of its panel. Kernels have the shape (2r + 1, 2r + 1).
+
+    Parameters
+    ----------
+    excitation : ndarray
+        K_E, strength per unit of luminance change.
+    inhibition : dict of int to ndarray
+        K_d by delay in frames; at least one.
+    latency : ndarray
+        τ in frames.
     """
     strengths = {"Excitation $K_E$": excitation}
     for delay in sorted(inhibition):
@@ -35,7 +42,7 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
         grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True)
         panels: list[Axes] = list(grid.flat)
         for axes, (title, kernel) in zip(panels, strengths.items(), strict=False):
-            # Taps that are exactly zero are left grey, apart from small ones.
+            # Taps of exactly 0 stay grey, unlike small ones.
             connected = np.ma.masked_equal(kernel, 0.0)
             picture = _draw(axes, title, connected, "viridis", greatest)
         _add_bar(figure, picture, panels[1], "strength (grey: none)")
@@ -70,7 +77,7 @@ def _draw(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) 
 
 
 def _add_bar(figure: Figure, picture: AxesImage, beside: Axes, label: str) -> None:
-    """The scale of `picture`, right of its map."""
+    """Add the colour bar of `picture`, right of its map."""
     bar = figure.colorbar(picture, ax=beside, ticks=MaxNLocator(4, steps=[1, 2, 5, 10]), pad=0.02)
     bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
     bar.ax.tick_params(pad=1.5, length=2)
@@ -82,7 +89,7 @@ def _is_constant(kernel: Kernel) -> bool:
 
 
 def _values(kernel: Kernel) -> str:
-    """Between which values the connections lie."""
+    """The range of a kernel's values, in words."""
     if np.ma.count(kernel) == 0:
         return "no connections"
     if _is_constant(kernel):

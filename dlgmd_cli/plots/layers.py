@@ -1,4 +1,4 @@
-"""A model's layers at several frames as a contact sheet, like the paper's Figs. 8 and 17."""
+"""A contact sheet of a model's layers at several frames, as in the paper's Figs. 8 and 17."""
 
 from typing import Any
 
@@ -20,24 +20,24 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.results.layers import LayerSheet
 
 _WIDTH_IN = width_in("two")
-# In inches: a tile at most, the width from which on it is legible, and beside the tiles the names,
-# the colour bars, the titles of a block and the figure's; and a page.
+# In inches: greatest and least legible width of a tile; least height of a row; width of names and
+# colour bars beside the tiles; height of a block's titles and of the figure's title; of a page.
 _MAX_TILE_IN, _LEGIBLE_IN, _MIN_ROW_IN, _BESIDE_IN = 1.9, 0.95, 0.5, 1.25
 _TITLES_IN, _ABOVE_IN, _PAGE_IN = 0.35, 0.3, 9.4
 _MAX_BLOCKS = 4
-# Between tiles, as a share of their width.
+# Gap between tiles, as a share of their width.
 _GAP = 0.06
 
 
 def plot_layers(sheet: LayerSheet) -> Figure:
-    """Input, P, S and G: one row each with its colour bar, one column per frame.
+    """Draw input, P, S and G: one row each with its colour bar, one column per frame.
 
-    Many frames are shown in blocks of such rows, one below the other. All tiles of a row share one
-    scale, in every block, from 0 to the greatest value; where values have signs, it is symmetric
-    about 0. Where a layer has more cells than its tile has pixels, a pixel shows the strongest of
-    its cells, so that single active cells are not lost; the input is averaged instead.
+    Many frames are arranged in several blocks of four rows. All tiles of a layer share one scale,
+    from 0 to the greatest value; with negative values it is symmetric about 0. If a layer has more
+    cells than its tile has pixels, a pixel shows the strongest of its cells, so that single active
+    cells stay visible; the input is averaged instead.
 
-    Up to 12 frames are readable at the width of two columns; few make the figure narrower.
+    Up to 12 frames are readable at the width of two columns. With few, the figure is narrower.
     """
     n_frames, height, width_px = sheet.luminance.shape
     n_blocks, n_columns, tile = _arranged(n_frames, height / width_px)
@@ -46,7 +46,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
     units = ("luminance", *sheet.units)
     with house_style():
         figure = new_figure(_height_in(n_blocks, row_in), "two")
-        # Titles of narrow tiles need room, too.
+        # At least 0.7 in, which the titles of narrow tiles need.
         figure.set_figwidth(min(_WIDTH_IN, n_columns * max(tile, 0.7) + _BESIDE_IN))
         grid: Any = figure.subplots(4 * n_blocks)
         for block in range(n_blocks):
@@ -60,8 +60,7 @@ def plot_layers(sheet: LayerSheet) -> Figure:
             _write_titles(axes_of[0], sheet, part, n_columns)
         label = plain(sheet.label, 30 if n_frames < 3 else 80)
         figure.suptitle(label, color=GREY, fontsize=7)
-        # The tiles' proportions move what the layout was made for: it is made twice, and leaves
-        # some room on the left.
+        # The tiles' aspect changes the layout: it is computed twice, with some room on the left.
         left = 0.08 / figure.get_figwidth()
         layout: Any = figure.get_layout_engine()
         layout.set(rect=(left, 0, 1 - left, 1))
@@ -76,9 +75,9 @@ def plot_layers(sheet: LayerSheet) -> Figure:
 
 
 def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
-    """Blocks, columns in each, and width of a tile in inches; `aspect` is its height over that.
+    """Number of blocks, columns per block, and width of a tile in inches; `aspect` is height/width.
 
-    As few blocks as make tiles legible; if none does, those with the largest tiles on a page.
+    The least number of blocks with legible tiles; if there is none, the one with the largest tiles.
     """
     found: list[tuple[int, int, float]] = []
     for n_blocks in range(1, min(_MAX_BLOCKS, n_frames) + 1):
@@ -93,12 +92,12 @@ def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
 
 
 def _height_in(n_blocks: int, row_in: float) -> float:
-    """Height of a figure with rows of that height."""
+    """Height of a figure, in inches."""
     return n_blocks * (4 * (row_in + 0.06) + _TITLES_IN) + _ABOVE_IN
 
 
 def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: int) -> None:
-    """The layers of some frames side by side; a grey box where one is not defined."""
+    """Draw the layers of some frames side by side; a grey box if one is undefined."""
     _, height, width = images.shape
     for place, image in enumerate(images):
         left = place * width * (1 + _GAP)
@@ -125,7 +124,7 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
 
 
 def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) -> None:
-    """The number and the time of each of some frames over its column."""
+    """Write the number and the time of each frame above its column."""
     texts = [
         f"frame {frame}\n{time_s:.3f} s"
         for frame, time_s in zip(sheet.frame[part], sheet.time_s[part], strict=True)
@@ -136,7 +135,7 @@ def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) ->
 
 
 def _add_bar(figure: Figure, axes: Axes, scale: Scale | None, unit: str) -> None:
-    """The scale of a row, right of it; where all is 0, words say so."""
+    """Add the colour bar of a row, right of it; if all values are 0, a text says so."""
     ticks = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar = add_bar(figure, axes, scale, unit, ticks=ticks, fraction=0.05, pad=0.01, aspect=9)
     bar.ax.yaxis.labelpad = 2

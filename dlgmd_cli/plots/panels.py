@@ -1,4 +1,4 @@
-"""Curves in panels that share their axes: one panel per formulation, scene or quantity."""
+"""Curves in several panels: one panel per formulation, scene or quantity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,17 +13,17 @@ from dlgmd_cli.plots.traces import FLOOR_DB, LOOKS
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
-# Longer curves have marks at some of their values only.
+# Curves with more than twice as many values have markers at some of them only.
 _MARKER_ROOM = 12
 _MARKERS = ("o", "s", "^", "D", "x", "+")
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: curves by label, each x and y of shape (n,), and what is marked in it.
+    """One panel: curves by label, each x and y of shape (n,), and marks.
 
-    `spans` are stretches of x with a text, `collision` is where the camera collides, `level` a
-    horizontal line. Infinite values are drawn as -60, where nothing passes.
+    `spans` are ranges of x with a text, `collision` is the x of the collision, `level` the y of a
+    threshold. Infinite values are drawn at -60 dB.
     """
 
     title: str
@@ -45,10 +45,10 @@ def plot_panels(
     log_y: bool = False,
     share_y: bool = True,
 ) -> Figure:
-    """Panels, three in a row; a label has the same look in all of them.
+    """Draw panels, three in a row; a label has the same look in all of them.
 
-    With `dots`, every value has a mark, and with `log_x` a tick: both are for curves of a few
-    values.
+    `dots` draws a marker at every value; `log_x` also puts a tick there. Both are for curves with
+    few values.
     """
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
@@ -82,14 +82,14 @@ def plot_panels(
 
 
 def _look(place: int, *, dots: bool) -> dict[str, Any]:
-    """Colour, dashes and mark of the curve of that number."""
+    """Colour, dashes and marker of curve number `place`."""
     color, dashes = LOOKS[place % len(LOOKS)]
     marker = _MARKERS[place % len(_MARKERS)] if dots or place >= len(LOOKS) else ""
     return {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
 
 
 def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entries:
-    """One panel; its curves and what the legend calls them."""
+    """Draw one panel; returns the entries of the legend."""
     axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):

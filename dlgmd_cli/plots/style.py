@@ -1,4 +1,4 @@
-"""How every figure looks: readable in a two-column paper, and without colour vision."""
+"""The style of all figures: readable in a two-column paper, and for the colour-blind."""
 
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -15,20 +15,20 @@ from matplotlib.text import Text
 
 from dlgmd_cli.errors import printable
 
-# Okabe and Ito's palette, told apart by all common kinds of colour vision. Vermilion is for alarms
-# and black for collisions, never for anything else.
+# Okabe and Ito's palette, safe for all common kinds of colour blindness. Vermilion is only for
+# alarms, black only for collisions.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
-# A figure is as wide as one column of a paper, or as two.
+# Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
 WIDTHS: tuple[str, ...] = get_args(Width)
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
 _SCREEN_DPI = 120
 
-# Handle and label of each entry of a legend.
+# Handles and labels of a legend.
 Entries = list[tuple[Any, str]]
 
 _MAX_LABEL = 44
@@ -46,7 +46,7 @@ _RC: Any = {
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "axes.spines.right": False,
-    # An offset such as "1e-7-8.348" would stand where the frame numbers are.
+    # An offset such as "1e-7-8.348" would overlap the frame numbers.
     "axes.formatter.useoffset": False,
     "legend.frameon": False,
     "legend.handlelength": 2.6,
@@ -57,18 +57,18 @@ _RC: Any = {
     "figure.constrained_layout.hspace": 0.0,
     "figure.constrained_layout.wspace": 0.0,
     "svg.hashsalt": "dlgmd",
-    # Letters stay letters, in the fonts that journals ask for and that editors can change.
+    # Text stays text: TrueType fonts in PDF, which journals require, and editable text in SVG.
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
 }
-_LACKS_LETTERS = "the figure's font lacks some letters of the texts, and shows boxes in their place"
+_LACKS_LETTERS = "the figure's font lacks some letters; the figure shows boxes instead"
 
 
 class Figure(MatplotlibFigure):
-    """A figure that a notebook shows as the last line of a cell."""
+    """A figure that a notebook shows if it is the last value of a cell."""
 
     def _repr_png_(self) -> bytes:
-        """The figure as IPython asks for it."""
+        """The figure as PNG, for IPython."""
         drawn = BytesIO()
         self.savefig(drawn, format="png", dpi=_SCREEN_DPI)
         return drawn.getvalue()
@@ -81,9 +81,9 @@ class Figure(MatplotlibFigure):
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The look of our figures, for as long as one is being made; the host's is left alone."""
+    """Use our style within a `with` block; the caller's Matplotlib settings are restored after."""
     with matplotlib.rc_context(_RC), warnings.catch_warnings():
-        # `save_figure` warns once of a whole figure.
+        # `save_figure` warns instead, once per figure.
         warnings.filterwarnings("ignore", r"Glyph .* missing from")
         yield
 
@@ -102,12 +102,12 @@ def width_in(width: Width) -> float:
 
 
 def new_figure(height_in: float, width: Width = "one") -> Figure:
-    """An empty figure as wide as a column, whose contents Matplotlib arranges."""
+    """An empty figure with constrained layout."""
     return Figure(figsize=(width_in(width), height_in), dpi=DPI, layout="constrained")
 
 
 def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper center") -> None:
-    """Add a legend beside the axes, in as many columns as fit; the figure grows by its height."""
+    """Add a legend outside the axes, in as many columns as fit; the figure grows by its height."""
     if not entries:
         return
     handles = [handle for handle, _ in entries]
@@ -122,7 +122,7 @@ def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper cen
 
 
 def shortened(text: str, longest: int = _MAX_LABEL) -> str:
-    """Both ends of `text`, of at most `longest` characters, on one line."""
+    """`text` on one line; if it is longer than `longest` characters, its middle is left out."""
     text = printable(text)
     if len(text) <= longest:
         return text
@@ -130,23 +130,23 @@ def shortened(text: str, longest: int = _MAX_LABEL) -> str:
 
 
 def plain(text: str, longest: int = _MAX_LABEL) -> str:
-    """`text` shortened, as it is to be drawn: its dollar signs start no formula."""
+    """`text` shortened and with dollar signs escaped, so that Matplotlib sees no formula."""
     return shortened(text, longest).replace("$", r"\$")
 
 
 def save_figure(figure: MatplotlibFigure, path: Path, dpi: int = DPI) -> None:
-    """Write `figure` as png, pdf or svg, by the suffix; without dates, so that files compare.
+    """Write `figure` as PNG, PDF or SVG, by the suffix of `path`; equal figures give equal files.
 
-    `dpi` is the resolution of PNG, and of the maps and pictures within the others. Warns if the
-    font lacks letters of the texts. An OSError passes through.
+    `dpi` is the resolution of PNG, and of images within PDF and SVG. Warns if the font lacks
+    letters. An OSError passes through.
     """
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     suffix = path.suffix.lower()
-    # In memory first: where there is no room, Matplotlib's writers raise all kinds of errors.
+    # In memory first: on a full disk, Matplotlib's writers raise all kinds of errors.
     drawn = BytesIO()
     with house_style():
         layout = figure.get_layout_engine()
-        if layout is not None:  # once, or savefig would draw the figure twice
+        if layout is not None:  # computed here, as savefig would draw the figure twice for it
             layout.execute(figure)
             figure.set_layout_engine(None)
         # PNG a few percent larger than by default, in half of the time.
@@ -167,11 +167,11 @@ def figure_files(
     formats: Collection[str],
     dpi: int = DPI,
 ) -> dict[str, Callable[[Path], None]]:
-    """File name -> what writes that file.
+    """File name -> the function that writes that file.
 
-    `figures` says what draws each figure, by its file name without suffix; it is called once,
-    when the first of its files is written. `formats` are of "png", "pdf" and "svg"; `dpi` is
-    as in `save_figure`.
+    `figures` has the function that draws each figure, by file name without suffix. It is called
+    once, when the first of its files is written. `formats` are "png", "pdf" or "svg"; `dpi` is as
+    in `save_figure`.
     """
 
     def write(draw: Callable[[], MatplotlibFigure], path: Path) -> None:

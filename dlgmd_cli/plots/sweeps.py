@@ -1,4 +1,4 @@
-"""Measures over a grid of two parameters, as heat maps like the paper's Fig. 11."""
+"""Heat maps of measures over a grid of two parameters, as in the paper's Fig. 11."""
 
 from typing import Any, NamedTuple
 
@@ -24,19 +24,19 @@ from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 
 _COLUMNS = {"one": 2, "two": 4}
-# What is left below this is rounding, as in the plots of a run.
+# Below this, the attenuation is rounding error, as in the plots of a run.
 SILENT_DB = -60.0
 _LOWEST_DB = -30.0
-# Blue below zero, red above it, nearly white between: told apart by all kinds of colour vision.
+# Blue below zero, nearly white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
-# From this ratio of the greatest to the least value on, colours follow its logarithm; an axis does
-# from the other one on, if the ratios of its values are even.
+# Ratios of the greatest to the least value from which on colours, and an axis with even ratios of
+# its values, are logarithmic.
 _WIDE_VALUES, _WIDE_AXIS = 100.0, 50.0
 _FEW_TICKS = 3
 
 
 class Measure(NamedTuple):
-    """How a column is shown: title and unit, and what is said where it is not a finite number."""
+    """Title and unit of a column, and the legend's texts for NaN and for infinite values."""
 
     title: str
     unit: str
@@ -65,7 +65,7 @@ class Look(NamedTuple):
 
     @property
     def style(self) -> dict[str, Any]:
-        """What Matplotlib draws it with."""
+        """The options for Matplotlib."""
         return {"facecolor": self.color, "edgecolor": GREY, "hatch": self.hatch, "linewidth": 0.0}
 
 
@@ -74,13 +74,12 @@ MINUS_INFINITE, INFINITE = Look("white", "....."), Look("white", "++++")
 
 
 def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
-    """Heat maps over both parameters, one per speed or per measure.
+    """Draw heat maps over both parameters, one per speed or per measure.
 
-    All speeds share one scale; measures have one each. Attenuation is blue below 0 dB and red
-    above; what is below -30 dB looks as -30 dB does, and below -60 dB nothing passes. Cells that
-    are not finite, or cannot be computed, are grey or have a pattern, which the legend explains. A
-    measure that no point has is left out, as distinguishability may be. `result` has at least one
-    point.
+    All speeds share one scale; each measure has its own. Attenuation is blue below 0 dB and red
+    above. The scale ends at -30 dB; below -60 dB, nothing passes. Values that are not finite, or
+    cannot be computed, are grey or hatched, as the legend explains. Distinguishability is left out
+    if no point has it. `result` has at least one point.
     """
     panels, grid = _panels(result), result.grid
     per_row = _COLUMNS[width]
@@ -141,7 +140,7 @@ def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
 def _without_colour(
     measure: Measure, values: Series, is_possible: Flags
 ) -> list[tuple[Look, str, Flags]]:
-    """Which cells have no colour, how they look instead, and what that means."""
+    """Look, meaning and flags of each kind of cells without a colour."""
     kinds = [
         (MINUS_INFINITE, measure.infinite, np.isneginf(values)),
         (INFINITE, measure.infinite, np.isposinf(values)),
@@ -152,7 +151,7 @@ def _without_colour(
 
 
 def _is_cut(values: Series, picture: QuadMesh) -> bool:
-    """Whether values lie below the scale."""
+    """Whether some values lie below the scale."""
     lowest, _ = picture.get_clim()
     return bool((values[np.isfinite(values)] < (lowest or 0.0)).any())
 
@@ -164,20 +163,20 @@ def _draw_map(
     result: SweepResult,
     shared: tuple[Colormap, Normalize] | None,
 ) -> QuadMesh | None:
-    """One map, coloured where there are finite values, on the scale that maps share, or its own."""
+    """Draw the finite values of one map, on the shared scale or its own; None if there are none."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return None
     colours, norm = shared or _scale_of(finite, signed=measure is MEASURES["attenuation_db"])
     x, y = edges(result.grid.x), edges(result.grid.y)
-    # As pixels also in PDF and SVG, where viewers draw seams between cells.
+    # Rasterized even in PDF and SVG, because viewers draw seams between vector cells.
     return axes.pcolormesh(
         x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True
     )
 
 
 def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> None:
-    """Draw cells, (n_y, n_x), between their edges; those that touch in a row as one."""
+    """Draw the flagged cells, (n_y, n_x), between their edges; neighbours in a row as one shape."""
     shapes = []
     for row, flags in enumerate(cells):
         turns = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
@@ -188,9 +187,9 @@ def _mark_cells(axes: Axes, cells: Flags, look: Look, x: Series, y: Series) -> N
 
 
 def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
-    """Colours for finite values; where they have signs, zero is in the middle of them.
+    """The colour map and norm for finite values; `signed` ones have zero in the middle.
 
-    Without signs, a wide range is logarithmic. With them, what is below -30 dB is cut off.
+    A wide range of unsigned values is logarithmic. Signed values are cut off at -30 dB.
     """
     finite = np.maximum(values, _LOWEST_DB) if signed else values
     low, high = float(finite.min()), float(finite.max())
@@ -204,7 +203,7 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
     colours = matplotlib.colormaps[_SIGNED]
     if low < 0.0 < high:
         return colours, TwoSlopeNorm(0.0, low, high)
-    # Of the colours for one sign, the palest would pass for the ground.
+    # For values of one sign, the palest colours are left out: they look like the background.
     start, end = (0.55, 1.0) if low >= 0.0 else (0.0, 0.45)
     return ListedColormap(colours(np.linspace(start, end, 256))), Normalize(low, high)
 
@@ -212,7 +211,7 @@ def _scale_of(values: Series, *, signed: bool) -> tuple[Colormap, Normalize]:
 def _add_bar(
     figure: Figure, axes: Axes | list[Axes], picture: QuadMesh, unit: str, *, is_cut: bool
 ) -> None:
-    """The scale of a map or of all, right of it, pointed where values lie below its end."""
+    """Add the colour bar of one map or of all, with a pointed end if values lie below it."""
     norm: Any = picture.norm
     look: Any = {"extend": "min" if is_cut else "neither"}
     look |= {"shrink": 0.6, "aspect": 22} if isinstance(axes, list) else {"aspect": 14}
@@ -237,7 +236,7 @@ def places(axis: Axis) -> Series:
 
 
 def edges(axis: Axis) -> Series:
-    """Where the cells of an axis meet: halfway between its values; one more than those."""
+    """Edges of the cells of an axis, halfway between its values; one more than there are values."""
     values = places(axis)
     if len(values) == 1:
         half = abs(values[0]) / 2 or 0.5
@@ -261,7 +260,7 @@ def is_logarithmic(axis: Axis) -> bool:
 
 
 def axis_name(axis: Axis) -> str:
-    """Symbol and unit of a parameter, for a label."""
+    """Symbol and unit of a parameter, for an axis label."""
     symbol, _, index = axis.spec.symbol.partition("_")
     if symbol == "–":
         return axis.key
@@ -270,7 +269,7 @@ def axis_name(axis: Axis) -> str:
 
 
 def label_axis(axes: Axes, name: str, axis: Axis, *, shows: bool) -> None:
-    """Scale and ticks of "x" or "y", and if it `shows`, their labels and the parameter's name."""
+    """Set scale and ticks of the axis "x" or "y"; if it `shows`, also their labels and the name."""
     drawn: PlotAxis = getattr(axes, f"{name}axis")
     if is_logarithmic(axis):
         axes.set(**{f"{name}scale": "log"})

@@ -1,4 +1,4 @@
-"""Which frame is when: the two time axes of a figure, and what is marked at frames."""
+"""The time and frame axes of a figure, and the annotations of frames."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
 _SIZE_PT = 7
-# Of the width of a figure, about the axes' share.
+# Approximate share of the axes in the width of a figure.
 _AXES_SHARE = 0.8
-# Of the time shown, left free on either side, so that nothing at the ends is cut off.
+# Margin on either side, as a share of the time shown, so that nothing at the ends is cut off.
 _MARGIN = 0.015
-# Of the frame axis, so that numbers of five digits do not touch.
-_TICKS_AN_INCH = 2.3
+# Ticks of the frame axis, few enough that numbers of five digits do not touch.
+_TICKS_PER_INCH = 2.3
 # Times come from CSVs with nine digits.
 _ROUNDING = 1e-8
 
@@ -35,9 +35,10 @@ _BAND: dict[str, Any] = {"color": BLACK, "alpha": 0.07, "linewidth": 0, "zorder"
 
 @dataclass(frozen=True)
 class Timeline:
-    """The time that results share: from when to when, and which frame is when.
+    """The time range of several results, and the times of the frames.
 
-    `frame` increases; `time_s` are its times. `is_shared` says whether all results agree on them.
+    `frame` increases; `time_s` has the times of these frames. `is_shared` says whether all results
+    agree on them.
     """
 
     start_s: float
@@ -50,21 +51,21 @@ class Timeline:
     def of(cls, results: Iterable[Result]) -> "Timeline":
         """The timeline of at least one result, each with at least one frame.
 
-        Where they disagree, a frame is when the first of them says.
+        If the results disagree, the times of the first one are used.
         """
         results = list(results)
         longest = max(results, key=len)
         is_shared = all(_agree(longest, other) for other in results)
-        said_by = longest if is_shared else results[0]
+        source = longest if is_shared else results[0]
         start_s = min(float(result.time_s[0]) for result in results)
         end_s = max(float(result.time_s[-1]) for result in results)
-        return cls(start_s, end_s, said_by.frame, said_by.time_s, is_shared)
+        return cls(start_s, end_s, source.frame, source.time_s, is_shared)
 
     @property
     def view(self) -> tuple[float, float]:
-        """What the time axis shows, in seconds."""
+        """Limits of the time axis, in seconds."""
         margin = _MARGIN * (self.end_s - self.start_s) or 0.5
-        if len(self.time_s) > 1:  # what is true of a frame reaches halfway to the next one
+        if len(self.time_s) > 1:  # a frame extends halfway to the next one
             margin = max(margin, 0.6 * float(np.median(np.diff(self.time_s))))
         return self.start_s - margin, self.end_s + margin
 
@@ -75,20 +76,20 @@ class Timeline:
         return int(first), int(last)
 
     def time_of(self, frame: npt.ArrayLike) -> Series:
-        """Times of frames; as from frame to frame at the ends, beyond them."""
+        """Times of frames; extrapolated beyond the ends."""
         return _interpolated(frame, self.frame.astype(np.float64), self.time_s)
 
     def frame_of(self, time_s: npt.ArrayLike) -> Series:
-        """Frames at given times, with fractions; the inverse of `time_of`."""
+        """Frames (with fractions) at given times; the inverse of `time_of`."""
         return _interpolated(time_s, self.time_s, self.frame.astype(np.float64))
 
     def label(self, lowest: Axes, highest: Axes) -> None:
-        """Seconds below the panels and, if all results agree on them, frame numbers above."""
+        """Label seconds below the panels and, if all results agree on them, frames above."""
         lowest.set_xlim(self.view)
         lowest.set_xlabel("Time (s)")
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
-            n_ticks = round(_TICKS_AN_INCH * lowest.figure.bbox.width / lowest.figure.dpi)
+            n_ticks = round(_TICKS_PER_INCH * lowest.figure.bbox.width / lowest.figure.dpi)
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]
@@ -100,10 +101,10 @@ class Timeline:
 def draw_annotations(
     annotations: Annotations, timeline: Timeline, strip: Axes, panels: Iterable[Axes]
 ) -> int:
-    """Lines and bands across the panels, and their texts on `strip`, the axes above them.
+    """Draw lines and bands across the panels, and their texts on `strip`, the axes above them.
 
-    Each text begins at its line, in a row above all texts that would be in its way, or that have
-    their lines there. Returns the number of rows.
+    A text starts at its line. Texts that would overlap each other, or another's line, are placed in
+    different rows. Returns the number of rows.
     """
     (first, last), (left, right) = timeline.frames, timeline.view
     strip.set_yticks([])
@@ -138,21 +139,21 @@ def draw_annotations(
 
 
 def _text(strip: Axes, text: str, color: str) -> Any:
-    """A text on a white ground, so that lines pass behind it."""
+    """Draw a text on a white background, which hides the lines behind it."""
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     look: Any = {"color": color, "fontsize": _SIZE_PT, "va": "center", "bbox": ground, "zorder": 3}
     return strip.text(0.0, 0.0, f" {plain(text)} ", in_layout=False, **look)
 
 
 def _agree(one: Result, other: Result) -> bool:
-    """Whether both have frames in common, at the same times."""
+    """Whether two results have frames in common, at the same times."""
     _, here, there = np.intersect1d(one.frame, other.frame, return_indices=True)
     tolerance = _ROUNDING * max(1.0, abs(float(other.time_s[-1])))
     return bool(here.size and np.abs(one.time_s[here] - other.time_s[there]).max() <= tolerance)
 
 
 def _interpolated(x: npt.ArrayLike, known: Series, values: Series) -> Series:
-    """Between known points, and on in a straight line beyond them."""
+    """Interpolate linearly between known points, and extrapolate beyond them."""
     n_points = len(known)
     slope = (values[-1] - values[0]) / (known[-1] - known[0] or 1.0) if n_points > 1 else 1.0
     x = np.asarray(x, dtype=np.float64)

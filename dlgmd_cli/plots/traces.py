@@ -1,4 +1,4 @@
-"""What models say over time, one result or several on the same axes. Data in, Figure out."""
+"""Figures of results over time: membrane potential, attenuation, spikes and alarms."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,20 +29,19 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
 
-# Less than a millionth of P passes: a few cells' rounding, which would flatten the rest.
+# Less than a millionth of P passes: rounding error of a few cells, which would compress the axis.
 FLOOR_DB = -60.0
-# What the vertical axis spans at least, so that rounding does not look like an event.
+# Least span of the vertical axis, so that rounding errors do not look like an event.
 MIN_SPAN_DB = 5.0
-# Columns of pixels of the widest figure; a longer result is drawn by the maximum of each.
+# Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.
 MAX_POINTS = 1400
 
 COLUMNS = ("level", "mp_abs", "mp_seq")
-# By whether it is scaled to the extremes of its own sequence: the words of --normalise.
+# Axis labels by `Result.by_sequence`, in the words of --normalise; and for results that differ.
 LEVEL_NAMES = {False: "MP (absolute)", True: "MP (sequence)"}
-# Of results that differ in it.
 _EITHER = "Normalised MP"
-# Two neighbours differ in colour, dashes and brightness; vermilion and black have other meanings.
-# The last two are for figures of other kinds: more than four results have a panel each.
+# Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
+# last two are for other kinds of figures: more than four results have a panel each.
 LOOKS: tuple[tuple[str, Any], ...] = (
     (BLUE, "-"),
     (PURPLE, (0, (4, 1.5))),
@@ -53,20 +52,19 @@ LOOKS: tuple[tuple[str, Any], ...] = (
 )
 MAX_TOGETHER = 4
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
-# Around the panels of one result: labels below and on the left, frame numbers above.
+# Margins around the panels: labels below and on the left, frame numbers above; and between them.
 _LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
-# Panels of one result each: all of them together, one at least and at most, and between two of
-# them, where the name stands.
+# Heights with a panel per result: all panels together; least and greatest height of one; its name.
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
-# Characters of a name beside a row of spikes.
+# Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
-# More dots than this touch each other: their black rims would hide the rest.
+# More dots than this touch each other, and their black rims would hide everything else.
 _MAX_RINGED = 200
 
 
 @dataclass(frozen=True)
 class _Trace:
-    """A result and what its line looks like; `alone`, it shows spikes and alarms, too."""
+    """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too."""
 
     label: str
     result: Result
@@ -82,31 +80,31 @@ def plot(
     column: str | None = None,
     width: Width = "one",
 ) -> Figure:
-    """A figure of stored or new results over time.
+    """Draw results over time.
 
     Parameters
     ----------
     kind : str
         "mp": the normalised membrane potential, with the threshold if all results share it.
-        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and a mark where next
-        to nothing passes. "spikes": spikes and alarms above the potential that caused them.
+        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and a mark where almost
+        nothing passes. "spikes": spikes and alarms above the potential that caused them.
         "overview": all of these.
     results : mapping of str to Result
-        By label, in the order of the legend; at least one, each with at least one frame. One alone
-        shows its spikes and alarms in the potential, and so do more than four, which have a panel
-        each. Of a long one, the line is the maximum of every column of pixels.
+        By label, in the order of the legend; at least one, each with at least one frame. More than
+        four have a panel each. A result that is alone in its panel also shows its spikes and
+        alarms. For a long result, the maximum of every pixel column is drawn.
     annotations : Annotations
-        What is marked, by frame, at the times that the frames have in the first result.
+        Annotated frames, drawn at the times of the first result.
     column : "level", "mp_abs" or "mp_seq", optional
-        Which potential is drawn: the one held against the threshold, which is the default, the one
-        normalised without later frames, or the one scaled to each sequence's own extremes.
+        The potential to draw: the one that is compared with the threshold (default), the absolute
+        one, or the one scaled to the extremes of its sequence.
     width : "one" or "two"
         Columns of the paper that the figure takes.
 
     Raises
     ------
     ValueError
-        If there is no result, or `kind`, `column` or `width` is none of these.
+        If there is no result, or `kind`, `column` or `width` is not one of these.
     """
     if not results:
         raise ValueError("there is no result to draw")
@@ -135,11 +133,7 @@ def plot(
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
             above = [max(n_rows, 0.1) * ROW_IN]
             highest.get_gridspec().set_height_ratios(above + heights)
-        for axes in grid[:, 0]:
-            axes.spines["top"].set_visible(False)
-        for axes in grid[:-1, 0]:
-            axes.spines["bottom"].set_visible(False)
-            axes.tick_params(axis="x", bottom=False)
+        _hide_spines(list(grid[:, 0]))
         figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
         between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
         figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
@@ -154,7 +148,7 @@ def plot(
 def _panels(
     draws: tuple["_Draw", ...], results: Mapping[str, Result]
 ) -> tuple[list[tuple["_Draw", list[_Trace]]], list[float]]:
-    """What draws each panel, the results in it, and its height in inches, from the top down."""
+    """For each panel, from the top down: its drawing function and results, and its height in in."""
     raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(results))
     if len(results) <= MAX_TOGETHER:
         together = _traces(results)
@@ -179,10 +173,10 @@ def _panels(
 def _share(
     axes_of: list[Axes], panels: list[tuple["_Draw", list[_Trace]]], found: list[Entries]
 ) -> list[Entries]:
-    """Give panels of one result each their names, and per kind one scale and one label.
+    """Name the panels of one result each, and give each kind of panel one scale and one label.
 
-    Returns the entries of the legend without the lines, which the names explain; with one for
-    thresholds that differ.
+    Returns the entries of the legend without those of the lines, and with one for all thresholds if
+    they differ.
     """
     for kind in (_draw_level, _draw_attenuation):
         group = [
@@ -199,7 +193,7 @@ def _share(
             axes.set_ylim(min(lows), max(highs))
             axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
-        # At the middle panel; it is longer than that.
+        # The label is longer than one panel: it stands beside the middle of all.
         label = group[len(group) // 2][0].set_ylabel(names.pop() if len(names) == 1 else _EITHER)
         label.set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in found for _, text in some if text.startswith("threshold ")}
@@ -214,10 +208,19 @@ def _share(
     ]
 
 
-def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> None:
-    """The layout of what `dlgmd run` and `dlgmd batch` draw for every video, and of many panels.
+def _hide_spines(panels: list[Axes]) -> None:
+    """Leave no lines between panels: only the lowest keeps its time axis."""
+    for axes in panels:
+        axes.spines["top"].set_visible(False)
+    for axes in panels[:-1]:
+        axes.spines["bottom"].set_visible(False)
+        axes.tick_params(axis="x", bottom=False)
 
-    Its labels have known widths; to let Matplotlib find it would take as long as to draw it.
+
+def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> None:
+    """Lay out figures of one result, which every run draws, and figures with many panels.
+
+    The widths of their labels are known, and Matplotlib's layout would take as long as drawing.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()
@@ -239,9 +242,9 @@ def _entries(found: list[Entries]) -> Entries:
 
 
 def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
-    """At most `n_points` of a series: the time, and the greatest value, of each column of pixels.
+    """Reduce a series to at most `n_points`: the first time and the greatest value of each column.
 
-    NaN where all of a column is. Of flags, a column has one that any of its rows has.
+    A column is NaN if all its values are, and flagged if any of its rows is.
     """
     if len(values) <= n_points:
         return time_s, values
@@ -251,9 +254,9 @@ def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple
 
 
 def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
-    """Start and duration of every unbroken stretch of flagged rows, in seconds.
+    """Start and duration, in seconds, of every run of flagged rows.
 
-    A row lasts from halfway after the row before it until halfway to the next one.
+    A row extends halfway to its neighbours.
     """
     times, any_flag = thinned(time_s, flags.astype(np.float64))
     half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
@@ -265,7 +268,7 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
 
 
 def _traces(results: Mapping[str, Result]) -> list[_Trace]:
-    """Up to four results with a look each, in their order."""
+    """Up to four results in order, each with its look."""
     return [
         _Trace(label, result, {"color": color, "linestyle": dashes}, alone=len(results) == 1)
         for (label, result), (color, dashes) in zip(results.items(), LOOKS, strict=False)
@@ -273,7 +276,7 @@ def _traces(results: Mapping[str, Result]) -> list[_Trace]:
 
 
 def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
-    """A line that breaks at NaN, with a dot where a single value would draw nothing."""
+    """Draw a line that breaks at NaN; an isolated value is a dot."""
     times, highest = thinned(trace.result.time_s, values)
     known = np.concatenate(([False], ~np.isnan(highest), [False]))
     single = known[1:-1] & ~known[:-2] & ~known[2:]
@@ -283,7 +286,7 @@ def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
 
 
 def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
-    """The normalised membrane potential, the threshold if it is everyone's, spikes and alarms."""
+    """Draw the normalised potential, a shared threshold, and spikes and alarms of a single result."""
     results = [trace.result for trace in traces]
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
     levels: list[Series] = [getattr(result, column) for result in results]
@@ -306,7 +309,7 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
 
 
 def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
-    """A dot at every spike, and a band at every alarm."""
+    """Draw a dot at every spike, and a band at every alarm."""
     entries: Entries = []
     times, levels = thinned(result.time_s, np.where(result.spikes, level, np.nan))
     spiking = ~np.isnan(levels)
@@ -327,7 +330,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
 
 
 def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """Attenuation in dB; marks below, one row per result, where nothing passes."""
+    """Draw attenuation in dB; where nothing passes, marks below, in one row per result."""
     entries: Entries = []
     silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
     shown = [
@@ -355,7 +358,7 @@ def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
 
 
 def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
-    """Limits of the vertical axis; `foot` is the share of it below all values."""
+    """Limits of the vertical axis; `foot` is the share of it that stays free below the values."""
     drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
     known = drawn[~np.isnan(drawn)]
     if not known.size:
@@ -368,7 +371,7 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
 
 
 def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """One row of spikes and one of alarms; with several results, one row per result with both."""
+    """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
         result = traces[0].result
@@ -397,7 +400,7 @@ def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
 def _draw_bars(
     axes: Axes, result: Result, flags: Flags, reach: tuple[float, float], color: str
 ) -> None:
-    """A bar over every stretch of flagged rows, from one height to another."""
+    """Draw a bar over every run of flagged rows, between two heights."""
     low, high = reach
     bars = stretches(result.time_s, flags)
     axes.broken_barh(bars, (low, high - low), color=color, linewidth=0.4)
@@ -415,7 +418,7 @@ def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
     )  # fmt: skip
 
 
-# Draws results in a panel: the axes, the results, the column of the potential.
+# A function that draws results in a panel: axes, results, column of the potential.
 _Draw = Callable[[Axes, list[_Trace], str], Entries]
 # The panels of each figure, from the top down.
 KINDS: dict[str, tuple[_Draw, ...]] = {

@@ -190,10 +190,8 @@ def test_letters_that_the_font_lacks_are_one_warning(dlgmd):
     formats = ("--format", "png", "--format", "svg")
     result = dlgmd("plot", "mp", "one", "--label", "飛行", "--mark", "4:左", *formats)
     assert result.exit_code == 0 and result.stdout
-    assert result.stderr == (
-        "Warning: the figure's font lacks some letters of the texts, "
-        "and shows boxes in their place.\n"
-    )
+    lacks = "the figure's font lacks some letters; the figure shows boxes instead"
+    assert result.stderr == f"Warning: {lacks}.\n"
 
 
 def test_results_are_named_after_their_folders(dlgmd, drawn):

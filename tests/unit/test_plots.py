@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgb
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
@@ -299,3 +300,18 @@ def test_a_kernel_s_least_value_is_said_where_it_means_something():
         words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
     assert words[0] == ["up to 1.1", "up to 0.6", "only 1"]
     assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
+
+
+@pytest.mark.parametrize("n_models", [3, 6])
+def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
+    rate, recall = np.array([9.0, 4.0, 0.0]), np.array([0.9, 0.6, 0.2])
+    curves = {f"model {i}": (rate, recall) for i in range(n_models)}
+    figure = trade_off(curves, {"model 0": (4.0, 0.6)}, 1.0)
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert len(panels) == (1 if n_models == 3 else 6)
+    titles = [axes.get_title(loc="left") for axes in panels]
+    assert titles == ([""] if n_models == 3 else list(curves))
+    for line in panels[0].lines[:n_models]:
+        assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == [*(curves if n_models == 3 else ()), "default threshold"]
