@@ -56,6 +56,10 @@ _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
 _LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
 # Heights with a panel per result: all panels together; least and greatest height of one; its name.
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
+# Height of a page without margins, and of the lowest legible panel.
+_PAGE_IN, _LEGIBLE_IN = 9.0, 0.18
+# With more panels, each is too low for more than two ticks.
+_MANY_PANELS = 14
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
 # More dots than this touch each other, and their black rims would hide everything else.
@@ -155,7 +159,10 @@ def _panels(
         heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
         return [(draw, together) for draw in draws], heights
     n_small = sum(draw is not _draw_raster for draw in draws) * len(results)
+    # So that the figure fits on a page, if its panels stay legible.
+    room_in = _PAGE_IN - raster_in - _AXES_LABELS_IN - _NAME_IN * n_small
     small_in = min(max(_SMALL_IN / n_small, _LEAST_SMALL_IN), _MOST_SMALL_IN)
+    small_in = min(small_in, max(room_in / n_small, _LEGIBLE_IN))
     apart = [trace for label, one in results.items() for trace in _traces({label: one})]
     panels: list[tuple[_Draw, list[_Trace]]] = []
     heights = []
@@ -178,6 +185,7 @@ def _share(
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
     they differ.
     """
+    n_ticks = 2 if len(panels) <= _MANY_PANELS else 1
     for kind in (_draw_level, _draw_attenuation):
         group = [
             (axes, traces[0])
@@ -191,7 +199,7 @@ def _share(
         for axes, trace in group:
             axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
             axes.set_ylim(min(lows), max(highs))
-            axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
+            axes.yaxis.set_major_locator(MaxNLocator(n_ticks, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         # The label is longer than one panel: it stands beside the middle of all.
         label = group[len(group) // 2][0].set_ylabel(names.pop() if len(names) == 1 else _EITHER)
@@ -286,7 +294,7 @@ def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
 
 
 def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
-    """Draw the normalised potential, a shared threshold, and spikes and alarms of a single result."""
+    """Draw the normalised potential, a shared threshold, and the events of a single result."""
     results = [trace.result for trace in traces]
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
     levels: list[Series] = [getattr(result, column) for result in results]

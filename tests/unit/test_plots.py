@@ -315,3 +315,8 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
         assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == [*(curves if n_models == 3 else ()), "default threshold"]
+
+
+def test_an_overview_of_nine_results_fits_on_a_page():
+    figure = plot("overview", {f"set {i}": make_result() for i in range(1, 10)}, width="two")
+    assert figure.get_figheight() < 9.5
