@@ -58,8 +58,7 @@ _LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
 # Height of a page without margins, and of the lowest legible panel.
 _PAGE_IN, _LEGIBLE_IN = 9.0, 0.18
-# With more panels, each is too low for more than two ticks.
-_MANY_PANELS = 14
+
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
 # More dots than this touch each other, and their black rims would hide everything else.
@@ -185,7 +184,7 @@ def _share(
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
     they differ.
     """
-    n_ticks = 2 if len(panels) <= _MANY_PANELS else 1
+
     for kind in (_draw_level, _draw_attenuation):
         group = [
             (axes, traces[0])
@@ -199,7 +198,7 @@ def _share(
         for axes, trace in group:
             axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
             axes.set_ylim(min(lows), max(highs))
-            axes.yaxis.set_major_locator(MaxNLocator(n_ticks, steps=[1, 2, 5, 10]))
+            axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
         # The label is longer than one panel: it stands beside the middle of all.
         label = group[len(group) // 2][0].set_ylabel(names.pop() if len(names) == 1 else _EITHER)
