@@ -20,6 +20,7 @@ from dlgmd_cli.parameters import (
     merge,
 )
 from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.runs.run import numbers_of
 from dlgmd_cli.video.frames import open_video
 from dlgmd_cli.video.luma import resized
 from dlgmd_cli.video.prefetch import opencv_threads
@@ -116,8 +117,7 @@ def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
             at = {size: grey if size == (width, height) else resized(grey, size)
                   for size in sizes.values()}  # fmt: skip
             for label, each in created.items():
-                found = each.step(at[sizes[label]])
-                rows[label].append((found.mp, found.p_sum, found.s_sum, found.attenuation_db))
+                rows[label].append(numbers_of(each.step(at[sizes[label]])))
     frame = np.arange(n_frames)
     results = {}
     for label, one in models.items():
@@ -125,8 +125,9 @@ def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
         record: dict[str, Any] = {"processed": {"width": width, "height": height}}
         if collision_frame is not None:
             record["collision_frame"] = collision_frame
-        mp, p_sum, s_sum, db = np.array(rows[label]).T
-        results[label] = Result(frame, frame / fps, mp, p_sum, s_sum, db, one.params, record)
+        p_sum, s_sum, db, mp, g_x, g_y = np.array(rows[label]).T
+        columns = mp, p_sum, s_sum, db, g_x, g_y
+        results[label] = Result(frame, frame / fps, *columns, one.params, record)
     return ClipResults(results, truth, phases)
 
 
