@@ -162,13 +162,13 @@ def _write_page(one: "Input", out: Path, request: _Request, index: str = "") -> 
     from dlgmd_cli.results.store import write_text
 
     collisions = collisions_of(one, request.frames, request.labels)
-    first, last = int(one.shown[0].result.frame[0]), int(one.shown[0].result.frame[-1])
+    first, last = int(one.results[0].result.frame[0]), int(one.results[0].result.frame[-1])
     for frame in collisions:
         if not first <= frame <= last:
             warn(f"{one.name}: the collision at frame {frame} is outside frames {first} to {last}")
     if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
-        until = [replace(s, result=s.result.until(collisions[0])) for s in one.shown]
-        one = replace(one, shown=tuple(until))
+        until = [replace(r, result=r.result.until(collisions[0])) for r in one.results]
+        one = replace(one, results=tuple(until))
     parts = _parts(one, request)
     text = page(one, parts, collisions, index=f"../{_link(index)}" if index else "")
     if len(text) > _LARGE_BYTES:
@@ -190,23 +190,23 @@ def _parts(one: "Input", request: _Request) -> "Sequence[Part]":
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         warn(f"{one.name}: no film: {no_film.rstrip('.')}")
-    for shown in one.shown:
+    for labelled in one.results:
         why, film = no_film, None
         if not why:
-            n_frames = shown.result.record["input"].get("frames") or len(shown.result)
+            n_frames = labelled.result.record["input"].get("frames") or len(labelled.result)
             try:
-                with progress(f"{one.name} · {shown.label}", 2 * n_frames) as on_frame:
+                with progress(f"{one.name} · {labelled.label}", 2 * n_frames) as on_frame:
                     film = render(
-                        shown.result,
-                        shown.peers,
+                        labelled.result,
+                        labelled.peers,
                         request.input_path or one.path,
                         request.width_px,
-                        thumbnail_row(shown.result),
+                        thumbnail_row(labelled.result),
                         on_frame,
                     )
             except DlgmdError as error:
-                warn(f"{one.name} · {shown.label}: no film: {str(error).rstrip('.')}")
+                warn(f"{one.name} · {labelled.label}: no film: {str(error).rstrip('.')}")
                 # Pages are shared: they do not name the folder of the file.
                 why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
-        parts.append(Part(shown, film, why))
+        parts.append(Part(labelled.label, labelled.result, film, why))
     return parts

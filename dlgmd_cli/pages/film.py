@@ -1,4 +1,4 @@
-"""The film of a page: the input with the cells of G that the model finds active, as H.264."""
+"""The film of a page: the input with the active cells of G tinted, as H.264."""
 
 import tempfile
 from collections.abc import Sequence
@@ -22,9 +22,9 @@ from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.reading import Picture
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
-# What a mask leaves out is so many times darker.
+# Masked parts of the picture are darker by this factor.
 _DIMMED = 3
-# Stored values have nine digits; engines differ in the last of float32.
+# Tolerance between stored and recomputed MP: engines differ in the last digits of float32.
 _MP_TOLERANCE = 1e-3
 _THUMBNAIL_PX = 192
 
@@ -36,15 +36,15 @@ class Film:
     Attributes
     ----------
     data : bytes
-        The file, MP4.
+        The MP4 file.
     fps : float
-        Its frame rate.
+        Frame rate.
     size_wh : (int, int)
         Width and height in px.
     thumbnail : bytes
-        One of its pictures as JPEG, the one that was asked for.
+        The requested picture as JPEG.
     is_as_stored : bool
-        Whether the model, run once more, gave the membrane potential that the result holds.
+        Whether running the model again gave the membrane potential of the result.
     """
 
     data: bytes
@@ -62,31 +62,31 @@ def render(
     thumbnail_row: int,
     on_frame: OnFrame,
 ) -> Film:
-    """Run a result's model over its input once more, and show the input with G on top.
+    """Run a result's model over its input again, and make a film of the input with G on top.
 
     Parameters
     ----------
     result : Result
-        Its record says how the input is to be read.
+        Its record says how the input was read.
     peers : sequence of Result
-        All that were computed in one go with it, itself among them: they share the frame rate.
+        The results that were computed in the same run, including itself: they share a frame rate.
     path : str
-        Where the input is now.
+        Current path of the input.
     width_px : int
-        The film's greatest width.
+        Greatest width of the film.
     thumbnail_row : int
         The row of the result that the thumbnail shows.
     on_frame : callable
-        Called with the number of frames done; there are twice as many as the input has.
+        Called with the number of frames done, up to twice the number of the input's frames.
 
     Raises
     ------
     SourceError
-        If the input cannot be decoded, or is another one.
+        If the input cannot be decoded, or its frames are not those of the result.
     ParameterError
-        If the record's options are not valid.
+        If the options in the record are not valid.
     Interrupted
-        If the stop flag is set.
+        If the user asked to stop.
     """
     processed = result.record["processed"]
     options = replace(
@@ -116,7 +116,7 @@ def render(
         equal_nan=True,
     )
     strongest_g = max(abs(bound) for bound in ranges["g"])
-    if not np.isfinite(strongest_g):  # no layer G was ever defined
+    if not np.isfinite(strongest_g):  # G is undefined in every frame
         strongest_g = 0.0
     model.reset()
     thumbnail = b""
@@ -165,17 +165,17 @@ def _setup(result: Result) -> Setup:
 
 
 def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
-    """Width and height of the film, even, never larger than the input and a pixel."""
+    """Width and height of the film: even, and at most one pixel larger than the input."""
     scale = min(1.0, width_px / max(width, 1))
     return max(2, round(width * scale / 2) * 2), max(2, round(height * scale / 2) * 2)
 
 
 def _shown(picture: Picture, size_wh: tuple[int, int]) -> BgrImage:
-    """A picture in 8 bits and BGR at the film's size."""
+    """A picture as 8-bit BGR at the film's size."""
     image: Any = picture.image
-    is_small = image.shape[1] >= size_wh[0] and image.shape[0] >= size_wh[1]
-    way = cv2.INTER_AREA if is_small else cv2.INTER_LINEAR
-    image = cv2.resize(image, size_wh, interpolation=way)
+    shrinks = image.shape[1] >= size_wh[0] and image.shape[0] >= size_wh[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    image = cv2.resize(image, size_wh, interpolation=interpolation)
     if picture.levels is not None or image.dtype != np.uint8:
         black, white = picture.levels or (0, 255 if image.dtype == np.uint8 else 65_535)
         levels = (image.astype(np.float32) - black) * (255.0 / (white - black))
@@ -184,7 +184,7 @@ def _shown(picture: Picture, size_wh: tuple[int, int]) -> BgrImage:
 
 
 def _jpeg(picture: BgrImage) -> bytes:
-    """A small picture of a picture."""
+    """A thumbnail of a picture, as JPEG."""
     height, width = picture.shape[:2]
     scale = min(1.0, _THUMBNAIL_PX / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))

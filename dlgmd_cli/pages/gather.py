@@ -1,4 +1,4 @@
-"""What pages show: results by the input that they are of, and collisions from labels."""
+"""Gather the content of pages: results grouped by input, and labelled collisions."""
 
 import csv
 import os
@@ -15,13 +15,13 @@ from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.result import Result, read_comparison, read_result
 from dlgmd_cli.runs.find import SUMMARY
 
-# A result with its folder, its name within it, and those that were computed in one go with it.
+# Folder of a result, its name in the folder, the result, and all results of the same run.
 Entry = tuple[Path, str, Result, tuple[Result, ...]]
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A result under its label; `peers` were computed in one go with it, itself among them."""
+class LabelledResult:
+    """A result and its label; `peers` are all results of the same run, including itself."""
 
     label: str
     result: Result
@@ -30,18 +30,18 @@ class Shown:
 
 @dataclass(frozen=True)
 class Input:
-    """An input with all of its results, at least one; `name` is what the page calls it."""
+    """An input with all of its results, at least one; `name` is unique among the inputs."""
 
     name: str
     path: str
-    shown: tuple[Shown, ...]
+    results: tuple[LabelledResult, ...]
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Inputs in order; `failed` are videos of a batch without a result, with the reason.
+    """All inputs, sorted by name; `failed` has the failed videos of batches, with the reasons.
 
-    `is_batch` says whether one of the folders holds results in folders of its own.
+    `is_batch` says whether results were found in subfolders of a given folder.
     """
 
     inputs: list[Input]
@@ -50,7 +50,7 @@ class Gathered:
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
-    """Every result in folders, or in the folders within them, by input.
+    """Read every result in folders, or in their subfolders, and group them by input.
 
     Raises
     ------
@@ -77,27 +77,26 @@ def gather(paths: Sequence[Path]) -> Gathered:
     ]
     names = told_apart([Path(one) for one in inputs_of])
     for name, entries in zip(names, by_input.values(), strict=True):
-        labels = _labels(entries)
-        shown = [
-            Shown(label, result, peers)
-            for label, (_, _, result, peers) in zip(labels, entries, strict=True)
-        ]
-        inputs.append(Input(name, str(entries[0][2].record["input"]["path"]), tuple(shown)))
+        results = tuple(
+            LabelledResult(label, result, peers)
+            for label, (_, _, result, peers) in zip(_labels(entries), entries, strict=True)
+        )
+        inputs.append(Input(name, str(entries[0][2].record["input"]["path"]), results))
     return Gathered(sorted(inputs, key=lambda one: one.name), failed, is_batch)
 
 
 def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
-    """Frames at which an input's camera collides: those given, those on record, those labelled."""
-    known = {shown.result.collision_frame for shown in one.shown}
-    labelled = labels.get(one.path, labels.get(PurePath(one.path).name, []))
-    return sorted({*frames, *labelled, *(frame for frame in known if frame is not None)})
+    """The collision frames of an input: those given, those on record, and those labelled."""
+    known = {labelled.result.collision_frame for labelled in one.results}
+    listed = labels.get(one.path, labels.get(PurePath(one.path).name, []))
+    return sorted({*frames, *listed, *(frame for frame in known if frame is not None)})
 
 
 def read_collisions(path: Path) -> dict[str, list[int]]:
-    """Collision frames that a labels.csv lists, by the video's absolute path.
+    """Read the collision frames in a labels.csv, by the video's absolute path.
 
-    Also by the name of its file, where no other video has the same. Raises ResultError if it is no
-    such file.
+    They can also be found by the name of the file, if it is unique. Raises ResultError if `path` is
+    not a file of labels.
     """
     found: dict[str, list[int]] = {}
     by_name: dict[str, set[str]] = {}
@@ -112,13 +111,13 @@ def read_collisions(path: Path) -> dict[str, list[int]]:
 
 
 def _has_result(folder: Path) -> bool:
-    """Whether a folder holds a result itself; one that is not there says so when it is read."""
+    """Whether a folder holds a result itself; a missing folder counts, and fails when read."""
     records = (store.RUN, store.COMPARISON)
     return not folder.is_dir() or any((folder / name).exists() for name in records)
 
 
 def _below(folder: Path) -> list[Path]:
-    """The folders below one that hold results, in order; raises ResultError if there are none."""
+    """The subfolders with results, sorted; raises ResultError if there are none."""
     names = (store.RUN, store.COMPARISON)
     found = sorted({record.parent for name in names for record in folder.rglob(name)})
     if not found:
@@ -131,7 +130,7 @@ def _below(folder: Path) -> list[Path]:
 
 
 def _read(folder: Path) -> list[Entry]:
-    """Every result of a folder."""
+    """Read every result in a folder."""
     found: list[Entry] = []
     if (folder / store.RUN).exists() or not (folder / store.COMPARISON).exists():
         result = read_result(folder)
@@ -147,14 +146,14 @@ def _read(folder: Path) -> list[Entry]:
 
 
 def _model_name(result: Result) -> str:
-    """What a single result's model is called: its set, its preset, or itself."""
+    """The name of a result's model: its set, its preset, or the model itself."""
     if isinstance(number := result.record.get("set"), int):
         return f"set{number}"
     return str(result.record.get("preset") or result.params.model)
 
 
 def _labels(entries: Sequence[Entry]) -> list[str]:
-    """Names of the results of one input: the models', with the folders' where these are alike."""
+    """Labels of an input's results: names of models, with their folders if these are not unique."""
     names = [name for _, name, _, _ in entries]
     folders = list(dict.fromkeys(folder for folder, *_ in entries))
     told = dict(zip(folders, told_apart(folders), strict=True))
@@ -167,13 +166,13 @@ def _labels(entries: Sequence[Entry]) -> list[str]:
 
 
 def _identity(result: Result) -> tuple[Any, ...]:
-    """What tells the input of a result from others."""
+    """The facts that identify the input of a result."""
     known = result.record["input"]
     return tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
 
 
 def _failures(folder: Path) -> list[tuple[str, str]]:
-    """Videos that a batch could not finish, and why; nothing where the table cannot be read."""
+    """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
     failed = []
     for path in sorted([*folder.glob(SUMMARY), *folder.glob(f"*/{SUMMARY}")]):
         try:

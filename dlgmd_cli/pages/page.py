@@ -1,4 +1,4 @@
-"""The page of one input, and the index of many: numbers in, HTML out."""
+"""HTML of the page of one input, and of the index of many."""
 
 import base64
 import math
@@ -14,13 +14,13 @@ import numpy.typing as npt
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import Film
-from dlgmd_cli.pages.gather import Input, Shown
+from dlgmd_cli.pages.gather import Input
 from dlgmd_cli.plots.traces import FLOOR_DB, stretches
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.result import Result, Series
 
 _TEMPLATES = Path(__file__).with_name("templates")
-# Points of a sparkline, px of its height, and the levels at its top and bottom.
+# Points of a sparkline, and its width and height in px.
 _SPARK_POINTS, _SPARK_WIDTH, _SPARK_HEIGHT = 160, 240, 44
 _SUMMARY_WORDS = {
     "mp_max": "peak MP",
@@ -37,9 +37,10 @@ _SUMMARY_WORDS = {
 
 @dataclass(frozen=True)
 class Part:
-    """A result of a page: its film, or why there is none."""
+    """A result on a page, with its film, or the reason why it has none."""
 
-    shown: Shown
+    label: str
+    result: Result
     film: Film | None = None
     no_film: str = ""
 
@@ -57,7 +58,7 @@ def require_packages() -> None:
 
 
 def thumbnail_row(result: Result) -> int:
-    """The row that stands for a result: its first alarm, its peak, or the middle."""
+    """The row to show in the thumbnail: the first alarm, else the peak, else the middle."""
     onsets, level = result.alarm_onsets, result.level
     if onsets.size:
         return int(onsets[0])
@@ -65,7 +66,7 @@ def thumbnail_row(result: Result) -> int:
 
 
 def page(one: Input, parts: Sequence[Part], collisions: Sequence[int], index: str = "") -> str:
-    """The page of an input as HTML; `index` is the name of the page that leads to it, if any."""
+    """The page of an input as HTML; `index` is the relative URL of the index, if there is one."""
     films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
     notes = list(dict.fromkeys(part.no_film for part in parts if part.no_film))
     return _rendered(
@@ -81,21 +82,21 @@ def page(one: Input, parts: Sequence[Part], collisions: Sequence[int], index: st
 
 
 def index_row(one: Input, href: str, parts: Sequence[Part], collisions: Sequence[int]) -> Any:
-    """What the index says of an input, without the film itself."""
+    """The row of an input in the index."""
     thumbnail = next((part.film.thumbnail for part in parts if part.film), b"")
     results = []
     for part in parts:
-        result, summary = part.shown.result, part.shown.result.summary
+        result, summary = part.result, part.result.summary
         results.append(
             {
-                "label": printable(part.shown.label),
+                "label": printable(part.label),
                 "alarms": summary["alarms"],
                 "first_s": summary["first_alarm_time_s"],
                 "spark": _spark(result, collisions),
                 "n_warnings": len(result.warnings),
             }
         )
-    first = one.shown[0].result
+    first = one.results[0].result
     return {
         "name": printable(one.name),
         "href": href,
@@ -120,7 +121,7 @@ def index_page(rows: Sequence[Any], failed: Sequence[tuple[str, str]]) -> str:
 
 
 def _rendered(template: str, **values: Any) -> str:
-    """A template with values; all text is escaped."""
+    """Fill a template; all text is escaped."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -135,20 +136,20 @@ def _rendered(template: str, **values: Any) -> str:
 
 @cache
 def _plotly() -> str:
-    """The library that draws the curves."""
+    """The source of the library that draws the curves."""
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
 
 
 def _page_data(one: Input, parts: Sequence[Part], collisions: Sequence[int]) -> dict[str, Any]:
-    """What the page's script works with."""
-    results = [part.shown.result for part in parts]
+    """The data for the page's script."""
+    results = [part.result for part in parts]
     found = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
     foot_db = (min(found) if found else -10.0) - 2.0
     return {
         "name": printable(one.name),
-        # Beside the video this leads to it.
+        # Labels are saved beside the video, so its file name is enough.
         "video": text_cell(PurePath(one.path).name),
         "collisions": list(collisions),
         "results": [_result_data(part, foot_db) for part in parts],
@@ -156,13 +157,13 @@ def _page_data(one: Input, parts: Sequence[Part], collisions: Sequence[int]) -> 
 
 
 def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
-    """Curves and marks of one result."""
-    result = part.shown.result
+    """Curves and events of one result, for the page's script."""
+    result = part.result
     db = result.attenuation_db
-    # Comparisons do not store whether anything changed; there -inf says that nothing passed.
+    # Comparisons do not store P; there, -inf means that nothing passed.
     silent = db <= FLOOR_DB
     return {
-        "label": printable(part.shown.label),
+        "label": printable(part.label),
         "frame": result.frame.tolist(),
         "time": _numbers(result.time_s, 6),
         "level": _numbers(result.level, 4),
@@ -184,14 +185,14 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> list[float | None]:
-    """Numbers as JSON has them, rounded; null where undefined."""
+    """Rounded numbers for JSON; None (null) where not finite."""
     series: Series = np.asarray(values, dtype=np.float64)
     return [round(value, digits) if math.isfinite(value) else None for value in series.tolist()]
 
 
 def _drawer(part: Part) -> dict[str, Any]:
-    """Summary, parameters, input and warnings of a result, as texts."""
-    result, record = part.shown.result, part.shown.result.record
+    """Summary, parameters, input and warnings of a result, as texts for the drawer."""
+    result, record = part.result, part.result.record
     specs, values = result.params.specs(), result.params.to_dict()
     summary = [(word, _text(result.summary[key])) for key, word in _SUMMARY_WORDS.items()]
     known, processed = record.get("input") or {}, record.get("processed") or {}
@@ -205,7 +206,7 @@ def _drawer(part: Part) -> dict[str, Any]:
         "decoder": known.get("decoder"),
         "engine": record.get("engine"),
         **{
-            # Where a file lies is nobody else's business.
+            # Pages are shared: they do not name the folder of a file.
             key: PurePath(str(value)).name if key == "mask" else value
             for key, value in _flat(record.get("options")).items()
         },
@@ -214,13 +215,13 @@ def _drawer(part: Part) -> dict[str, Any]:
     warnings = list(result.warnings)
     if part.film is not None and not part.film.is_as_stored:
         warnings.append(
-            "the model, run once more for the film, gave another MP than the one stored: the "
-            "curves are the stored ones, the tinted cells are new"
+            "running the model again for the film gave a different MP: the curves are stored ones, "
+            "the tinted cells are new"
         )
     if record.get("complete") is False:
         warnings.append("the run was interrupted")
     return {
-        "label": printable(part.shown.label),
+        "label": printable(part.label),
         "model": result.params.model,
         "summary": summary,
         "parameters": [
@@ -233,12 +234,12 @@ def _drawer(part: Part) -> dict[str, Any]:
 
 
 def _flat(known: Any) -> Mapping[str, Any]:
-    """A mapping of a record, nothing if it is something else."""
+    """A mapping in a record; empty if it is anything else."""
     return known if isinstance(known, dict) else {}
 
 
 def _text(value: Any) -> str:
-    """A value as the drawer shows it."""
+    """A value as text for the drawer."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -249,7 +250,7 @@ def _text(value: Any) -> str:
 
 
 def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Any]:
-    """A small curve of the MP: points, alarms and collisions in px."""
+    """A sparkline of the MP: points, threshold, alarms and collisions in px."""
     time_s, level = result.time_s, np.nan_to_num(result.level)
     start_s, length_s = float(time_s[0]), float(time_s[-1] - time_s[0]) or 1.0
     edges = np.unique(np.linspace(0, len(level), _SPARK_POINTS, endpoint=False).astype(int))

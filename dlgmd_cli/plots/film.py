@@ -1,4 +1,4 @@
-"""A film of the model at work: input, S and G above the membrane potential up to the present."""
+"""A film of input, S and G, above the membrane potential up to the present frame."""
 
 from typing import Any
 
@@ -30,12 +30,12 @@ WIDTH, HEIGHT = 1280, 720
 _DPI = 100
 _LEVELS = (-0.03, 1.05)
 _HEADER_PX = 60
-# Width of a panel, what its title and colour bar need below and above it, and both at most.
+# Width of a panel, height of its title and colour bar, and greatest height of all three.
 _PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
 _DOT_PX = 6
-# As OpenCV draws them, in BGR order.
+# Colours for OpenCV, in BGR order.
 _NOW, _ORANGE, _VERMILION = (40, 40, 40), (0, 0x9F, 0xE6), (0, 0x5E, 0xD5)
-# Vermilion, a quarter of it.
+# A quarter of vermilion on white.
 _LIGHT_VERMILION = "#F5D6BF"
 
 Box = tuple[slice, slice]
@@ -44,11 +44,11 @@ Box = tuple[slice, slice]
 class Film:
     """Draws the pictures of a film, 1280x720 px.
 
-    What stays the same is drawn once, by Matplotlib; the rest is copied in. A layer with more
-    cells than its panel has pixels is shown by the strongest cell of each pixel.
+    Matplotlib draws the parts that stay the same, once; the rest is copied in. If a layer has more
+    cells than its panel has pixels, a pixel shows the strongest of its cells.
 
-    `result` says what the model said about every frame, at least one, of `shape` (H, W). `scales`
-    and `units`, in words, are those of S and G; `label` is what the film says of its origin.
+    `result` has a row for every frame of the film, at least one; frames have the `shape` (H, W).
+    `scales` and `units` are those of S and G; `label` names input and model.
     """
 
     shape = HEIGHT, WIDTH
@@ -84,7 +84,7 @@ class Film:
     ) -> BgrImage:
         """The picture of one row of the result, (720, 1280, 3) BGR.
 
-        `luminance` is the frame, 0 to 1, and `s` and `g` its layers, None where not defined.
+        `luminance` is the frame, 0 to 1, and `s` and `g` its layers, None where undefined.
         """
         picture = self._ground.copy()
         grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
@@ -106,7 +106,7 @@ class Film:
         """Draw the trace up to the present, with a line and a dot at its end."""
         rows, columns = self._trace
         x, y = (int(place) for place in self._places[row])
-        # A little more than the axes, for the dots at their ends.
+        # A little wider than the axes, because of the dots at their ends.
         margin = _DOT_PX + 2
         past = np.s_[
             rows.start - margin : rows.stop + margin,
@@ -120,7 +120,7 @@ class Film:
             cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
     def _write_header(self, picture: BgrImage, row: int) -> None:
-        """Frame and time and, while the alarm is on, that it is."""
+        """Write frame and time, and ALARM during an alarm."""
         result, middle = self._result, WIDTH // 2
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
@@ -139,7 +139,7 @@ def _static(
     units: tuple[str, str],
     result: Result,
 ) -> tuple[list[Axes], Axes]:
-    """Draw panels without pictures and a trace that is empty; returns their axes."""
+    """Draw panels without pictures, and an empty trace; returns their axes."""
     above_px = min(_PANEL_PX * shape[0] / shape[1] + _BARS_PX, _MAX_PANELS_PX)
     heights = above_px, HEIGHT - _HEADER_PX - above_px
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)
@@ -160,7 +160,7 @@ def _static(
             axes.text(0.5, 0.5, "undefined", transform=axes.transAxes, **look)
         _add_bar(above, axes, scale, unit)
     trace = below.subplots()
-    # The last frame, too, lasts some time.
+    # A single frame also has some duration.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
     trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
     trace.set_ylim(*_LEVELS)
@@ -181,7 +181,7 @@ def _static(
 
 
 def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
-    """A colour bar below a panel; words, where all values are 0."""
+    """Add a colour bar below a panel; if all values are 0, a text says so."""
     look: Any = {"orientation": "horizontal", "aspect": 35, "pad": 0.02}
     bar = add_bar(figure, axes, scale, unit, ticks=MaxNLocator(5, steps=[1, 2, 5, 10]), **look)
     bar.ax.xaxis.label.set_fontsize(11)
@@ -191,7 +191,7 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    """What the model said, from the first frame to the last."""
+    """Draw potential, spikes and alarms of all frames."""
     axes.broken_barh(
         stretches(result.time_s, result.alarms),
         (_LEVELS[0], _LEVELS[1] - _LEVELS[0]),
@@ -206,7 +206,7 @@ def _draw_trace(axes: Axes, result: Result) -> None:
 
 
 def _pixels(figure: Figure) -> BgrImage:
-    """What `figure` looks like, (H, W, 3); off-screen."""
+    """Render `figure` off-screen; returns its pixels, (H, W, 3) BGR."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     figure.set_layout_engine("none")  # everything stays where it is
@@ -214,7 +214,7 @@ def _pixels(figure: Figure) -> BgrImage:
 
 
 def _box(axes: Axes) -> Box:
-    """Rows and columns of pixels of some axes, at least one of each."""
+    """Rows and columns of the pixels of some axes, at least one of each."""
     box = axes.get_window_extent()
     top, left = round(HEIGHT - box.y1), round(box.x0)
     bottom, right = max(round(HEIGHT - box.y0), top + 1), max(round(box.x1), left + 1)

@@ -1,4 +1,4 @@
-"""A film of the input at full size, in which active cells are tinted and alarms are a banner."""
+"""A film of the input at full size, with active cells tinted and alarms as a banner."""
 
 import math
 from typing import Any
@@ -9,20 +9,20 @@ import numpy as np
 from dlgmd_cli.plots.heat import BgrImage, FloatImage, strongest
 from dlgmd_cli.results.result import Result
 
-# Orange, as spikes are; vermilion, as alarms are; BGR.
+# Orange as for spikes, vermilion as for alarms; BGR.
 _TINT, _ALARM, _WHITE, _BLACK = (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255, 255, 255), (0, 0, 0)
-# Opacity of the weakest active cell, and what the strongest has beside.
+# Opacity of the weakest active cell, and what the strongest cell has in addition.
 _LEAST, _MORE = 0.45, 0.4
-# Of the height of the picture; letters of OpenCV's font are 22 px high at scale 1.
+# Heights of banner and letters as shares of the picture's; letters of OpenCV's font at scale 1.
 _BANNER, _LETTER, _LETTER_PX = 0.09, 0.05, 22
-# Radius of the ring about the centroid, of the height of the picture.
+# Radius of the ring around the centroid, as a share of the picture's height.
 _RING = 0.035
 
 
 def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
-    """A picture, (H, W, 3) BGR, in which the active cells of G are orange.
+    """Tint the active cells of G orange in a picture, (H, W, 3) BGR.
 
-    `g` may have any size; it is None where not defined. `greatest` is the greatest magnitude of G
+    `g` may have any size; it is None where undefined. `greatest` is the greatest magnitude of G
     over all frames.
     """
     if g is None or not g.any():
@@ -36,9 +36,9 @@ def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
 
 
 def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
-    """Draw a ring about the centroid of G, from -1 to 1, into a picture, (H, W, 3) BGR.
+    """Draw a ring around the centroid of G, -1 to 1, into a picture, (H, W, 3) BGR.
 
-    NaN, where no cell is active, draws nothing.
+    The centroid is NaN if no cell is active; then nothing is drawn.
     """
     if math.isnan(g_x) or math.isnan(g_y):
         return
@@ -53,8 +53,8 @@ def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
 class Overlay:
     """Draws the pictures of the film.
 
-    `shape` is H and W of the input, in px; pictures have an even number of both. `greatest` is the
-    greatest magnitude of G over all frames.
+    `shape` is (H, W) of the input in px; the film's is rounded up to even numbers. `greatest` is
+    the greatest magnitude of G over all frames.
     """
 
     def __init__(self, result: Result, shape: tuple[int, int], greatest: float) -> None:
@@ -65,7 +65,7 @@ class Overlay:
     def picture(self, row: int, image: BgrImage, g: FloatImage | None) -> BgrImage:
         """The picture of one row of the result, (H, W, 3) BGR.
 
-        `image` is the input, (H, W, 3) BGR, and `g` the layer, of any size, None where not defined.
+        `image` is the input, (H, W, 3) BGR, and `g` the layer, of any size, None where undefined.
         """
         height, width = self.shape
         down, right = height - image.shape[0], width - image.shape[1]
@@ -88,7 +88,7 @@ class Overlay:
     def _write(
         self, picture: BgrImage, text: str, place: tuple[int | None, int], rim: tuple[int, int, int]
     ) -> None:
-        """White letters with a rim, from a place on, or, without x, in the middle."""
+        """Write white letters with a rim, starting at `place`, or centred if it has no x."""
         scale = self._letter_px / _LETTER_PX
         thick = max(1, round(1.5 * scale))
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": scale}
