@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,41 +88,41 @@ def _as_folder(label: str) -> str:
     return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
-@dataclass(frozen=True)
-class _Workers:
-    """The processes that run the tasks: on this machine, or on a Dask cluster."""
+def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float | None) -> None:
+    """Raise if a scheduler's address is not valid, or is given with options of local processes."""
+    if scheduler is None:
+        return
+    for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
+        if value is not None:
+            raise click.UsageError(f"{option} does not work with --scheduler. Leave it out.")
+    from dlgmd_cli.runs.dask import address_of
 
-    jobs: int | None
-    timeout_s: float | None
-    scheduler: str | None
+    address_of(scheduler)
 
-    def __post_init__(self) -> None:
-        for option, value in (("--jobs", self.jobs), ("--timeout", self.timeout_s)):
-            if self.scheduler is not None and value is not None:
-                raise click.UsageError(f"{option} does not work with --scheduler. Leave it out.")
-        if self.scheduler is not None:
-            from dlgmd_cli.runs.dask import address_of
 
-            address_of(self.scheduler)
+def _outcomes(
+    job: "Job",
+    tasks: "list[Task]",
+    n_jobs: int | None,
+    timeout_s: float | None,
+    scheduler: str | None,
+) -> "Iterator[tuple[Task, Outcome]]":
+    """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
+    from dlgmd_cli import pool
+    from dlgmd_cli.results import store
+    from dlgmd_cli.runs import dask
+    from dlgmd_cli.runs.batch import run_video
+    from dlgmd_cli.threads import n_processors
 
-    def outcomes(self, job: "Job", tasks: "list[Task]") -> "Iterator[tuple[Task, Outcome]]":
-        """Run the tasks; yields each with its outcome as it ends."""
-        from dlgmd_cli import pool
-        from dlgmd_cli.results import store
-        from dlgmd_cli.runs import dask
-        from dlgmd_cli.runs.batch import run_video
-        from dlgmd_cli.threads import n_processors
-
-        if self.scheduler is None:
-            # With fewer videos than processors, each video uses several of them.
-            jobs = max(1, min(self.jobs or n_processors(), len(tasks)))
-            return pool.run_tasks(partial(run_video, job), tasks, jobs, timeout_s=self.timeout_s)
-        places = [one if store.is_url(one) else os.path.abspath(one) for one in job.places]
-        job = replace(job, places=tuple(places), scratch=None)
-        local = [Path(one) for one in places if not store.is_url(one)]
-        folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
-        function = partial(run_video, job)
-        return dask.run_tasks(function, tasks, self.scheduler, folders=folders, tell=say)
+    if scheduler is None:
+        # With fewer videos than processors, each video uses several of them.
+        n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
+        return pool.run_tasks(partial(run_video, job), tasks, n_jobs, timeout_s=timeout_s)
+    places = [one if store.is_url(one) else os.path.abspath(one) for one in job.places]
+    function = partial(run_video, replace(job, places=tuple(places), scratch=None))
+    local = [Path(one) for one in places if not store.is_url(one)]
+    folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
+    return dask.run_tasks(function, tasks, scheduler, folders=folders, tell=say)
 
 
 @click.command(
@@ -195,7 +195,7 @@ def batch(
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.batch import Job
 
-    workers = _Workers(jobs, timeout_s, scheduler)
+    _check_scheduler(scheduler, jobs, timeout_s)
     options, places = _options(setups, given), _places(setups, out)
     found = _find(folders, out, exclude)
     labels = [one.label for one in setups]
@@ -209,7 +209,8 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
         plan = _plan(found, job, force)
-        complete = _process(workers, job, plan, labels)
+        outcomes = _outcomes(job, plan.tasks, jobs, timeout_s, scheduler)
+        complete = _process(plan, outcomes, labels)
         statuses = {video.name: _status(plan, video.name) for video in found.videos}
         _show(plan, statuses, labels, complete=complete, as_json=as_json)
     if not complete or cancel.requested():
@@ -275,14 +276,14 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
     return made
 
 
-def _process(workers: _Workers, job: "Job", plan: "Plan", labels: list[str]) -> bool:
+def _process(plan: "Plan", outcomes: "Iterator[Any]", labels: list[str]) -> bool:
     """Run all tasks with a progress bar and warnings; False if the user interrupted it."""
     from dlgmd_cli.runs.batch import work_on
 
     n_ended = n_failed = 0
     try:
         with progress("batch", len(plan.tasks), "video") as advance:
-            for task, rows in work_on(plan, workers.outcomes(job, plan.tasks)):
+            for task, rows in work_on(plan, outcomes):
                 failures = _failures(rows, labels)
                 warnings = [
                     text for row in rows.values() for text in row.record.get("warnings", [])

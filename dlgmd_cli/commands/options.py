@@ -21,7 +21,7 @@ from dlgmd_cli.parameters import (
     parse_overrides,
     preset_names,
 )
-from dlgmd_cli.video.base import DECODERS, REPEATS, Crop, parse_crop, parse_size
+from dlgmd_cli.video.base import DECODERS, REPEATS, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.run import Setup
@@ -29,32 +29,21 @@ if TYPE_CHECKING:
 ENGINES = ("opencv", "numba")
 
 
-class Size(click.ParamType):
-    """Width and height in px, as 480x270."""
+class Parsed(click.ParamType):
+    """A value that the library parses; a ParameterError becomes click's error."""
 
-    name = "WxH"
+    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
+        self.name, self.parse = name, parse
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        """`480x270` -> (480, 270)."""
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """`480x270` -> (480, 270), for example."""
         try:
-            return parse_size(str(value))
+            return self.parse(str(value))
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
 
-class Rectangle(click.ParamType):
-    """A part of a picture in px, as 640x360+0+60."""
-
-    name = "WxH+X+Y"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Crop:
-        """`640x360+0+60` -> Crop(640, 360, 0, 60)."""
-        try:
-            return parse_crop(str(value))
-        except ParameterError as error:
-            self.fail(str(error), param, ctx)
+SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
 
 
 class Time(click.ParamType):
@@ -227,7 +216,6 @@ def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...
     return values[0] if values else None
 
 
-once = partial(click.option, multiple=True, callback=_only_one)
 param_option = click.option(
     "--param",
     "pairs",
@@ -247,19 +235,38 @@ engine_option = click.option(
     help="Library that computes the D-LGMD; numba needs dlgmd[fast].  "
     "[default: numba for large frames if installed, else opencv]",
 )
-ONE_MODEL = (
-    once("--set", "set_name", type=SetName(), metavar="N", help="The paper's set N, 1 to 9."),
-    once(
-        "--config",
-        type=click.Path(path_type=Path),
-        metavar="FILE",
-        shell_complete=complete_config,
-        help=f"{CONFIG_HELP}  [default: {PRESETS[0]}]",
-    ),
-    param_option,
-    once("--model", type=click.Choice(list(MODELS)), help=MODEL_HELP),
-    formulation_option,
-)
+
+
+def _naming_options(*, many: bool) -> list[Option]:
+    """The options --set, --config and --model; they may be repeated if there can be `many`."""
+    plural, note = ("s", " Repeatable.") if many else ("", "")
+    option = partial(click.option, multiple=True, callback=None if many else _only_one)
+    return [
+        option(
+            "--set",
+            f"set_name{plural}",
+            type=SetName(),
+            metavar="N",
+            help=f"The paper's set N, 1 to 9.{note}",
+        ),
+        option(
+            "--config",
+            f"config{plural}",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            shell_complete=complete_config,
+            help=f"{CONFIG_HELP}{note}  [default: {PRESETS[0]}]",
+        ),
+        option(
+            "--model",
+            f"model{plural}",
+            type=click.Choice(list(MODELS)),
+            help=f"{MODEL_HELP}{note}",
+        ),
+    ]
+
+
+ONE_MODEL = (*_naming_options(many=False), param_option, formulation_option)
 
 
 def _setup(
@@ -285,35 +292,7 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group(
-        argument,
-        collect,
-        click.option(
-            "--set",
-            "set_names",
-            multiple=True,
-            type=SetName(),
-            metavar="N",
-            help="The paper's set N, 1 to 9; repeatable.",
-        ),
-        click.option(
-            "--config",
-            "configs",
-            multiple=True,
-            type=click.Path(path_type=Path),
-            metavar="FILE",
-            shell_complete=complete_config,
-            help=f"{CONFIG_HELP} Repeatable.  [default: {PRESETS[0]}]",
-        ),
-        click.option(
-            "--model",
-            "models",
-            multiple=True,
-            type=click.Choice(list(MODELS)),
-            help=f"{MODEL_HELP} Repeatable.",
-        ),
-        *more,
-    )
+    return option_group(argument, collect, *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -350,7 +329,7 @@ input_options = option_group(
         help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
         f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
     ),
-    click.option("--size", type=Size(), help="Scale frames to this size in px instead."),
+    click.option("--size", type=SIZE, help="Scale frames to this size in px instead."),
     click.option(
         "--fps",
         type=RateOrAll(min=0, min_open=True, max=100_000),
@@ -370,7 +349,7 @@ input_options = option_group(
     decoder_option,
     click.option(
         "--crop",
-        type=Rectangle(),
+        type=RECTANGLE,
         help="Use only this part of the picture; X and Y are its upper left corner in px.",
     ),
     click.option(

@@ -17,7 +17,7 @@ from dlgmd_cli.commands.console import (
     say,
     settings,
 )
-from dlgmd_cli.commands.options import Size, complete_folder, dpi_option, overwrite_option
+from dlgmd_cli.commands.options import SIZE, complete_folder, dpi_option, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
@@ -31,7 +31,7 @@ _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # ranges, and have the defaults.
 _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
     _PICTURE: {
-        "size": (Size(), None, "Size of the frames in px.  [default: the scene's own; flat scenes "
+        "size": (SIZE, None, "Size of the frames in px.  [default: the scene's own; flat scenes "
             "480x270]"),
         "fps": (float, "F", "Frames per second.  [default: 30]"),
         "frames": (int, "N", "Number of frames.  [default: the whole flight; flat scenes: until "

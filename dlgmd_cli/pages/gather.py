@@ -72,16 +72,14 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for entry in found:
         by_input.setdefault(_identity(entry[2]), []).append(entry)
     inputs = []
-    inputs_of = [
-        PurePath(str(entries[0][2].record["input"]["path"])) for entries in by_input.values()
-    ]
-    names = told_apart([Path(one) for one in inputs_of])
-    for name, entries in zip(names, by_input.values(), strict=True):
+    paths_of = [str(entries[0][2].record["input"]["path"]) for entries in by_input.values()]
+    names = told_apart([Path(one) for one in paths_of])
+    for name, where, entries in zip(names, paths_of, by_input.values(), strict=True):
         results = tuple(
             LabelledResult(label, result, peers)
             for label, (_, _, result, peers) in zip(_labels(entries), entries, strict=True)
         )
-        inputs.append(Input(name, str(entries[0][2].record["input"]["path"]), results))
+        inputs.append(Input(name, where, results))
     return Gathered(sorted(inputs, key=lambda one: one.name), failed, is_batch)
 
 

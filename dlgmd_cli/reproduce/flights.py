@@ -29,7 +29,7 @@ from dlgmd_cli.reproduce.plan import (
     clip_jobs,
 )
 from dlgmd_cli.reproduce.stimuli import mean_db, share_of_peak
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Series
 from dlgmd_cli.runs.benchmark import (
     PAPER_DA,
     PAPER_S,
@@ -90,7 +90,7 @@ def _flights(plan: Plan, data: Data, group: int) -> list[ClipResults]:
 
 def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
     """First frame, last frame and name of the phases that a figure shows: all but the first."""
-    short = {"accelerate": "accel.", "decelerate": "brake", "collision": ""}
+    short = {"accelerate": "accel.", "decelerate": "brake"}
     named = list(flight.phases.items())[1:]
     return [
         (float(first), float(last), short.get(name, name))
@@ -275,8 +275,8 @@ def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
         end = flight.collision_frame
         return mean_db(flight.results[label], end - CONTACT_FRAMES, end) - flying(flight, label)
 
-    def causal(result: Result, end: int) -> float:
-        return sustained(np.nan_to_num(result.mp_abs), 0, end)
+    def causal(flight: ClipResults, label: str) -> float:
+        return sustained(np.nan_to_num(flight.results[label].mp_abs), 0, flight.collision_frame)
 
     name = f"fig{number}"
     return {
@@ -285,9 +285,7 @@ def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
         f"{name}-detects": by_formulation(
             lambda f: [level_in(s, f"set9/{f}", "contact") for s in flights]
         ),
-        f"{name}-causal": by_formulation(
-            lambda f: [causal(s.results[f"set9/{f}"], s.collision_frame) for s in flights]
-        ),
+        f"{name}-causal": by_formulation(lambda f: [causal(s, f"set9/{f}") for s in flights]),
         f"{name}-lgmd": {ANY: [level_in(s, "lgmd", "contact") for s in flights]},
     }
 
@@ -385,11 +383,11 @@ def _da_values(plan: Plan, data: Data) -> Values:
 
     def best(table: Series) -> float:
         others = np.delete(table, _scales(plan).index(BEST_SCALE), axis=1).max(axis=1)
-        return _least(_ratio(a, b) for a, b in zip(at_best(table), others, strict=True))
+        return min(_ratio(a, b) for a, b in zip(at_best(table), others, strict=True))
 
     def rising(table: Series) -> float:
         pairs = zip(table[:-1].ravel(), table[1:].ravel(), strict=True)
-        return _least(_ratio(wide, narrow) for wide, narrow in pairs)
+        return min(_ratio(wide, narrow) for wide, narrow in pairs)
 
     def of(value: Callable[[Series], float]) -> dict[str, list[float]]:
         return by_formulation(lambda f: [value(table) for table in tables(f)])
@@ -409,10 +407,6 @@ def _ratio(one: float, other: float) -> float:
     if other == 0.0:
         return 1.0 if one == 0.0 else math.inf
     return float(one / other)
-
-
-def _least(values: Any) -> float:
-    return float(np.min(list(values)))
 
 
 def _da_figures(plan: Plan, data: Data) -> Figures:

@@ -68,16 +68,15 @@ def onset(result: Result) -> int:
 # --- Fig. 3 -----------------------------------------------------------------------------------
 
 
-def _fig3_clip(plan: Plan) -> Clip:
-    return Clip.of("looming-cube", size=SIZE)
+_LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
 
 
 def _fig3_jobs(plan: Plan) -> list[Job]:
-    return clip_jobs(_fig3_clip(plan), other_models("lgmd"))
+    return clip_jobs(_LOOMING_CUBE, other_models("lgmd"))
 
 
 def _fig3_values(plan: Plan, data: Data) -> Values:
-    truth = data[_fig3_clip(plan)].truth
+    truth = data[_LOOMING_CUBE].truth
     size, velocity = truth["angular_size_deg"], truth["angular_velocity_deg_s"]
     bend = np.diff(velocity, 2)
     concave = np.flatnonzero(bend < 0.0)
@@ -89,15 +88,14 @@ def _fig3_values(plan: Plan, data: Data) -> Values:
 
 
 def _fig3_figures(plan: Plan, data: Data) -> Figures:
-    truth = data[_fig3_clip(plan)].truth
+    truth = data[_LOOMING_CUBE].truth
     time = truth["time_s"] - truth["time_s"][-1]
     panels = [
-        Panel("Angular size", {"looming cube": (time, truth["angular_size_deg"])}, y_label="deg"),
-        Panel(
-            "Angular velocity",
-            {"looming cube": (time, truth["angular_velocity_deg_s"])},
-            y_label="deg/s",
-        ),
+        Panel(f"Angular {name}", {"looming cube": (time, truth[column])}, y_label=unit)
+        for name, column, unit in (
+            ("size", "angular_size_deg", "deg"),
+            ("velocity", "angular_velocity_deg_s", "deg/s"),
+        )
     ]
     return {"fig3": partial(plot_panels, panels, "Time to the last frame (s)", "", share_y=False)}
 
@@ -182,10 +180,11 @@ _STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
 
 
 def _strength_jobs(plan: Plan) -> list[Job]:
-    models = {}
-    for a in _STRENGTHS:
-        for label, spec in all_formulations("set4", a=a).items():
-            models[f"{label}/a{a:g}"] = spec
+    models = {
+        f"{label}/a{a:g}": spec
+        for a in _STRENGTHS
+        for label, spec in all_formulations("set4", a=a).items()
+    }
     return [job for speed in _SPEEDS for job in clip_jobs(_cube(speed), models)]
 
 
@@ -271,7 +270,7 @@ def _fig8_figures(plan: Plan, data: Data) -> Figures:
 # --- Fig. 9 -----------------------------------------------------------------------------------
 
 _APPROACHES = {
-    "cube": Clip.of("looming-cube", size=SIZE),
+    "cube": _LOOMING_CUBE,
     "receding": Clip.of("receding-cube", size=SIZE),
     "ball": Clip.of("looming-ball", size=SIZE),
 }
