@@ -169,7 +169,8 @@ def compare(
             note_sampling(input_path, video, options.fps)
             record = _record(results, warnings, annotations)
             column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
-            files = _files(results, record, output, partial(_figure, annotations, column, width))
+            look = {"annotations": annotations, "column": column, "width": width}
+            files = _files(results, record, output, look)
             store.commit(folder, store.COMPARISON, files, is_new_input=is_new)
     _show(record, folder, as_json)
     end_if_interrupted(folder, len(found[0]), complete=record["complete"])
@@ -234,18 +235,10 @@ def _defined(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _figure(
-    annotations: "Annotations", column: str, width: Any, kind: str, results: "Mapping[str, Result]"
-) -> Any:
-    from dlgmd_cli.plots.traces import plot
-
-    return plot(kind, results, annotations, column=column, width=width)
-
-
 def _files(
-    results: "Mapping[str, Result]", record: dict[str, Any], output: Output, figure: Any
+    results: "Mapping[str, Result]", record: dict[str, Any], output: Output, look: dict[str, Any]
 ) -> "dict[str, Write]":
-    """The function that writes each file of a comparison, by name."""
+    """The function that writes each file of a comparison, by name; `look` is for its figures."""
     from dlgmd_cli.results import csv, store
     from dlgmd_cli.results.record import record_text
 
@@ -253,9 +246,10 @@ def _files(
     files: dict[str, Write] = {"compare.csv": partial(csv.write_comparison, columns=columns)}
     if output.formats:
         from dlgmd_cli.plots.style import figure_files
+        from dlgmd_cli.plots.traces import plot
 
         kinds = ("mp", "attenuation")
-        figures = {f"compare-{kind}": partial(figure, kind, results) for kind in kinds}
+        figures = {f"compare-{kind}": partial(plot, kind, results, **look) for kind in kinds}
         files |= figure_files(figures, output.formats, output.dpi)
     text = record_text(record, [one["engine"] for one in record["models"]])
     files[store.COMPARISON] = lambda path: path.write_text(text, encoding="utf-8")

@@ -17,6 +17,7 @@ from dlgmd_cli.reproduce.clips import (
     all_formulations,
     model,
     other_models,
+    run_clip,
 )
 from dlgmd_cli.reproduce.plan import (
     ANY,
@@ -53,13 +54,9 @@ def _flight(group: int, seed: int) -> Clip:
     return Clip.of(f"group{group}", size=SIZE, seed=seed)
 
 
-def _jobs(group: int, models: dict[str, ModelSpec]) -> Callable[[Plan], list[Job]]:
-    """The jobs of a group's flights, one for each seed."""
-
-    def jobs(plan: Plan) -> list[Job]:
-        return [job for seed in plan.seeds for job in clip_jobs(_flight(group, seed), models)]
-
-    return jobs
+def _jobs(models: dict[str, ModelSpec], groups: tuple[int, ...], plan: Plan) -> list[Job]:
+    """The jobs of the flights of some groups, one per seed."""
+    return clip_jobs(models, *(_flight(group, seed) for group in groups for seed in plan.seeds))
 
 
 def sustained(level: Series, first: int, last: int, n_frames: int = 2) -> float:
@@ -131,13 +128,9 @@ def _fig1_figures(plan: Plan, data: Data) -> Figures:
 # --- Fig. 13 ----------------------------------------------------------------------------------
 
 _FIG_13 = {**_SET9, **other_models("lgmd", "emd-lgmd")}
-_WITHOUT = {
+_FIG_13B = _SET9 | {
     f"{label}/no-ffi-gd": one for label, one in all_formulations("set9", ffi_gd=False).items()
 }
-
-
-def _fig13a_jobs(plan: Plan) -> list[Job]:
-    return [*_jobs(1, _FIG_13)(plan), *_jobs(2, _FIG_13)(plan)]
 
 
 def _most_before(flights: list[ClipResults], label: str) -> list[float]:
@@ -163,10 +156,6 @@ def _fig13a_figures(plan: Plan, data: Data) -> Figures:
         _shares(f"Group {group}", data[_flight(group, FIGURE_SEED)], labels) for group in (1, 2)
     ]
     return {"fig13a": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
-
-
-def _fig13b_jobs(plan: Plan) -> list[Job]:
-    return _jobs(1, {**_SET9, **_WITHOUT})(plan)
 
 
 def _n_active(flight: ClipResults, label: str) -> int:
@@ -351,8 +340,7 @@ def _da_jobs(plan: Plan) -> list[Job]:
                 for x in scales
             }
             clip = _table4_clip(plan, seed)
-            call = clip_jobs(clip, models)[0].call
-            jobs.append(Job(("da", clip, f), f"table4, {f}", call))
+            jobs.append(Job(("da", clip, f), f"table4, {f}", partial(run_clip, clip, models)))
     return jobs
 
 
@@ -492,20 +480,20 @@ def time_rows(data: Data) -> list[tuple[float, ...]]:
 
 
 EXHIBITS = (
-    Exhibit("fig1", _jobs(1, other_models("lgmd")), _fig1_values, _fig1_figures),
-    Exhibit("fig13a", _fig13a_jobs, _fig13a_values, _fig13a_figures),
-    Exhibit("fig13b", _fig13b_jobs, _fig13b_values, _fig13b_figures),
-    Exhibit("fig14", _jobs(2, _FIG_14), _fig14_values, _fig14_figures),
+    Exhibit("fig1", partial(_jobs, other_models("lgmd"), (1,)), _fig1_values, _fig1_figures),
+    Exhibit("fig13a", partial(_jobs, _FIG_13, (1, 2)), _fig13a_values, _fig13a_figures),
+    Exhibit("fig13b", partial(_jobs, _FIG_13B, (1,)), _fig13b_values, _fig13b_figures),
+    Exhibit("fig14", partial(_jobs, _FIG_14, (2,)), _fig14_values, _fig14_figures),
     *(
         Exhibit(
             f"fig{number}",
-            _jobs(group, _FIG_15),
+            partial(_jobs, _FIG_15, (group,)),
             partial(_approach_values, group, number),
             partial(_approach_figures, group, number),
         )
         for group, number in ((4, 15), (5, 16))
     ),
-    Exhibit("fig17", _jobs(3, _FIG_15), _fig17_values, _fig17_figures),
+    Exhibit("fig17", partial(_jobs, _FIG_15, (3,)), _fig17_values, _fig17_figures),
     Exhibit("table4-da", _da_jobs, _da_values, _da_figures),
     Exhibit("table4-time", _time_jobs, _time_values, lambda plan, data: {}),
 )

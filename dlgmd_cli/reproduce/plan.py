@@ -43,9 +43,9 @@ class Exhibit:
     figures: Callable[[Plan, Data], Figures]
 
 
-def clip_jobs(clip: Clip, models: Mapping[str, ModelSpec]) -> list[Job]:
-    """A list of one job, which renders a clip and runs models over it."""
-    return [Job(clip, clip.scene, partial(run_clip, clip, models))]
+def clip_jobs(models: Mapping[str, ModelSpec], *clips: Clip) -> list[Job]:
+    """One job per clip, which renders it and runs the models over it."""
+    return [Job(clip, clip.scene, partial(run_clip, clip, models)) for clip in clips]
 
 
 def by_formulation(value: Callable[[str], list[float]]) -> dict[str, list[float]]:
@@ -62,5 +62,5 @@ def merged(jobs: list[Job]) -> list[Job]:
             found[job.key] = job
             continue
         models = {**before.call.args[1], **job.call.args[1]}  # type: ignore[attr-defined]
-        found[job.key] = clip_jobs(job.key, models)[0]
+        (found[job.key],) = clip_jobs(models, job.key)
     return list(found.values())

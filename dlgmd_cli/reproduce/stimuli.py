@@ -71,10 +71,6 @@ def onset(result: Result) -> int:
 _LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
 
 
-def _fig3_jobs(plan: Plan) -> list[Job]:
-    return clip_jobs(_LOOMING_CUBE, other_models("lgmd"))
-
-
 def _fig3_values(plan: Plan, data: Data) -> Values:
     truth = data[_LOOMING_CUBE].truth
     size, velocity = truth["angular_size_deg"], truth["angular_velocity_deg_s"]
@@ -139,10 +135,6 @@ def _cube(speed: float) -> Clip:
     return Clip.of("translating-cubes", size=(100, 200), speed=(speed,), **flags)
 
 
-def _fig6_jobs(plan: Plan) -> list[Job]:
-    return [job for speed in _SPEEDS for job in clip_jobs(_cube(speed), _SETS_1_TO_6)]
-
-
 def _cube_db(data: Data, speed: float, label: str) -> float:
     return mean_db(data[_cube(speed)].results[label])
 
@@ -185,7 +177,7 @@ def _strength_jobs(plan: Plan) -> list[Job]:
         for a in _STRENGTHS
         for label, spec in all_formulations("set4", a=a).items()
     }
-    return [job for speed in _SPEEDS for job in clip_jobs(_cube(speed), models)]
+    return clip_jobs(models, *map(_cube, _SPEEDS))
 
 
 def _strength_curve(data: Data, speed: float, formulation: str) -> Series:
@@ -278,7 +270,7 @@ _APPROACHES = {
 
 def _fig9_jobs(plan: Plan) -> list[Job]:
     models = {**all_formulations("set9"), **other_models("lgmd")}
-    return [job for clip in _APPROACHES.values() for job in clip_jobs(clip, models)]
+    return clip_jobs(models, *_APPROACHES.values())
 
 
 def _fig9_values(plan: Plan, data: Data) -> Values:
@@ -326,10 +318,6 @@ def _ball(plan: Plan) -> Clip:
     return reference_clip(plan.reference, "looming-ball", size=SIZE)
 
 
-def _fig10_jobs(plan: Plan) -> list[Job]:
-    return clip_jobs(_ball(plan), {**all_formulations("set7"), **other_models("lgmd")})
-
-
 def _fig10_values(plan: Plan, data: Data) -> Values:
     results = data[_ball(plan)].results
 
@@ -361,10 +349,6 @@ def _fig10_figures(plan: Plan, data: Data) -> Figures:
             plot_panels, [Panel("Looming ball, set 7", curves)], "Frame", "Attenuation (dB)"
         )
     }
-
-
-def _fig12_jobs(plan: Plan) -> list[Job]:
-    return clip_jobs(_ball(plan), _SETS_1_TO_6)
 
 
 def _fig12_values(plan: Plan, data: Data) -> Values:
@@ -479,10 +463,6 @@ def _fig11_figures(plan: Plan, data: Data) -> Figures:
 _LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.0,))
 
 
-def _lateral_jobs(plan: Plan) -> list[Job]:
-    return clip_jobs(_LATERAL, all_formulations("set9"))
-
-
 def _lateral_values(plan: Plan, data: Data) -> Values:
     def level(formulation: str) -> list[float]:
         return [float(np.nanmedian(data[_LATERAL].results[f"set9/{formulation}"].mp_abs))]
@@ -498,14 +478,36 @@ def _lateral_figures(plan: Plan, data: Data) -> Figures:
 
 
 EXHIBITS = (
-    Exhibit("fig3", _fig3_jobs, _fig3_values, _fig3_figures),
+    Exhibit(
+        "fig3",
+        lambda plan: clip_jobs(other_models("lgmd"), _LOOMING_CUBE),
+        _fig3_values,
+        _fig3_figures,
+    ),
     Exhibit("fig5", lambda plan: [], _fig5_values, _fig5_figures),
-    Exhibit("fig6", _fig6_jobs, _fig6_values, _fig6_figures),
+    Exhibit(
+        "fig6",
+        lambda plan: clip_jobs(_SETS_1_TO_6, *map(_cube, _SPEEDS)),
+        _fig6_values,
+        _fig6_figures,
+    ),
     Exhibit("fig8", _fig8_jobs, _fig8_values, _fig8_figures),
     Exhibit("fig9", _fig9_jobs, _fig9_values, _fig9_figures),
-    Exhibit("fig10", _fig10_jobs, _fig10_values, _fig10_figures),
+    Exhibit(
+        "fig10",
+        lambda plan: clip_jobs(all_formulations("set7") | other_models("lgmd"), _ball(plan)),
+        _fig10_values,
+        _fig10_figures,
+    ),
     Exhibit("fig11", _fig11_jobs, _fig11_values, _fig11_figures),
-    Exhibit("fig12", _fig12_jobs, _fig12_values, _fig12_figures),
-    Exhibit("lateral", _lateral_jobs, _lateral_values, _lateral_figures),
+    Exhibit(
+        "fig12", lambda plan: clip_jobs(_SETS_1_TO_6, _ball(plan)), _fig12_values, _fig12_figures
+    ),
+    Exhibit(
+        "lateral",
+        lambda plan: clip_jobs(all_formulations("set9"), _LATERAL),
+        _lateral_values,
+        _lateral_figures,
+    ),
     Exhibit("strength", _strength_jobs, _strength_values, _strength_figures),
 )

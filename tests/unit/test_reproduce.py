@@ -115,7 +115,7 @@ def test_levels_that_are_held():
 def test_clips_are_rendered_once_for_all_their_models():
     clip = Clip.of("looming-cube", size=(30, 40))
     jobs = merged(
-        [*clip_jobs(clip, other_models("lgmd")), *clip_jobs(clip, all_formulations("set3"))]
+        [*clip_jobs(other_models("lgmd"), clip), *clip_jobs(all_formulations("set3"), clip)]
     )
     found = jobs[0].call()
     assert len(jobs) == 1 and set(found.results) == {"lgmd", *all_formulations("set3")}
