@@ -132,8 +132,7 @@ def layers(
                     on_frame=on_frame,
                 )
             if not cancel.requested():
-                missing = sorted({*frames} - {*result.record["frames"]})
-                why_not = absent(missing, video, options.end)
+                why_not = absent(sorted({*frames} - {*result.record["frames"]}), video, options.end)
                 if frames and sheet is None:
                     raise SourceError(input_path, why_not, "Choose other frames.")
                 result.warnings.extend([why_not] if why_not else [])

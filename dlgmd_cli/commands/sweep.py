@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -37,7 +38,7 @@ from dlgmd_cli.parameters import Parameters, parse_overrides
 if TYPE_CHECKING:
     from dlgmd_cli.results.sweep import Grid
     from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.runs.sweep import Subject
+    from dlgmd_cli.runs.sweep import Subject, Sweep
 
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 # The parameters of the paper's Fig. 11, except for those that it varies.
@@ -146,15 +147,7 @@ def sweep(
         result, n_points = swept.result, len(swept.points)
         opened.enter_context(store.locked(folder))
         swept.resume(overwrite=output.overwrite)
-        if result.done:
-            say(f"{len(result.done)} of {n_points} points are already done.")
-        try:
-            swept.compute(jobs or n_processors(), progress=progress)
-        except Exception:
-            if result.done:
-                held = f"{folder} holds {len(result.done)} of {n_points} points"
-                say(f"{held}; the same command continues from there.")
-            raise
+        _compute(swept, folder, jobs or n_processors())
         if swept.fault is not None:
             left_out = f"{len(grid) - n_points} of {len(grid)} points"
             warn(f"{left_out} cannot be computed: {swept.fault.why}")
@@ -178,6 +171,22 @@ def sweep(
             click.echo(INFINITE_DISTINGUISHABILITY)
         print_path(folder)
     end_if_interrupted(folder, n_points, complete=True)
+
+
+def _compute(swept: "Sweep", folder: Path, n_jobs: int) -> None:
+    """Compute the missing points; say how many were done before, and before an early end."""
+    done, n_points = swept.result.done, len(swept.points)
+    if done:
+        say(f"{len(done)} of {n_points} points are already done.")
+    try:
+        swept.compute(n_jobs, progress=progress)
+    except Exception:
+        if done:
+            say(
+                f"{folder} holds {len(done)} of {n_points} points; the same command continues from "
+                "there."
+            )
+        raise
 
 
 def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict[str, Any]) -> None:

@@ -96,7 +96,7 @@ def render(
     )
     setups = [_setup(one) for one in (result, *peers)]
     model = create_model(result.params)
-    n_rows, n_expected = len(result), int(result.record["input"].get("frames") or len(result))
+    n_expected = int(result.record["input"].get("frames") or len(result))
     with open_input(path, setups, options) as video:
         again, _, ranges = run_layers(
             *(video, setups[0], model, options, ()),
@@ -104,17 +104,7 @@ def render(
             identity={},
             on_frame=on_frame,
         )
-    if cancel.requested():
-        raise cancel.Interrupted
-    if not np.array_equal(again.frame[:n_rows], result.frame):
-        raise SourceError(path, "its frames are not those of the result", "Run again.")
-    is_as_stored = np.allclose(
-        again.mp[:n_rows],
-        result.mp,
-        rtol=_MP_TOLERANCE,
-        atol=_MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0)),
-        equal_nan=True,
-    )
+    is_as_stored = _is_same(again, result, path)
     strongest_g = max(abs(bound) for bound in ranges["g"])
     if not np.isfinite(strongest_g):  # G is undefined in every frame
         strongest_g = 0.0
@@ -136,7 +126,7 @@ def render(
                 *(file, size_wh[::-1], fps), codec="h264", is_colour=True, x264=PAGE_FILM
             ) as write,
         ):
-            for row, (frame, picture) in zip(range(n_rows), ahead, strict=False):
+            for row, (frame, picture) in zip(range(len(result)), ahead, strict=False):
                 if not frame.is_repeat:
                     if frame.after_gap:
                         model.reset()
@@ -154,6 +144,19 @@ def render(
                     raise cancel.Interrupted
         data = file.read_bytes()
     return Film(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+
+
+def _is_same(again: Result, result: Result, path: str) -> bool:
+    """Whether two runs gave the same MP; raises Interrupted, or SourceError for other frames."""
+    if cancel.requested():
+        raise cancel.Interrupted
+    n_rows = len(result)
+    if not np.array_equal(again.frame[:n_rows], result.frame):
+        raise SourceError(path, "its frames are not those of the result", "Run again.")
+    tolerance = _MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0))
+    return np.allclose(
+        again.mp[:n_rows], result.mp, rtol=_MP_TOLERANCE, atol=tolerance, equal_nan=True
+    )
 
 
 def _setup(result: Result) -> Setup:
