@@ -174,14 +174,14 @@ def _run_search(
     experiment: "Experiment", signals: "list[Signal]", search: "Search", n_trials: int
 ) -> "Calibration":
     """Run the missing trials of a search, and calibrate by the best."""
-    from dlgmd_cli.evaluation.calibration import calibrate_by_search, run_trials
+    from dlgmd_cli.evaluation.calibration import calibrate_by_search
 
     n_done = len(search)
     if n_done:
         say(f"{n_done} trials are done already.")
     try:
         with progress("calibrate", n_trials, "trial") as advance:
-            for n_done in run_trials(experiment, search, n_trials):
+            for n_done in search.run(n_trials, experiment.setup, experiment.choose):
                 advance(n_done)
         trials = search.trials()
     except (cancel.Interrupted, KeyboardInterrupt):

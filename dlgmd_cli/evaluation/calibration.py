@@ -1,6 +1,6 @@
 """Calibrate a model on labelled videos: its thresholds alone, or with a search of parameters."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from dlgmd_cli.evaluation.crossvalidation import (
 )
 from dlgmd_cli.evaluation.measures import Scores, count, score
 from dlgmd_cli.evaluation.scoring import Signal
-from dlgmd_cli.evaluation.search import Search, Trial, best_trial, with_values
+from dlgmd_cli.evaluation.search import Trial, best_trial, with_values
 from dlgmd_cli.runs.run import Setup
 from dlgmd_cli.video.frames import InputOptions
 
@@ -48,9 +48,9 @@ class Experiment:
             by_name[case.name] = signal_of(results[0], case)
         return [by_name[case.name] for case in self.cases]
 
-    def choose(self, signals: Sequence[Signal]) -> Choices:
-        """Choose on all signals, and without each fold."""
-        return choose(signals, self.folds, self.rules)
+    def choose(self, setup: Setup, signals: Sequence[Signal] | None = None) -> Choices:
+        """Choose on all signals of a setup, and without each fold; it is run if none are given."""
+        return choose(signals or self.signals(setup), self.folds, self.rules)
 
 
 @dataclass(frozen=True)
@@ -75,20 +75,11 @@ class Calibration:
 
 def calibrate_thresholds(experiment: Experiment, signals: Sequence[Signal]) -> Calibration:
     """Calibrate the thresholds of a model from its signals."""
-    found = experiment.choose(signals)
+    found = experiment.choose(experiment.setup, signals)
     of_folds = [signals] * len(found.of_folds)
     return _result(
         experiment, experiment.setup, found.overall, signals, found.of_folds, of_folds, signals
     )
-
-
-def run_trials(experiment: Experiment, search: Search, n_trials: int) -> Iterator[int]:
-    """Run the missing trials of a search; yields the number done after each."""
-
-    def measure(setup: Setup) -> Choices:
-        return experiment.choose(experiment.signals(setup))
-
-    return search.run(n_trials, experiment.setup, measure)
 
 
 def calibrate_by_search(

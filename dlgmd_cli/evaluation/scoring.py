@@ -92,11 +92,6 @@ class Tally:
     n_early: npt.NDArray[np.intp]
     minutes: float
 
-    @property
-    def hits(self) -> Flags:
-        """Whether each collision is announced, shape (collisions, T)."""
-        return ~np.isnan(self.lead_s)
-
 
 def onset_thresholds(signal: Signal, n_sp: int) -> tuple[Series, Series]:
     """The range of thresholds at which an alarm begins at each row: above `low`, up to `high`.

@@ -1,7 +1,7 @@
 """Curves in several panels: one panel per formulation, scene or quantity."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,6 @@ class Panel:
     collision: float | None = None
     level: float | None = None
     y_label: str = ""
-    x_label: str = field(default="", kw_only=True)
 
 
 def plot_panels(
@@ -73,7 +72,7 @@ def plot_panels(
             if log_y:
                 axes.set_yscale("log")
             if place + per_row >= len(panels):
-                axes.set_xlabel(panels[place].x_label or x_label)
+                axes.set_xlabel(x_label)
                 axes.tick_params(labelbottom=True)
             if place % per_row == 0 or panels[place].y_label:
                 axes.set_ylabel(panels[place].y_label or y_label)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import matplotlib
 from matplotlib import font_manager
@@ -23,7 +23,7 @@ GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
 # Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
-WIDTHS: tuple[str, ...] = get_args(Width)
+
 _WIDTH_IN = {"one": 3.5, "two": 7.16}
 DPI = 200
 _SCREEN_DPI = 120
