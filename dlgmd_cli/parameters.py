@@ -326,7 +326,7 @@ class LgmdParameters(Parameters):
     w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", 0, 100)
     delta_c: float = _key(0.01, "Δ_C", "grey levels", "lowest scale ω of the grouping", 1e-6, 255)
     c_omega: float = _key(
-        4.0, "C_ω", "–", "divisor of max|Ce| in the scale ω of the grouping", 0.001, 1000
+        4.0, "C_ω", "–", "divisor of the greatest Ce in the grouping scale ω", 0.001, 1000
     )
     c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", 1e-6, 100)
     t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", 0, 1e6)
