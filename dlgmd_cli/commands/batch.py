@@ -282,12 +282,12 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
 
 def _work(who: _Pool, job: "Job", plan: "Plan", labels: list[str]) -> bool:
     """Do what is left, with a bar and a warning for each failure; False if the user stopped it."""
-    from dlgmd_cli.runs.batch import work_on
+    from dlgmd_cli.runs.batch import record_outcomes
 
     n_ended = n_failed = 0
     try:
         with progress("batch", len(plan.tasks), "video") as advance:
-            for task, rows in work_on(plan, who.outcomes(job, plan.tasks)):
+            for task, rows in record_outcomes(plan, who.outcomes(job, plan.tasks)):
                 failures = _failures(rows, labels)
                 doubts = (line for row in rows.values() for line in row.record.get("warnings", []))
                 for line in dict.fromkeys([*failures, *doubts]):

@@ -19,7 +19,7 @@ from dlgmd_cli.stimuli.clip import (
     clip_paths,
     identity,
     n_digits,
-    refuse_standing,
+    refuse_existing_clip,
     remove_leftovers,
     write_clip,
 )
@@ -80,7 +80,7 @@ class Fleet:
                     f"another flight already exists here ({differing})",
                     "Add --overwrite to replace such flights, or choose another --out.",
                 )
-            refuse_standing(paths, self.form, overwrite=overwrite)
+            refuse_existing_clip(paths, self.form, overwrite=overwrite)
         self._check_labels(overwrite=overwrite)
 
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:

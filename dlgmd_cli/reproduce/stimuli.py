@@ -37,7 +37,7 @@ from dlgmd_cli.reproduce.plan import (
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.runs.sweep import Sweep, cubes
+from dlgmd_cli.runs.sweep import Sweep, cube_input
 
 # What counts as an answer, as a share of the peak: less is not told from zero in a figure.
 ONSET = 0.05
@@ -438,7 +438,7 @@ def _fig11_jobs(plan: Plan) -> list[Job]:
 def swept(formulation: str, grid: Grid, quick: bool) -> SweepResult:
     """Attenuation of cubes at 1 to 4 px/frame at every point of a grid."""
     params = model("set1", formulation, **_FIG_11)
-    subject = cubes(_SPEEDS, _SIDE_PX, 21 if quick else None, _SIZE_WH, int(_FIG_11["r"]))
+    subject = cube_input(_SPEEDS, _SIDE_PX, 21 if quick else None, _SIZE_WH, int(_FIG_11["r"]))
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         sweep = Sweep(Path(folder), subject, grid, Setup(params, "fig11", "opencv"))
         sweep.compute()
