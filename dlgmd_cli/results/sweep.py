@@ -200,10 +200,7 @@ class SweepResult:
                     at = None if np.isnan(values).all() else int(find(values))
                     value = None if at is None else float(values.flat[at])
                     row[word] = value if value is None or math.isfinite(value) else str(value)
-                    axes = self.grid.x.key, self.grid.y.key
-                    row[f"{word}_at"] = (
-                        None if at is None else dict(zip(axes, self.grid.values(at), strict=True))
-                    )
+                    row[f"{word}_at"] = None if at is None else self.grid.overrides(at)
                 found.append(row)
         return found
 
