@@ -22,7 +22,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
-    from dlgmd_cli.flights.dataset import Fleet
+    from dlgmd_cli.flights.dataset import FlightSet
     from dlgmd_cli.stimuli.base import Scene
     from dlgmd_cli.stimuli.clip import DrawSheet, Form
 
@@ -186,9 +186,9 @@ def synth(
         return
     if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
-    from dlgmd_cli.flights.dataset import Fleet
+    from dlgmd_cli.flights.dataset import FlightSet
 
-    _render_fleet(Fleet(scene, options, count, out, form, draw), jobs, overwrite)
+    _render_fleet(FlightSet(scene, options, count, out, form, draw), jobs, overwrite)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
@@ -232,65 +232,67 @@ def _render_one(
         print_path(path)
 
 
-def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
+def _render_fleet(flight_set: "FlightSet", jobs: int | None, overwrite: bool) -> None:
     """Render the flights that are not there yet, and label all that are, even after an error."""
     from dlgmd_cli.results.store import locked
 
     is_interrupted = False
-    with locked(fleet.folder):
-        present = fleet.present()
-        missing = [number for number in range(fleet.count) if number not in present]
-        fleet.check(missing, overwrite=overwrite)
+    with locked(flight_set.folder):
+        present = flight_set.present()
+        missing = [number for number in range(flight_set.count) if number not in present]
+        flight_set.check(missing, overwrite=overwrite)
         if present:
-            say(f"{len(present)} of {fleet.count} flights were already there.")
+            say(f"{len(present)} of {flight_set.count} flights were already there.")
         try:
-            _render_missing(fleet, missing, jobs or n_processors(), overwrite)
+            _render_missing(flight_set, missing, jobs or n_processors(), overwrite)
         except (Interrupted, KeyboardInterrupt):
             is_interrupted = True
         except Exception:
-            if len(fleet.present()) > len(present):
-                say(_kept(fleet, _label(fleet, overwrite)))
+            if len(flight_set.present()) > len(present):
+                say(_kept(flight_set, _label(flight_set, overwrite)))
             raise
-        n_present = _label(fleet, overwrite)
+        n_present = _label(flight_set, overwrite)
     if is_interrupted:
-        say(f"Interrupted. {_kept(fleet, n_present)}" if n_present else "Interrupted.")
+        say(f"Interrupted. {_kept(flight_set, n_present)}" if n_present else "Interrupted.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
-    if n_present < fleet.count:
+    if n_present < flight_set.count:
         raise Failed(
-            f"{fleet.count - n_present} of {fleet.count} flights failed; the other {n_present} "
-            f"are in {fleet.folder}. Fix what is named above, then run the same command again.",
+            f"{flight_set.count - n_present} of {flight_set.count} flights failed; the other {n_present} "
+            f"are in {flight_set.folder}. Fix what is named above, then run the same command again.",
             EXIT_FAILED,
         )
 
 
-def _render_missing(fleet: "Fleet", missing: list[int], jobs: int, overwrite: bool) -> None:
+def _render_missing(
+    flight_set: "FlightSet", missing: list[int], jobs: int, overwrite: bool
+) -> None:
     """Render flights and tell of what fails."""
     from dlgmd_cli.flights.dataset import render_flights
 
-    n_present = fleet.count - len(missing)
+    n_present = flight_set.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))
-    with progress(fleet.scene.name, fleet.count, "flight") as on_flight:
+    with progress(flight_set.scene.name, flight_set.count, "flight") as on_flight:
         on_flight(n_present)
-        done = render_flights(fleet, missing, n_jobs, overwrite=overwrite)
+        done = render_flights(flight_set, missing, n_jobs, overwrite=overwrite)
         for n_done, (number, error) in enumerate(done, start=n_present + 1):
             if error is not None:
-                name = fleet.name_of(number)
+                name = flight_set.name_of(number)
                 say(str(error) if name in error.what else f"{name}: {error}")
             on_flight(n_done)
 
 
-def _label(fleet: "Fleet", overwrite: bool) -> int:
+def _label(flight_set: "FlightSet", overwrite: bool) -> int:
     """Write the labels of the flights that are there, if any are; says how many."""
-    labels = fleet.present()
+    labels = flight_set.present()
     if labels:
-        fleet.write_labels(labels, overwrite=overwrite)
-        print_path(fleet.labels_path)
+        flight_set.write_labels(labels, overwrite=overwrite)
+        print_path(flight_set.labels_path)
     return len(labels)
 
 
-def _kept(fleet: "Fleet", n_present: int) -> str:
+def _kept(flight_set: "FlightSet", n_present: int) -> str:
     """What an end before the end leaves."""
     return (
-        f"{fleet.folder} holds {n_present} of {fleet.count} flights; "
+        f"{flight_set.folder} holds {n_present} of {flight_set.count} flights; "
         "run the same command again for the others."
     )
