@@ -232,67 +232,65 @@ def _render_one(
         print_path(path)
 
 
-def _render_fleet(flight_set: "FlightSet", jobs: int | None, overwrite: bool) -> None:
+def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> None:
     """Render the flights that are not there yet, and label all that are, even after an error."""
     from dlgmd_cli.results.store import locked
 
     is_interrupted = False
-    with locked(flight_set.folder):
-        present = flight_set.present()
-        missing = [number for number in range(flight_set.count) if number not in present]
-        flight_set.check(missing, overwrite=overwrite)
+    with locked(flights.folder):
+        present = flights.present()
+        missing = [number for number in range(flights.count) if number not in present]
+        flights.check(missing, overwrite=overwrite)
         if present:
-            say(f"{len(present)} of {flight_set.count} flights were already there.")
+            say(f"{len(present)} of {flights.count} flights were already there.")
         try:
-            _render_missing(flight_set, missing, jobs or n_processors(), overwrite)
+            _render_missing(flights, missing, jobs or n_processors(), overwrite)
         except (Interrupted, KeyboardInterrupt):
             is_interrupted = True
         except Exception:
-            if len(flight_set.present()) > len(present):
-                say(_kept(flight_set, _label(flight_set, overwrite)))
+            if len(flights.present()) > len(present):
+                say(_kept(flights, _label(flights, overwrite)))
             raise
-        n_present = _label(flight_set, overwrite)
+        n_present = _label(flights, overwrite)
     if is_interrupted:
-        say(f"Interrupted. {_kept(flight_set, n_present)}" if n_present else "Interrupted.")
+        say(f"Interrupted. {_kept(flights, n_present)}" if n_present else "Interrupted.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
-    if n_present < flight_set.count:
+    if n_present < flights.count:
         raise Failed(
-            f"{flight_set.count - n_present} of {flight_set.count} flights failed; the other {n_present} "
-            f"are in {flight_set.folder}. Fix what is named above, then run the same command again.",
+            f"{flights.count - n_present} of {flights.count} flights failed; the other {n_present} "
+            f"are in {flights.folder}. Fix what is named above, then run the same command again.",
             EXIT_FAILED,
         )
 
 
-def _render_missing(
-    flight_set: "FlightSet", missing: list[int], jobs: int, overwrite: bool
-) -> None:
+def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwrite: bool) -> None:
     """Render flights and tell of what fails."""
     from dlgmd_cli.flights.dataset import render_flights
 
-    n_present = flight_set.count - len(missing)
+    n_present = flights.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))
-    with progress(flight_set.scene.name, flight_set.count, "flight") as on_flight:
+    with progress(flights.scene.name, flights.count, "flight") as on_flight:
         on_flight(n_present)
-        done = render_flights(flight_set, missing, n_jobs, overwrite=overwrite)
+        done = render_flights(flights, missing, n_jobs, overwrite=overwrite)
         for n_done, (number, error) in enumerate(done, start=n_present + 1):
             if error is not None:
-                name = flight_set.name_of(number)
+                name = flights.name_of(number)
                 say(str(error) if name in error.what else f"{name}: {error}")
             on_flight(n_done)
 
 
-def _label(flight_set: "FlightSet", overwrite: bool) -> int:
+def _label(flights: "FlightSet", overwrite: bool) -> int:
     """Write the labels of the flights that are there, if any are; says how many."""
-    labels = flight_set.present()
+    labels = flights.present()
     if labels:
-        flight_set.write_labels(labels, overwrite=overwrite)
-        print_path(flight_set.labels_path)
+        flights.write_labels(labels, overwrite=overwrite)
+        print_path(flights.labels_path)
     return len(labels)
 
 
-def _kept(flight_set: "FlightSet", n_present: int) -> str:
+def _kept(flights: "FlightSet", n_present: int) -> str:
     """What an end before the end leaves."""
     return (
-        f"{flight_set.folder} holds {n_present} of {flight_set.count} flights; "
+        f"{flights.folder} holds {n_present} of {flights.count} flights; "
         "run the same command again for the others."
     )

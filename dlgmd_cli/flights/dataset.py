@@ -130,40 +130,40 @@ class FlightSet:
 
 
 def render_flights(
-    flight_set: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
+    flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
 ) -> Iterator[tuple[int, DlgmdError | None]]:
     """Render flights by number; the files do not depend on the number of processes.
 
     Yields the number of each flight when it is done, with the error if it failed. The folder must
     be locked: temporary files of killed processes are removed from it.
     """
-    remove_leftovers(flight_set.folder)
+    remove_leftovers(flights.folder)
     if jobs == 1:
         for number in numbers:
             error: DlgmdError | None = None
             try:
-                _render(flight_set, overwrite, number)
+                _render(flights, overwrite, number)
             except DlgmdError as caught:
                 error = caught
             yield number, error
         return
     try:
-        for number, outcome in run_tasks(partial(_render, flight_set, overwrite), numbers, jobs):
+        for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):
             if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
                 raise outcome.error
             yield number, outcome.error
     finally:
-        remove_leftovers(flight_set.folder)
+        remove_leftovers(flights.folder)
 
 
-def _render(flight_set: FlightSet, overwrite: bool, number: int) -> None:
+def _render(flights: FlightSet, overwrite: bool, number: int) -> None:
     """Render one flight."""
     write_clip(
-        flight_set.scene,
-        flight_set.options_of(number),
-        flight_set.folder,
-        flight_set.form,
-        name=flight_set.name_of(number),
+        flights.scene,
+        flights.options_of(number),
+        flights.folder,
+        flights.form,
+        name=flights.name_of(number),
         overwrite=overwrite,
-        draw_sheet=flight_set.draw_sheet,
+        draw_sheet=flights.draw_sheet,
     )
