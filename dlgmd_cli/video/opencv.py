@@ -46,7 +46,7 @@ class OpenCVDecoder:
         self.is_damaged = False
         self._image: Image | None = None
         options = [cv2.CAP_PROP_N_THREADS, decoder_threads()]
-        with restricted_ffmpeg():
+        with guarded():
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
         height, width = self._first().shape[:2]
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -127,7 +127,7 @@ def count_frames(path: Path) -> int:
 
 
 @contextmanager
-def restricted_ffmpeg() -> Iterator[None]:
+def guarded() -> Iterator[None]:
     """Make OpenCV open videos with `FFMPEG_OPTIONS` in addition to the user's own options.
 
     OpenCV takes them only from the environment. It is restored afterwards, so that a program can

@@ -11,7 +11,7 @@ import pytest
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import FFMPEG_OPTIONS
 from dlgmd_cli.video.frames import open_video
-from dlgmd_cli.video.opencv import restricted_ffmpeg
+from dlgmd_cli.video.opencv import guarded
 
 pytestmark = pytest.mark.slow
 
@@ -134,7 +134,7 @@ def test_the_environment_is_as_it_was(monkeypatch, before):
         monkeypatch.delenv(variable, raising=False)
     else:
         monkeypatch.setenv(variable, before)
-    with pytest.raises(KeyError), restricted_ffmpeg():
+    with pytest.raises(KeyError), guarded():
         options = os.environ[variable].split("|")
         assert options[-2:] == [f"{key};{value}" for key, value in FFMPEG_OPTIONS.items()]
         assert options[:-2] == ([before] if before else [])
