@@ -128,10 +128,10 @@ def count_frames(path: Path) -> int:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Make OpenCV open videos with `FFMPEG_OPTIONS` in addition to the user's own options.
+    """While it lasts, OpenCV opens videos with `FFMPEG_OPTIONS` besides those the user has set.
 
-    OpenCV takes them only from the environment. It is restored afterwards, so that a program can
-    still open a camera itself.
+    The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
+    opens a camera by itself.
     """
     with _lock:
         before = os.environ.get(_VARIABLE)
