@@ -200,6 +200,14 @@ def shown(value: Any) -> str:
     return str(value)[:40]
 
 
+def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:
+    """Raise ParameterError if `name` is not one of the `known` names."""
+    known = tuple(known)
+    if name not in known:
+        why, mend = f"there is no {what} {shown(name)}", f"Choose from {', '.join(known)}."
+        raise ParameterError(origin, why, mend)
+
+
 def _wrong(key: str, value: Any, why: str) -> ParameterError:
     """An error that shows the offending value."""
     return ParameterError("", f"{key} = {shown(value)} {why}")
@@ -516,11 +524,7 @@ def load_config(path: str | Path) -> Config:
 def parameters_of(config: Config, **overrides: Any) -> Parameters:
     """The parameters of a configuration, with single keys overridden; raises ParameterError."""
     name = config.model or DlgmdParameters.model
-    if name not in MODELS:
-        known = ", ".join(MODELS)
-        raise ParameterError(
-            config.name, f"there is no model {name[:40]!r}", f"Choose from {known}."
-        )
+    require_known("model", name, MODELS, config.name)
     return merge(MODELS[name].parameters, config, overrides)
 
 

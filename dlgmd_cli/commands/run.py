@@ -70,7 +70,7 @@ def run(
                 note(f"{input_path}: {sampling}")
             for line in details(result):
                 detail(line)
-            runs.require_an_answer(input_path, video, [setup], [result], options)
+            runs.require_response(input_path, video, [setup], [result], options)
             files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
     _show(result, folder, as_json)

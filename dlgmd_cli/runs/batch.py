@@ -14,7 +14,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
-from dlgmd_cli.runs.run import Setup, open_input, require_an_answer, run_models
+from dlgmd_cli.runs.run import Setup, open_input, require_response, run_models
 from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
@@ -284,7 +284,7 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
             results = run_models(opened, setups, job.options, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):
                 try:
-                    require_an_answer("", opened, [job.setups[number]], [result], job.options)
+                    require_response("", opened, [job.setups[number]], [result], job.options)
                     rows[number] = _save(job, number, video, result, began)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, shown
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, require_known, shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -265,10 +265,7 @@ def open_video(
     Selection(start_s, end_s)  # raises before the input is opened
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
-    if decoder not in DECODERS:
-        raise ParameterError(
-            "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
-        )
+    require_known("decoder", decoder, DECODERS)
     if not isinstance(path, str | os.PathLike):
         raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
     file = Path(path)
