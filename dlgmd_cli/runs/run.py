@@ -85,7 +85,7 @@ class Setup:
     model_fps: float = DEFAULT_MODEL_FPS
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
-        """Size of the processed frames, (width, height) in px: as requested, else the model's own."""
+        """Size of the processed frames, (width, height) in px: by option, else the model's own."""
         asked = self.options if options.scale is None and options.size is None else options
         return processed_size(
             *video.source_wh,
