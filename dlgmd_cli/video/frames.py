@@ -266,31 +266,14 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, DECODERS)
-    if not isinstance(path, str | os.PathLike):
-        raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
-    file = Path(path)
-    _refuse_streams(os.fspath(path))
-    try:
-        pictures = pictures_at(file)
-    except (OSError, ValueError) as error:  # a name too long, or with a NUL
-        raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
-    reopen: Callable[[], Decoder]
-    if pictures is None:
-        _check_readable(file)
-        name, reopen = file.stem or file.name, partial(_open_file, file, decoder)
-    else:
-        name, reopen = (
-            sequence_name(file),
-            partial(ImageDecoder, pictures, input_fps or FALLBACK_FPS),
-        )
-        decoder = DEFAULT_DECODER
+    name, is_video, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
+    decoder = decoder if is_video else DEFAULT_DECODER
     opened = reopen()
     try:
         width, height, fps, n_frames, *_ = opened.stream_info
         fps = fps or input_fps or FALLBACK_FPS
         if max_fps is None:
-            is_capped = model_fps is not None and pictures is None
-            max_fps = _RATE_TOLERANCE * model_fps if is_capped else math.inf  # type: ignore[operator]
+            max_fps = _RATE_TOLERANCE * model_fps if model_fps and is_video else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)
         info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
@@ -306,12 +289,30 @@ def open_video(
         *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, min_interval_s)),
         region=region,
         rate_fps=fps / every,
-        skips_repeats=repeats == "skip" or (repeats is None and pictures is None),
+        skips_repeats=repeats == "skip" or (repeats is None and is_video),
     )
-    if pictures is not None and input_fps is None:
+    if not is_video and input_fps is None:
         line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
         video.progress.warnings.append(line)
     return video
+
+
+def _source(
+    path: str | os.PathLike[str], decoder: str, picture_fps: float
+) -> tuple[str, bool, Callable[[], Decoder]]:
+    """Name of an input, whether it is a video file, and a function that opens it."""
+    if not isinstance(path, str | os.PathLike):
+        raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
+    file = Path(path)
+    _refuse_streams(os.fspath(path))
+    try:
+        pictures = pictures_at(file)
+    except (OSError, ValueError) as error:  # a name too long, or with a NUL
+        raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
+    if pictures is not None:
+        return sequence_name(file), False, partial(ImageDecoder, pictures, picture_fps)
+    _check_readable(file)
+    return file.stem or file.name, True, partial(_open_file, file, decoder)
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
