@@ -7,14 +7,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.flights.renderer.texture import FloatImage
-from dlgmd_cli.flights.textures import (
-    Canvas,
-    Rng,
-    Size,
-    layered_noise,
-    reflectance,
-    smooth_noise,
-)
+from dlgmd_cli.flights.textures import Canvas, Rng, Size, layered, reflectance, smooth_noise
 
 
 def gridded(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
@@ -55,9 +48,9 @@ def poster(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     inner.image *= 1.0 + 0.06 * smooth_noise(rng, inner.shape, 0.1 * inner.scale)
     canvas.paste(inner.image, rim, rim)
     line = 0.035 * height
-    canvas.text_lines(rng, (rim, bottom + line, width - 2 * rim, line), 1.3 * line, 0.07)
+    canvas.text(rng, (rim, bottom + line, width - 2 * rim, line), 1.3 * line, 0.07)
     text = (rim, bottom + 3.2 * line, width - 2 * rim, height - rim - bottom - 3.2 * line)
-    canvas.text_lines(rng, text, 0.35 * line, 0.2)
+    canvas.text(rng, text, 0.35 * line, 0.2)
     canvas.frame(0.0, 0.0, width, height, 0.018, rng.choice([0.05, 0.25, 0.5]))
     return canvas.finished()
 
@@ -89,13 +82,13 @@ def whiteboard(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
     width, height = size_m
     canvas.image *= 1.0 + 0.03 * smooth_noise(rng, canvas.shape, 0.3 * canvas.scale)
     notes = (0.07 * width, 0.1 * height, 0.35 * width, 0.4 * height)
-    canvas.text_lines(rng, notes, 0.035, 0.15)
+    canvas.text(rng, notes, 0.035, 0.15)
     for row in range(3):
         y = height * (0.12 + 0.27 * row)
         canvas.frame(0.55 * width, y, 0.14 * width, 0.15 * height, 0.01, 0.1)
         canvas.frame(0.78 * width, y, 0.14 * width, 0.15 * height, 0.01, 0.3)
         canvas.line([(0.69 * width, y + 0.07), (0.78 * width, y + 0.07)], 0.01, 0.1)
-        canvas.text_lines(rng, (0.57 * width, y + 0.03, 0.1 * width, 0.08), 0.025, 0.1)
+        canvas.text(rng, (0.57 * width, y + 0.03, 0.1 * width, 0.08), 0.025, 0.1)
     x = np.linspace(0.08, 0.45, 40)
     canvas.line(np.stack([x * width, height * (0.8 - 0.12 * np.sin(14 * x))], -1), 0.012, 0.12)
     corner = np.array([(0.08, 0.58), (0.08, 0.92), (0.46, 0.92)]) * size_m
@@ -117,14 +110,12 @@ def carton_side(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> F
         arrow = [(0, 0), (0.09, 0.12), (0.035, 0.12), (0.035, 0.3), (-0.035, 0.3), (-0.035, 0.12)]
         canvas.polygon(tip + unit * np.array([*arrow, (-0.09, 0.12)]), ink)
     canvas.rectangle(0.62 * width, 0.12 * height + 0.34 * unit, 0.28 * width, 0.025 * unit, ink)
-    canvas.text_lines(
-        rng, (0.08 * width, 0.5 * height, 0.5 * width, 0.2 * height), 0.09 * unit, ink
-    )
+    canvas.text(rng, (0.08 * width, 0.5 * height, 0.5 * width, 0.2 * height), 0.09 * unit, ink)
     canvas.rectangle(0.72 * width, 0.66 * height, 0.2 * width, 0.22 * height, 0.75)
     text = (0.74 * width, 0.7 * height, 0.16 * width, 0.16 * height)
-    canvas.text_lines(rng, text, 0.03 * unit, 0.06)
+    canvas.text(rng, text, 0.03 * unit, 0.06)
     waves = smooth_noise(rng, canvas.shape, (max(3.0, 0.006 * canvas.scale), 0.3 * canvas.scale))
-    worn = layered_noise(rng, canvas, (0.2, 0.04, 0.01), fine=0.3)
+    worn = layered(rng, canvas, (0.2, 0.04, 0.01), fine=0.3)
     return reflectance(canvas.finished(0.8) * (1.0 + 0.025 * waves + 0.05 * worn))
 
 
@@ -140,7 +131,7 @@ def notebook_screen(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
         shown.rectangle(x * wide, y * high, w * wide, h * high, tone)
         shown.rectangle(x * wide, y * high, w * wide, 0.06 * high, 0.1)
         text = ((x + 0.03) * wide, (y + 0.1) * high, (w - 0.06) * wide, (h - 0.35) * high)
-        shown.text_lines(rng, text, 0.022 * high, 0.08)
+        shown.text(rng, text, 0.022 * high, 0.08)
         bars = rng.uniform(0.04, 0.2, 8)
         for at, bar in zip(np.linspace(x + 0.04, x + w - 0.08, 8), bars, strict=True):
             base = (y + h - 0.03) * high
@@ -162,9 +153,7 @@ def door_leaf(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> Flo
     canvas.rectangle(0.82 * width, 0.5 * height, 0.025, 0.16, 0.6)
     canvas.rectangle(0.72 * width, 0.52 * height, 0.12, 0.022, 0.08)
     canvas.rectangle(0.72 * width, 0.52 * height, 0.12, 0.008, 0.8)
-    return reflectance(
-        canvas.finished() * (1.0 + 0.03 * layered_noise(rng, canvas, (0.4, 0.08, 0.02)))
-    )
+    return reflectance(canvas.finished() * (1.0 + 0.03 * layered(rng, canvas, (0.4, 0.08, 0.02))))
 
 
 def window_pane(rng: Rng, size_m: Size, px_per_m: float) -> FloatImage:
@@ -216,7 +205,7 @@ def ceiling_panels(
         canvas.rectangle(x, 0.0, 0.018, height, 0.65 * tone)
     for y in np.arange(0.0, height, 0.6):
         canvas.rectangle(0.0, y, width, 0.018, 0.65 * tone)
-    speckled = layered_noise(rng, canvas, (0.05, 0.6), fine=1.0)
+    speckled = layered(rng, canvas, (0.05, 0.6), fine=1.0)
     canvas.image *= 1.0 + 0.05 * speckled
     shine = np.zeros_like(canvas.image)
     columns = (np.arange(lamps[0]) + 0.5) * width / lamps[0]

@@ -76,7 +76,7 @@ class Canvas:
         around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
         self.polygon(np.stack([x + radius * np.cos(around), y + radius * np.sin(around)], -1), tone)
 
-    def text_lines(self, rng: Rng, box: Sequence[float], line: float, tone: float) -> None:
+    def text(self, rng: Rng, box: Sequence[float], line: float, tone: float) -> None:
         """Fill the box (x, y, width, height) with fake text in lines of height `line`."""
         x, y, width, height = box
         for top in np.arange(y, y + height - line / 2.0, 1.8 * line):
@@ -134,9 +134,7 @@ def smooth_noise(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> Flo
     return stretched
 
 
-def layered_noise(
-    rng: Rng, canvas: Canvas, cells_m: Sequence[float], fine: float = 0.5
-) -> FloatImage:
+def layered(rng: Rng, canvas: Canvas, cells_m: Sequence[float], fine: float = 0.5) -> FloatImage:
     """Noise at several scales, of standard deviation near 1; `fine` is the weight of the grain."""
     total = fine * grain(rng, canvas.shape)
     for cell_m in cells_m:
@@ -153,7 +151,7 @@ def plaster(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6) -> Float
         ends = rng.normal((x, y), 0.12, (2, 2))
         canvas.line(np.array([(x, y), *ends]), 0.008, tone * rng.uniform(0.75, 0.92))
     stained = np.maximum(smooth_noise(rng, canvas.shape, 0.7 * canvas.scale) - 1.0, 0.0)
-    uneven = layered_noise(rng, canvas, (1.2, 0.3, 0.08, 0.03), fine=0.8)
+    uneven = layered(rng, canvas, (1.2, 0.3, 0.08, 0.03), fine=0.8)
     return reflectance(canvas.finished(1.2) * (1.0 + 0.045 * uneven - 0.06 * stained))
 
 
@@ -165,9 +163,7 @@ def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatIm
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
             of_brick = tone * rng.uniform(0.42, 0.78)
             canvas.rectangle(x, y, long - joint, high - joint, of_brick)
-    return reflectance(
-        canvas.finished(0.8) * (1.0 + 0.09 * layered_noise(rng, canvas, (1.0, 0.1, 0.03)))
-    )
+    return reflectance(canvas.finished(0.8) * (1.0 + 0.09 * layered(rng, canvas, (1.0, 0.1, 0.03))))
 
 
 def wood(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
@@ -199,7 +195,7 @@ def carpet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> Float
     for column, x in enumerate(np.arange(0.0, size_m[0], 0.5)):
         for row, y in enumerate(np.arange(0.0, size_m[1], 0.5)):
             canvas.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
-    pile = layered_noise(rng, canvas, (1.5, 0.3, 0.06, 0.025), fine=1.2)
+    pile = layered(rng, canvas, (1.5, 0.3, 0.06, 0.025), fine=1.2)
     return reflectance(canvas.finished(1.0) * (1.0 + 0.16 * pile))
 
 
@@ -209,5 +205,5 @@ def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatIm
     weave = smooth_noise(rng, canvas.shape, (3.0, 14.0)) + smooth_noise(
         rng, canvas.shape, (14.0, 3.0)
     )
-    creased = layered_noise(rng, canvas, (0.4, 0.1), fine=0.2)
+    creased = layered(rng, canvas, (0.4, 0.1), fine=0.2)
     return reflectance(tone * (1.0 + 0.08 * weave + 0.08 * creased))

@@ -55,10 +55,8 @@ class ContrastDLGMD(Distributed):
     ----------
     params : ContrastParameters, optional
         The published defaults unless given.
-    engine : str
+    engine, tell
         See `DLGMD`.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
 
     Examples
     --------

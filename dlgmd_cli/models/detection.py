@@ -172,10 +172,8 @@ class Alarm:
     repeats : {"skip", "keep"}
         Treatment of frames that repeat the previous one: `skip` returns the previous response,
         `keep` passes them to the model.
-    engine : str
+    engine, tell
         See `DLGMD`.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
 
     Attributes
     ----------

@@ -39,10 +39,8 @@ class EmdLGMD(Model):
     ----------
     params : EmdLgmdParameters, optional
         The defaults unless given.
-    engine : str
-        `opencv` or `auto`; there is no other.
-    tell : callable, optional
-        Not used; accepted by all models.
+    engine, tell
+        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
     """
 
     name = "emd-lgmd"

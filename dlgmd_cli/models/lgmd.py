@@ -39,10 +39,8 @@ class LGMD(Model):
     ----------
     params : LgmdParameters, optional
         The published values unless given.
-    engine : str
-        `opencv` or `auto`; there is no other.
-    tell : callable, optional
-        Not used; accepted by all models.
+    engine, tell
+        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
     """
 
     name = "lgmd"

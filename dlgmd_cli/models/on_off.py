@@ -39,10 +39,8 @@ class OnOffDLGMD(DLGMD):
     ----------
     params : OnOffParameters, optional
         The published defaults unless given.
-    engine : str
+    engine, tell
         See `DLGMD`. The engine computes S_on and S_off; the grouping always uses OpenCV.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
     """
 
     name = "dlgmd-onoff"

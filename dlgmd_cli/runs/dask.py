@@ -46,11 +46,8 @@ def run_tasks(
 
     Parameters
     ----------
-    function : callable
-        Takes one task. The function, the tasks, and its return values and exceptions must be
-        picklable.
-    tasks : iterable
-        All are submitted at once.
+    function, tasks
+        See `pool.run_tasks`; all tasks are submitted at once.
     scheduler : str
         Address of the Dask scheduler, or the name of its scheduler file.
     folders : sequence of Path

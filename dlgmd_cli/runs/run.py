@@ -48,7 +48,7 @@ OnFrame = Callable[[int], None]
 _N_COLUMNS = 8
 
 
-def _nothing(*_: Any) -> None:
+def silent(*_: Any) -> None:
     """The default callback."""
 
 
@@ -200,7 +200,7 @@ def run(
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
-    on_frame: OnFrame = _nothing,
+    on_frame: OnFrame = silent,
     **options: Any,
 ) -> Result | list[Result]:
     """Run one model, or several, over a video that is decoded once.
@@ -271,8 +271,8 @@ def run_input(
     setups: Sequence[Setup],
     options: InputOptions,
     *,
-    on_frame: OnFrame = _nothing,
-    tell: Tell = _nothing,
+    on_frame: OnFrame = silent,
+    tell: Tell = silent,
 ) -> list[Result]:
     """Open an input, run every model on it and close it; raises what `run` raises."""
     with open_input(path, setups, options) as video:
@@ -302,8 +302,8 @@ def run_models(
     options: InputOptions,
     *,
     identity: Mapping[str, Any],
-    on_frame: OnFrame = _nothing,
-    tell: Tell = _nothing,
+    on_frame: OnFrame = silent,
+    tell: Tell = silent,
 ) -> list[Result]:
     """Decode `video` once and step every model; the loop of all commands.
 

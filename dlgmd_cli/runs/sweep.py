@@ -29,7 +29,7 @@ from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, too_short
+from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, silent, too_short
 from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -55,11 +55,7 @@ Clip = tuple[Path, np.dtype[np.void]]
 Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
-def _nothing(*_: Any) -> None:
-    """The default callback."""
-
-
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> Clip:
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
     """Write frames of one size and type, at least one, into a file for memory mapping.
 
     Repeats are left out.
@@ -153,7 +149,7 @@ class _Probe:
     false_positive_frame: int | None
     hidden: npt.NDArray[np.bool_] | None = None
 
-    def __call__(self, batch: Sequence[Point], tell: Tell = _nothing) -> list[tuple[int, Values]]:
+    def __call__(self, batch: Sequence[Point], tell: Tell = silent) -> list[tuple[int, Values]]:
         """Compute some points: their numbers, and for each clip the values of the columns."""
         with opencv_threads(1):
             return [(point, self._values(params, tell)) for point, params in batch]
@@ -252,7 +248,7 @@ class Sweep:
         subject: SweepInput,
         grid: Grid,
         setup: Setup,
-        tell: Tell = _nothing,
+        tell: Tell = silent,
     ) -> None:
         self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
         self.tell, self.engine = tell, engine_for(setup.params, setup.engine, subject.size_wh, tell)
@@ -304,7 +300,7 @@ class Sweep:
         self.result.read(self.folder / TABLE)
 
     def compute(
-        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(_nothing)
+        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(silent)
     ) -> None:
         """Compute the missing points and append them to the table.
 
