@@ -12,7 +12,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, Setup, build_result, response_row
+from dlgmd_cli.runs.run import OnFrame, Setup, build_result, numbers_of
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
@@ -57,7 +57,7 @@ def run_layers(
                 if frame.after_gap:
                     model.reset()
                 response = model.step(frame.grey, frame.time_s, layers=whole or is_kept)
-            rows.extend((frame.index, frame.time_s, *response_row(response)))
+            rows.extend((frame.index, frame.time_s, *numbers_of(response)))
             repeated.append(frame.is_repeat)
             if is_kept:
                 kept.append((frame, response))

@@ -419,7 +419,7 @@ def _step_models(
                 else:
                     if frame.after_gap:
                         model.reset()
-                    sums = response_row(model.step(frame.grey, frame.time_s))
+                    sums = numbers_of(model.step(frame.grey, frame.time_s))
                 values.extend((frame.index, frame.time_s, *sums))
             repeated.append(frame.is_repeat)
             on_frame(frame.index + 1)
@@ -428,7 +428,7 @@ def _step_models(
     return True
 
 
-def response_row(response: Response) -> tuple[float, ...]:
+def numbers_of(response: Response) -> tuple[float, ...]:
     """The columns of a row after the frame and its time."""
     sums = response.p_sum, response.s_sum, response.attenuation_db
     return *sums, response.mp, response.g_x, response.g_y
