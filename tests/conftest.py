@@ -74,7 +74,9 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
     }
     db = np.zeros(n) if attenuation_db is None else np.asarray(attenuation_db, float)
     time_s = frame / FPS if time_s is None else np.asarray(time_s, float)
-    return Result(frame, time_s, mp, np.ones(n), np.ones(n), db, DlgmdParameters(), record)
+    ones, nowhere = np.ones(n), np.full(n, np.nan)
+    params = DlgmdParameters()
+    return Result(frame, time_s, mp, ones, ones, db, nowhere, nowhere, params, record)
 
 
 def result_of_level(level, **options):

@@ -51,6 +51,8 @@ class Response:
         Threshold of the grouping layer, Eq. (11).
     layers : Layers or None
         The layers, when `step` was asked for them.
+    g_x, g_y : float
+        Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
     """
 
     p_sum: float
@@ -59,6 +61,8 @@ class Response:
     ffi: float
     t_de: float
     layers: Layers | None = None
+    g_x: float = math.nan
+    g_y: float = math.nan
 
     @property
     def is_valid(self) -> bool:
@@ -208,6 +212,44 @@ def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Grey:
     memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
     start = -memory.ctypes.data % CACHE_LINE
     return memory[start : start + n_bytes].view(dtype).reshape(shape)
+
+
+def first_moments(image: FloatImage) -> tuple[float, float]:
+    """Σ image · column and Σ image · row over the cells of an image, (H, W), in px."""
+    height, width = image.shape
+    columns = cv2.reduce(image, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
+    rows = cv2.reduce(image, 1, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
+    return float(columns @ np.arange(width)), float(rows @ np.arange(height))
+
+
+def centroid(
+    g_sum: float, moments: tuple[float, float], shape: tuple[int, ...]
+) -> tuple[float, float]:
+    """Where the activity of the grouping layer is: ΣG·x / ΣG and ΣG·y / ΣG.
+
+    Parameters
+    ----------
+    g_sum : float
+        ΣG.
+    moments : (float, float)
+        See `first_moments`.
+    shape : (int, int)
+        H and W of the layer.
+
+    Returns
+    -------
+    g_x, g_y : float
+        From -1, the left or upper border of the frame, to 1; NaN where ΣG = 0.
+    """
+    if not g_sum > 0.0:
+        return math.nan, math.nan
+    (m_x, m_y), (height, width) = moments, shape
+    return (2.0 * m_x / g_sum + 1.0) / width - 1.0, (2.0 * m_y / g_sum + 1.0) / height - 1.0
+
+
+def centroid_of(g: FloatImage) -> tuple[float, float]:
+    """The `centroid` of a whole layer, (H, W), whose values are not negative."""
+    return centroid(cv2.sumElems(g)[0], first_moments(g), g.shape)
 
 
 class Photoreceptors:

@@ -13,6 +13,7 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     aligned,
+    centroid_of,
     checked_params,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
@@ -94,11 +95,13 @@ class ContrastDLGMD(Distributed):
             self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
             self._spare = aligned(shape), aligned(shape)
         s, g = images or self._spare
-        s_sum, _ = self._engine.respond(receptors, Counting(threshold), (s, g))
+        s_sum = self._engine.respond(receptors, Counting(threshold), (s, g)).s
         ffi = receptors.growth
         passed = min(1.0, self.params.growth / ffi) ** 2 if ffi > 0.0 else 1.0
         cv2.multiply(g, self._weights, dst=g, scale=passed)
-        return Response(receptors.p_sum(0), s_sum, cv2.sumElems(g)[0], ffi, threshold)
+        mp = cv2.sumElems(g)[0]
+        g_x, g_y = centroid_of(g)
+        return Response(receptors.p_sum(0), s_sum, mp, ffi, threshold, g_x=g_x, g_y=g_y)
 
     def _threshold(self) -> float:
         """What S must exceed for a cell to be active, in luminance."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from dlgmd_cli.models.base import Response, checked_params
+from dlgmd_cli.models.base import Response, centroid, checked_params
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import AUTO, Grouping
 from dlgmd_cli.parameters import DlgmdParameters
@@ -64,9 +64,10 @@ class DLGMD(Distributed):
         """S and G of the newest frame, and their sums."""
         receptors = self._receptors
         grouping = self._grouping()
-        s_sum, mp = self._engine.respond(receptors, grouping, images)
+        s_sum, mp, moments = self._engine.respond(receptors, grouping, images)
+        g_x, g_y = centroid(mp, moments, receptors.current.shape)
         ffi = receptors.p_sum(self._ffi_delay)
-        return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de)
+        return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)
 
     def _grouping(self) -> Grouping:
         """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).

@@ -14,6 +14,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    centroid_of,
     checked_params,
     undefined,
 )
@@ -93,7 +94,8 @@ class EmdLGMD(Model):
         ffi = np.count_nonzero(size > np.float32(self.params.f_active)) / receptors.n_cells
         gain = math.exp(-self.params.c * ffi)
         shown = Layers(change, motion, motion * np.float32(gain)) if layers else None
-        return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown)
+        g_x, g_y = centroid_of(motion)  # G is M times a number
+        return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown, g_x, g_y)
 
     def _expand(self, field: FloatImage) -> FloatImage:
         """Z[·] of a field, newly allocated; no cell looks outside it, since delta >= 0."""

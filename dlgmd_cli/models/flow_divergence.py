@@ -11,6 +11,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    centroid_of,
     checked_params,
     undefined,
 )
@@ -64,12 +65,12 @@ class FlowDivergence(Model):
         mp = max(float(divergence.sum(dtype=np.float64)), 0.0) / duration_s
         speed = np.hypot(flow[..., 0], flow[..., 1])
         receptors.clear(speed)
-        shown = None
+        g, shown = np.maximum(divergence, 0.0), None
         if layers:
             p = receptors.p(0).astype(np.float32) * np.float32(receptors.unit)
-            shown = Layers(p, speed, np.maximum(divergence, 0.0))
+            shown = Layers(p, speed, g)
         p_sum, s_sum = receptors.p_sum(0), float(speed.sum(dtype=np.float64))
-        return Response(p_sum, s_sum, mp, 0.0, 0.0, shown)
+        return Response(p_sum, s_sum, mp, 0.0, 0.0, shown, *centroid_of(g))
 
     def reset(self) -> None:
         """Forget every frame seen so far; the next one may have another size."""

@@ -12,6 +12,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    centroid_of,
     checked_params,
     undefined,
 )
@@ -82,7 +83,9 @@ class LGMD(Model):
             g[:] = 0.0
         mp = cv2.norm(g, cv2.NORM_L1)
         shown = Layers(p.copy(), s, g) if layers else None
-        return Response(p_sum, cv2.norm(s, cv2.NORM_L1), mp, ffi, self._threshold, shown)
+        s_sum = cv2.norm(s, cv2.NORM_L1)
+        g_x, g_y = centroid_of(g)
+        return Response(p_sum, s_sum, mp, ffi, self._threshold, shown, g_x, g_y)
 
     def _change(self) -> FloatImage:
         """P(t), signed, in grey levels."""

@@ -6,7 +6,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import Flags, Grey, Photoreceptors, Response, aligned, checked_params
+from dlgmd_cli.models.base import (
+    Flags,
+    Grey,
+    Photoreceptors,
+    Response,
+    aligned,
+    centroid_of,
+    checked_params,
+)
 from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import AUTO, Counting
@@ -84,7 +92,9 @@ class OnOffDLGMD(DLGMD):
         sum_4x4(s, out=around)
         group(s, around, grouping, g)
         p_sum, ffi = (self._receptors.p_sum(delay) for delay in (0, self._ffi_delay))
-        return Response(p_sum, cv2.sumElems(s)[0], cv2.sumElems(g)[0], ffi, grouping.t_de)
+        g_x, g_y = centroid_of(g)
+        s_sum, mp = cv2.sumElems(s)[0], cv2.sumElems(g)[0]
+        return Response(p_sum, s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)
 
 
 class Pathway(Photoreceptors):

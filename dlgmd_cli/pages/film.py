@@ -13,7 +13,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.plots.heat import BgrImage, FloatImage
-from dlgmd_cli.plots.overlay import tinted
+from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.layers import run_layers
 from dlgmd_cli.runs.run import OnFrame, Setup, open_input
@@ -145,6 +145,7 @@ def render(
                 if hidden is not None:
                     picture[hidden] //= _DIMMED
                 shown = tinted(picture, g, strongest_g)
+                mark_centroid(shown, again.g_x[row], again.g_y[row])
                 if row == thumbnail_row:
                     thumbnail = _jpeg(shown)
                 write(shown)

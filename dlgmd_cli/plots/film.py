@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
+from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import (
     BLUE,
     GREY,
@@ -95,6 +96,8 @@ class Film:
                 height, width = _size(box)
                 way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
                 picture[box] = cv2.resize(image, (width, height), interpolation=way)
+        if g is not None:
+            mark_centroid(picture[self._panels[2]], self._result.g_x[row], self._result.g_y[row])
         self._show_present(picture, row)
         self._write_header(picture, row)
         return picture

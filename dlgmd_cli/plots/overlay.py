@@ -1,5 +1,6 @@
 """A film of the input at full size, in which active cells are tinted and alarms are a banner."""
 
+import math
 from typing import Any
 
 import cv2
@@ -14,6 +15,8 @@ _TINT, _ALARM, _WHITE, _BLACK = (0, 0x9F, 0xE6), (0, 0x5E, 0xD5), (255, 255, 255
 _LEAST, _MORE = 0.45, 0.4
 # Of the height of the picture; letters of OpenCV's font are 22 px high at scale 1.
 _BANNER, _LETTER, _LETTER_PX = 0.09, 0.05, 22
+# Radius of the ring about the centroid, of the height of the picture.
+_RING = 0.035
 
 
 def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
@@ -30,6 +33,21 @@ def tinted(image: BgrImage, g: FloatImage | None, greatest: float) -> BgrImage:
     opacity = np.where(g != 0.0, _LEAST + _MORE * np.minimum(strength, 1.0), 0.0)
     cells = cv2.resize(opacity, (width, height), interpolation=cv2.INTER_NEAREST)[:, :, None]
     return np.rint(image * (1.0 - cells) + np.array(_TINT, np.float32) * cells).astype(np.uint8)
+
+
+def mark_centroid(picture: BgrImage, g_x: float, g_y: float) -> None:
+    """Draw a ring about the centroid of G, from -1 to 1, into a picture, (H, W, 3) BGR.
+
+    NaN, where no cell is active, draws nothing.
+    """
+    if math.isnan(g_x) or math.isnan(g_y):
+        return
+    height, width = picture.shape[:2]
+    at = round((g_x + 1.0) / 2.0 * width - 0.5), round((g_y + 1.0) / 2.0 * height - 0.5)
+    radius = max(3, round(_RING * height))
+    thick = max(1, radius // 6)
+    for colour, extra in ((_BLACK, 2), (_WHITE, 0)):
+        cv2.circle(picture, at, radius, colour, thick + extra, cv2.LINE_AA)
 
 
 class Overlay:
@@ -54,6 +72,7 @@ class Overlay:
         picture: Any = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
         picture[: image.shape[0], : image.shape[1]] = tinted(image, g, self._greatest)
         result, margin = self._result, round(0.02 * height)
+        mark_centroid(picture[: image.shape[0], : image.shape[1]], result.g_x[row], result.g_y[row])
         if result.alarms[row]:
             band = round(_BANNER * height)
             cv2.rectangle(picture, (0, 0), (width, band), _ALARM, cv2.FILLED)

@@ -115,7 +115,8 @@ def watch(clip: Clip, watchers: Mapping[str, Watcher]) -> Seen:
                   for size in sizes.values()}  # fmt: skip
             for label, each in models.items():
                 said = each.step(at[sizes[label]])
-                rows[label].append((said.mp, said.p_sum, said.s_sum, said.attenuation_db))
+                sums = said.mp, said.p_sum, said.s_sum, said.attenuation_db
+                rows[label].append((*sums, said.g_x, said.g_y))
     frame = np.arange(n_frames)
     results = {}
     for label, one in watchers.items():
@@ -123,8 +124,9 @@ def watch(clip: Clip, watchers: Mapping[str, Watcher]) -> Seen:
         record: dict[str, Any] = {"processed": {"width": width, "height": height}}
         if collision_frame is not None:
             record["collision_frame"] = collision_frame
-        mp, p_sum, s_sum, db = np.array(rows[label]).T
-        results[label] = Result(frame, frame / fps, mp, p_sum, s_sum, db, one.params, record)
+        mp, p_sum, s_sum, db, g_x, g_y = np.array(rows[label]).T
+        columns = mp, p_sum, s_sum, db, g_x, g_y
+        results[label] = Result(frame, frame / fps, *columns, one.params, record)
     return Seen(results, truth, phases)
 
 

@@ -20,7 +20,7 @@ Series = npt.NDArray[np.float64]
 
 # Of one result. A result's attributes have these names; flags are in the plural there.
 TABLES = {
-    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq"),
+    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y"),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }

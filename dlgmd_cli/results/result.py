@@ -47,6 +47,8 @@ class Result:
         Sums of the photoreceptor and the summation layer, in the model's own units.
     attenuation_db : array
         10 lg(ΣS/ΣP) in dB; -inf where nothing passes, NaN where undefined.
+    g_x, g_y : array
+        Centroid of the active cells, from -1 (left, top) to 1; NaN where none is active.
     params : Parameters
         The model's.
     record : dict
@@ -64,6 +66,8 @@ class Result:
     p_sum: Series
     s_sum: Series
     attenuation_db: Series
+    g_x: Series
+    g_y: Series
     params: Parameters
     record: dict[str, Any] = field(repr=False)
 
@@ -328,7 +332,7 @@ def read_result(folder: str | Path) -> Result:
 def read_comparison(folder: str | Path) -> dict[str, Result]:
     """Every result of a folder that `dlgmd compare` wrote, by label, in its order.
 
-    A comparison holds no sums: `p_sum` and `s_sum` are NaN.
+    A comparison holds neither sums nor centroids: `p_sum`, `s_sum`, `g_x` and `g_y` are NaN.
 
     Raises
     ------
@@ -348,13 +352,13 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     results = {}
     for label, columns in by_label.items():
         own = described[label]
-        sums = np.full(len(columns["frame"]), np.nan)
+        unknown = np.full(len(columns["frame"]), np.nan)
         shared = ("input", "options", "collision_frame")
         common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {key: own[key] for key in ("width", "height", "cells") if key in own}
         results[label] = _result(
             folder / store.COMPARISON,
-            {**columns, "p_sum": sums, "s_sum": sums},
+            {**columns, **dict.fromkeys(("p_sum", "s_sum", "g_x", "g_y"), unknown)},
             {**common, **own, "processed": size},
             own,
         )
@@ -404,6 +408,8 @@ def _result(
         columns["p_sum"],
         columns["s_sum"],
         columns["attenuation_db"],
+        columns["g_x"],
+        columns["g_y"],
         params,
         record,
     )

@@ -42,8 +42,8 @@ ENGINES = ("opencv", "numba")
 
 Tell = Callable[[str], None]
 OnFrame = Callable[[int], None]
-# frame, time_s, p_sum, s_sum, attenuation_db, mp: 48 bytes a frame.
-_N_COLUMNS = 6
+# frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y: 64 bytes a frame.
+_N_COLUMNS = 8
 
 
 def _nothing(*_: Any) -> None:
@@ -377,14 +377,14 @@ def gathered_result(
     complete: bool,
     **facts: Any,
 ) -> Result:
-    """The result of a model that saw `video`: `rows` holds six numbers of each of its frames,
+    """The result of a model that saw `video`: `rows` holds eight numbers of each of its frames,
     `repeated` whether it repeats the one before.
 
     `was_read` says whether that was all that is to be read of the video, `complete` and `facts`
     stand in the record.
     """
     columns = np.array(rows).reshape(-1, _N_COLUMNS).T.copy()
-    frame, time_s, p_sum, s_sum, attenuation_db, mp = columns
+    frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y = columns
     n_read = None if was_read else (int(frame[-1]) + 1, float(time_s[-1]))
     record = {
         **input_record(video, size_wh, len(frame), identity, n_read, repeated),
@@ -396,7 +396,7 @@ def gathered_result(
         "warnings": list(video.progress.warnings),
         "complete": complete,
     }
-    numbers = time_s, mp, p_sum, s_sum, attenuation_db
+    numbers = time_s, mp, p_sum, s_sum, attenuation_db, g_x, g_y
     return Result(frame.astype(np.int64), *numbers, setup.params, record)
 
 
@@ -440,7 +440,8 @@ def _feed(
 
 def numbers_of(answer: Response) -> tuple[float, ...]:
     """What a row holds of an answer beside the frame and its time."""
-    return answer.p_sum, answer.s_sum, answer.attenuation_db, answer.mp
+    sums = answer.p_sum, answer.s_sum, answer.attenuation_db
+    return *sums, answer.mp, answer.g_x, answer.g_y
 
 
 def input_record(

@@ -171,7 +171,8 @@ class _Probe:
                 if after_gap:
                     model.reset()
                 one = model.step(grey, time_s)
-                rows.append((one.mp, one.p_sum, one.s_sum, one.attenuation_db))
+                sums = one.mp, one.p_sum, one.s_sum, one.attenuation_db
+                rows.append((*sums, one.g_x, one.g_y))
             values.append(self._measured(frames, params, np.array(rows).T))
         return values
 
@@ -179,7 +180,7 @@ class _Probe:
         self, frames: npt.NDArray[np.void], params: Parameters, rows: Series
     ) -> tuple[float, ...]:
         """The values of the columns; NaN stands for what there is not."""
-        mp, p_sum, s_sum, attenuation_db = rows
+        mp, p_sum, s_sum, attenuation_db, g_x, g_y = rows
         attenuation = _mean_attenuation(attenuation_db)
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
@@ -187,7 +188,8 @@ class _Probe:
         n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
         size = {"width": width, "height": height, "cells": width * height - n_hidden}
         record = {"processed": size, "options": self.options}
-        clock, sums = (frames["frame"], frames["time_s"]), (p_sum, s_sum, attenuation_db)
+        clock = frames["frame"], frames["time_s"]
+        sums = p_sum, s_sum, attenuation_db, g_x, g_y
         result = Result(*clock, mp, *sums, params, record)
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:

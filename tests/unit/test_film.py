@@ -1,5 +1,7 @@
 """The film of a model at work: panels on their scales, and the trace up to the present."""
 
+import math
+
 import numpy as np
 import pytest
 from conftest import result_of_level
@@ -7,6 +9,7 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
 from dlgmd_cli.plots.heat import Scale
+from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, ORANGE, VERMILION
 
 UNITS = ("luminance", "luminance²")
@@ -101,3 +104,14 @@ def test_an_alarm_is_said_while_it_lasts(film):
     assert said == [False, False, True, True, False]
     headers = [film.picture(row, images(), images(), images())[:50, :500] for row in (7, 8)]
     assert not np.array_equal(*headers)
+
+
+def test_a_ring_marks_the_centroid():
+    for g_x, g_y, at in ((-1.0, -1.0, (0, 0)), (1.0, 1.0, (199, 99)), (0.5, 0.0, (150, 50))):
+        picture = np.full((100, 200, 3), 90, np.uint8)
+        mark_centroid(picture, g_x, g_y)
+        y, x = np.nonzero((picture == 255).all(axis=2))
+        assert np.hypot(x - at[0], y - at[1]) == pytest.approx(3.5, abs=1.5)
+    picture = np.full((100, 200, 3), 90, np.uint8)
+    mark_centroid(picture, math.nan, math.nan)
+    assert (picture == 90).all()

@@ -21,6 +21,7 @@ N_FRAMES = 9
 SIGNED = {"lgmd", "emd-lgmd"}  # works on signed changes, not on |dL|
 DIRECTIONAL = {"emd-lgmd"}  # tells outward from inward motion
 CENTRED = {"emd-lgmd"}  # looks from each cell towards the centre of the frame
+SILENT = {"lgmd"}  # nothing of the small disc reaches its threshold
 FLOORED = {"dlgmd-contrast"}  # its layer P is what exceeds a floor, p_sum is of all
 
 CASES = {name: (name, {}) for name in MODELS} | {
@@ -137,6 +138,24 @@ class TestEveryModel:
             if response.is_valid:
                 total = np.abs(s).sum(dtype=float)
                 assert response.s_sum == pytest.approx(total, rel=1e-5, abs=1e-5)
+
+    def test_the_centroid_is_that_of_g(self, case):
+        frames = moving()
+        n_active = 0
+        for response in run(case, [frame[:, :22] for frame in frames], layers=True):
+            g = response.layers.g
+            if g is None or not g.any():
+                assert math.isnan(response.g_x) and math.isnan(response.g_y)
+                continue
+            n_active += 1
+            rows, columns = (np.arange(side) for side in g.shape)
+            x = (g * ((2 * columns + 1) / g.shape[1] - 1)).sum(dtype=float) / g.sum(dtype=float)
+            y = (g * ((2 * rows + 1) / g.shape[0] - 1)[:, None]).sum(dtype=float) / g.sum(
+                dtype=float
+            )
+            assert (response.g_x, response.g_y) == pytest.approx((x, y), abs=1e-5)
+            assert abs(x) > 1e-3 and abs(y) > 1e-3  # neither the centre nor the other axis' place
+        assert n_active or case in SILENT
 
     def test_layers_are_copies(self, case):
         model, frames = create(case), moving()

@@ -141,7 +141,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     table = result_of_level([0.1, 0.5, 0.5]).to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 12
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 14
 
 
 def damage(folder, name, change):
@@ -154,8 +154,8 @@ def damage(folder, name, change):
     [
         ("mp.csv", lambda text: text.replace("mp_abs", "x"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
-        ("mp.csv", lambda text: text + "0,9,1,1,1\n", "its rows are not frames in order"),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 5 cells"),
+        ("mp.csv", lambda text: text + "0,9,1,1,1,0,0\n", "its rows are not frames in order"),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 7 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not"),
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),

@@ -43,7 +43,7 @@ def test_files_and_columns(dlgmd, clips, tmp_path):
     assert os.listdir(folder.parent) == ["loom"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
-        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq",
+        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y",
         "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db",
         "spikes.csv": "frame,time_s,level,threshold,spike,alarm",
     }

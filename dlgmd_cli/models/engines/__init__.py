@@ -32,6 +32,14 @@ class Counting(NamedTuple):
     above: float
 
 
+class Sums(NamedTuple):
+    """ΣS and ΣG of a frame, and the `first_moments` of G."""
+
+    s: float
+    g: float
+    moments: tuple[float, float]
+
+
 class Engine(Protocol):
     """Made for one set of connections, and for frames of one size and type."""
 
@@ -40,8 +48,8 @@ class Engine(Protocol):
         receptors: Photoreceptors,
         readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
-    ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame, in units of luminance; S and G into `layers`, (H, W).
+    ) -> Sums:
+        """The sums of the newest frame, in units of luminance; S and G into `layers`, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
         G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10), or see `Counting`

@@ -20,7 +20,7 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Counting, Grouping, just_below
+from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.threads import n_threads
@@ -152,6 +152,15 @@ def _count(s, stride, g, above):
     return total
 
 
+@njit(**_OPTIONS)
+def _moment(g):
+    """ΣG · column of a row."""
+    total = np.float32(0.0)
+    for x in range(g.size):
+        total += g[x] * np.float32(x)
+    return total
+
+
 def _sum_layers(
     first,
     end,
@@ -167,7 +176,9 @@ def _sum_layers(
     s_out,
     g_out,
 ):
-    """ΣS and ΣG of the rows `first` up to `end`; `NumbaEngine` prepares every argument.
+    """ΣS, ΣG and the moments of G of the rows `first` up to `end`.
+
+    `NumbaEngine` prepares every argument.
 
     What the next block needs again of a block is moved up.
     """
@@ -180,7 +191,7 @@ def _sum_layers(
     # S of a block, with the three rows above it.
     s = memory[outs[-1] - 3 * stride : outs[-1] + block]
     s[: 3 * stride] = 0.0
-    s_sum = g_sum = 0.0
+    s_sum = g_sum = m_x = m_y = 0.0
     top, first_new = first - 1, 0
     while top - 2 < end:
         _read(memory, stack, newer, older, shape, top, first_new)
@@ -203,9 +214,13 @@ def _sum_layers(
                     s_out[y] = s[at + 1 : at + 1 + width]
         for row in range(max(0, first + 2 - top), min(n_rows, end + 2 - top)):
             if gain == COUNT:
-                g_sum += _count(s[row * stride :], stride, g, below)
+                total = _count(s[row * stride :], stride, g, below)
             else:
-                g_sum += _group(s[row * stride :], stride, four, g, gain, below, cap)
+                total = _group(s[row * stride :], stride, four, g, gain, below, cap)
+            if total > 0.0:
+                g_sum += total
+                m_x += _moment(g)
+                m_y += total * (top - 2 + row)
             if g_out.size:
                 g_out[top - 2 + row] = g
         _move_up(s, np.uint64(block), 3 * stride)
@@ -213,7 +228,7 @@ def _sum_layers(
             _move_up(memory[q * size :], np.uint64(block), 2 * radius * stride)
         top += n_rows
         first_new = 2 * radius
-    return s_sum, g_sum
+    return s_sum, g_sum, m_x, m_y
 
 
 @cache
@@ -245,15 +260,15 @@ class NumbaEngine:
         size = int(self._plan[0][-1]) + n_rows * stride + stride
         self._memory = [(_zeros(size), (_zeros(width + 3), _zeros(width))) for _ in range(n_bands)]
         self._map = ThreadPoolExecutor(n_bands, "dlgmd-band").map if n_bands > 1 else map
-        self._compute: Callable[..., tuple[float, float]] | None = None
+        self._compute: Callable[..., tuple[float, ...]] | None = None
 
     def respond(
         self,
         receptors: Photoreceptors,
         readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
-    ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame; bands of rows are worked on at the same time."""
+    ) -> Sums:
+        """The sums of the newest frame; bands of rows are worked on at the same time."""
         newer = [receptors.position(s.delay) for s in self._sources]
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
@@ -265,7 +280,7 @@ class NumbaEngine:
         hidden = _NONE_HIDDEN if receptors.hidden is None else receptors.hidden
         constants = np.float32(gain), np.float32(below), np.float32(cap)
 
-        def work(band: int, compute: Callable[..., tuple[float, float]]) -> tuple[float, float]:
+        def work(band: int, compute: Callable[..., tuple[float, ...]]) -> tuple[float, ...]:
             return compute(
                 *self._bands[band : band + 2],
                 receptors.stack,
@@ -281,10 +296,11 @@ class NumbaEngine:
         if self._compute is None:
             self._compute = self._load(lambda compute: work(0, compute))
         compute = self._compute
-        answers = list(self._map(lambda band: work(band, compute), range(len(self._memory))))
-        return sum(s for s, _ in answers), sum(g for _, g in answers)
+        answers = self._map(lambda band: work(band, compute), range(len(self._memory)))
+        s_sum, g_sum, m_x, m_y = np.array(list(answers)).sum(axis=0).tolist()
+        return Sums(s_sum, g_sum, (m_x, m_y))
 
-    def _load(self, work: Callable[..., Any]) -> Callable[..., tuple[float, float]]:
+    def _load(self, work: Callable[..., Any]) -> Callable[..., tuple[float, ...]]:
         """The compiled loops; not yet in threads, since one that compiles cannot be interrupted."""
         with install_listener("numba:compile", Announcement(self._tell)):
             try:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Counting, Grouping, just_below
+from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned, first_moments
+from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
@@ -60,9 +60,9 @@ class OpencvEngine:
         receptors: Photoreceptors,
         readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
-    ) -> tuple[float, float]:
-        """ΣS and ΣG of the newest frame, tile by tile."""
-        s_sum = g_sum = 0.0
+    ) -> Sums:
+        """The sums of the newest frame, tile by tile."""
+        s_sum = g_sum = m_x = m_y = 0.0
         for tile in self._tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
@@ -76,10 +76,15 @@ class OpencvEngine:
             else:
                 sum_4x4(s, out=part)
                 group(s[tile.core], part[tile.core], readout, g[tile.core])
-            g_sum += cv2.sumElems(g[tile.core])[0]
+            g_of_tile = cv2.sumElems(g[tile.core])[0]
+            if g_of_tile > 0.0:
+                (dx, dy), (rows, columns) = first_moments(g[tile.core]), tile.target
+                m_x += dx + columns.start * g_of_tile
+                m_y += dy + rows.start * g_of_tile
+            g_sum += g_of_tile
             if layers is not None:
                 layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
-        return s_sum, g_sum
+        return Sums(s_sum, g_sum, (m_x, m_y))
 
     def _summate(
         self,
