@@ -22,7 +22,15 @@ SOURCES = Path(__file__).parent / "c"
 # The squares of so many cells' ±128 fit 32 bits. The test's stimulus needs 16 px.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
 MAX_GROWTH = 4096.0
+# Upper bounds and rough numbers, as the tests measure them: bytes of stack; bytes of code, by
+# whether it is the contrast-relative model and fixed: at all, and for each operation of a cell.
 STACK_BYTES = 512
+CODE_BYTES = {
+    (False, False): (1000, 10),
+    (False, True): (1000, 10),
+    (True, False): (1000, 10),
+    (True, True): (1000, 10),
+}
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,7 @@ class Export:
     width: int
     height: int
     is_fixed: bool = False
+    label: str = "D-LGMD"
 
     def __post_init__(self) -> None:
         if type(self.params) not in (DlgmdParameters, ContrastParameters):
@@ -126,10 +135,22 @@ class Export:
         return _whole(scalars + work + frames, alignment)
 
     @property
-    def table_bytes(self) -> int:
-        """Flash: the tables of constants."""
-        weight = 2 if self.is_fixed else 4
-        return weight * (self.width + self.height) if self.is_contrast else 0
+    def costs(self) -> dict[str, int]:
+        """What a frame costs: bytes, and the operations of the kernels.
+
+        The flash is that of the tables and, in rough numbers, of code that gcc -O2 made for a
+        Cortex-M4: some for the model, and some for each operation that is written out.
+        """
+        multiplications, additions = self.code.operations
+        base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
+        tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
+        return {
+            "ram_bytes": self.state_bytes,
+            "stack_bytes": STACK_BYTES,
+            "flash_bytes": round(tables + base + each * (multiplications + additions), -2),
+            "multiplications": multiplications * self.n_cells,
+            "additions": additions * self.n_cells,
+        }
 
     def constants(self) -> dict[str, str]:
         """What `dlgmd_model.h` defines."""
@@ -190,6 +211,11 @@ class Export:
             "G_ONE": f"UINT32_C({one})",
         }
 
+    @property
+    def definitions(self) -> str:
+        """What `dlgmd.h` defines, as C."""
+        return _defines(self.sizes)
+
     def tables(self) -> str:
         """Weights of the columns and the rows, whose products say what a cell counts."""
         weights = centre_weights((self.height, self.width), self.params.sigma_c).astype(float)
@@ -221,8 +247,7 @@ class Export:
     def source(self, name: str) -> str:
         """One of the sources, without what this model does not need."""
         known = {key: value != 0 for key, value in self.sizes.items()}
-        text = chosen((SOURCES / name).read_text(encoding="utf-8"), known)
-        return text.replace("/* @sizes@ */", _defines(self.sizes))
+        return chosen((SOURCES / name).read_text(encoding="utf-8"), known)
 
 
 def _defines(values: Mapping[str, object]) -> str:

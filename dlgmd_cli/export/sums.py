@@ -158,8 +158,7 @@ def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: f
             [Step(_integers(step.taps, lambda tap: weight_bits), step.column) for step in chain]
         )
     reaches = [
-        abs(tap.weight)
-        * (2.0 ** (15 - bits[tap.read]) if isinstance(tap.read, int) else LEVELS)
+        abs(tap.weight) * (2.0 ** (15 - bits[tap.read]) if isinstance(tap.read, int) else LEVELS)
         for tap in along
     ]
     s_bits = _bits(31, gain * sum(reaches)) if reaches else 16
@@ -247,7 +246,13 @@ def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
     columns = "dlgmd_column columns[][WIDTH + 2 * RADIUS]"
     unused = [] if delays and code.chains else ["    (void)sources;", "    (void)columns;"]
     lines += ["", "/* Up the columns of row y. */"]
-    lines += [f"static void sum_columns(const source *sources, {columns})", "{", *unused, *body, "}"]
+    lines += [
+        f"static void sum_columns(const source *sources, {columns})",
+        "{",
+        *unused,
+        *body,
+        "}",
+    ]
     s = "sum" if not code.s_shift else f"(dlgmd_sum)(sum > 0 ? sum >> {code.s_shift} : 0)"
     if not (is_fixed or is_contrast):
         s = "sum > 0.0f ? sum : 0.0f"

@@ -1,7 +1,8 @@
 /* What a Cortex-M of Arm's MPS2 boards needs to run test.c under QEMU: vectors, start, a clock. The
    C library's semihosting reads frames.gray and prints. */
 #include <stdint.h>
-#include <stdlib.h>
+#include <stdio.h>
+#include <unistd.h>
 
 extern uint32_t board_stack_top[], board_bss_start[], board_bss_end[];
 int main(void);
@@ -29,12 +30,14 @@ void board_reset(void)
     systick[1] = 0xffffff;
     systick[0] = 5; /* on, by the processor's clock */
     initialise_monitor_handles();
-    exit(main());
+    int code = main();
+    fflush(stdout);
+    _exit(code);
 }
 
 static void board_fault(void)
 {
-    exit(3);
+    _exit(3);
 }
 
 __attribute__((section(".vectors"), used)) static const void *const vectors[16] = {

@@ -1,4 +1,8 @@
-/* @costs@ */
+/* @label@: the @model@ model of dlgmd @version@ and its alarm, in @arithmetic@.
+
+   @costs@
+
+   Show it each picture once: it does not notice frames that merely repeat the one before. */
 #ifndef DLGMD_H
 #define DLGMD_H
 
