@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli import __version__
+from dlgmd_cli.errors import printable
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.models.detection import Alarm, Detection
 from dlgmd_cli.stimuli.looming import Approach, ApproachOptions
@@ -74,33 +75,34 @@ def files(export: Export) -> dict[str, bytes]:
 
 def _filled(export: Export, name: str) -> str:
     """A source with what is particular to this export."""
-    costs = export.costs
-    multiplications, additions = export.code.operations
-    arithmetic = "integers" if export.is_fixed else "single precision"
     values = {
         "sizes": export.definitions,
-        "label": export.label,
+        "label": printable(export.label),
         "model": export.params.model,
         "version": __version__,
-        "arithmetic": arithmetic,
+        "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),
         "height": str(export.height),
-        "costs": (
-            f"It takes {costs['ram_bytes']:,} bytes of RAM (the state), less than "
-            f"{costs['stack_bytes']} of stack and about\n   {costs['flash_bytes']:,} of flash (gcc "
-            f"-O2, Cortex-M4). For a frame, its kernels do {costs['multiplications']:,}\n   "
-            f"multiplications and {costs['additions']:,} additions ({multiplications} and {additions} "
-            "for each cell)."
-        ),
+        "costs": _costs(export),
         "accuracy": ACCURACY[export.is_fixed],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
     text = export.source(name)
-    if name.endswith(".md"):
-        values["costs"] = values["costs"].replace("\n   ", "\n")
     for key, value in values.items():
         text = text.replace(f"/* @{key}@ */", value).replace(f"@{key}@", value)
     return text
+
+
+def _costs(export: Export) -> str:
+    """What a frame costs, in words."""
+    costs = {key: f"{n:,}" for key, n in export.costs.items()}
+    multiplications, additions = export.code.operations
+    return (
+        f"RAM: {costs['ram_bytes']} bytes of state, and at most {costs['stack_bytes']} of stack.\n"
+        f"   Flash: about {costs['flash_bytes']} bytes (gcc -O2, Cortex-M4).\n"
+        f"   A frame: {costs['multiplications']} multiplications and {costs['additions']} "
+        f"additions in the kernels\n   ({multiplications} and {additions} for each cell)."
+    )
 
 
 def vectors(export: Export, answers: list[Detection]) -> str:

@@ -26,10 +26,10 @@ MAX_GROWTH = 4096.0
 # whether it is the contrast-relative model and fixed: at all, and for each operation of a cell.
 STACK_BYTES = 512
 CODE_BYTES = {
-    (False, False): (1000, 10),
-    (False, True): (1000, 10),
-    (True, False): (1000, 10),
-    (True, True): (1000, 10),
+    (False, False): (1200, 10),
+    (False, True): (1370, 7),
+    (True, False): (1540, 14),
+    (True, True): (2170, 8),
 }
 
 
