@@ -135,7 +135,7 @@ def _reach(taps: Sum) -> float:
 
 def _places(width: int, reach: float) -> int:
     """Binary places that numbers up to `reach` can have in so many bits, rounding included."""
-    return math.floor(width - math.log2(reach * 1.002)) if reach else 0
+    return math.floor(width - math.log2(reach * 1.002)) if reach else width
 
 
 def _whole(taps: Sum, places: int) -> Sum:

@@ -475,7 +475,7 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame)
     if (answer.valid) {
         finish(&answer, &sums);
         answer.spike = answer.mp_abs >= T_MP;
-        state->spikes = !answer.spike ? 0 : state->spikes < N_SP ? state->spikes + 1 : N_SP;
+        state->spikes = answer.spike ? state->spikes + 1 : 0;
         answer.alarm = state->spikes >= N_SP;
     }
     return answer;

@@ -45,9 +45,9 @@ typedef struct {
 #else
     uint32_t change_sums[DLGMD_FFI_DELAY + 1]; /* of the last frames, newest first, in levels */
 #endif
-    uint32_t frame;  /* frames seen; it wraps after four years, which is like a reset */
+    uint32_t frame;  /* frames seen; after four years it wraps, which is like a reset */
     uint32_t start;  /* the row of `change` that the zeros above the next frame begin at */
-    uint32_t spikes; /* spikes in a row, up to the number that raises the alarm */
+    uint32_t spikes; /* spikes in a row */
     union { /* memory for the time of a step */
         struct {
             dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];

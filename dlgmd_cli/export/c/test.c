@@ -102,10 +102,10 @@ int main(void)
            counts little. */
         double scale = right->mp + HALF;
         double share = right->mp / scale;
-        mp = larger(mp, apart(answer->mp * MP_UNIT, right->mp) / scale);
-        mp_abs = larger(mp_abs, apart(answer->mp_abs * UNIT, right->mp_abs));
-        place = larger(place, share * apart(answer->g_x * UNIT, right->g_x));
-        place = larger(place, share * apart(answer->g_y * UNIT, right->g_y));
+        mp = larger(mp, apart((double)answer->mp * MP_UNIT, right->mp) / scale);
+        mp_abs = larger(mp_abs, apart((double)answer->mp_abs * UNIT, right->mp_abs));
+        place = larger(place, share * apart((double)answer->g_x * UNIT, right->g_x));
+        place = larger(place, share * apart((double)answer->g_y * UNIT, right->g_y));
     }
     printf("dlgmd, %s, %dx%d, %d frames, %u bytes of state\n", DLGMD_FIXED ? "fixed" : "float",
            DLGMD_WIDTH, DLGMD_HEIGHT, N_FRAMES, (unsigned)sizeof state);
