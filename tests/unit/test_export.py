@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +112,20 @@ def test_only_the_operations_of_separable_parts():
     code = float_code(connect(ContrastParameters()), 1.0)
     assert code.n_columns == 2 and code.operations == (24, 44)
     assert float_code(connect(load_set(9)), 1.0).operations[1] < 13 * 13 / 2
+
+
+def test_table_of_costs():
+    """RAM and flash in the table of configs/README.md are what the command says."""
+    page = (Path(__file__).parents[2] / "configs/README.md").read_text(encoding="utf-8")
+    (section,) = re.findall(r"^## On a microcontroller\n(.*?)^## ", page, re.DOTALL | re.MULTILINE)
+    cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines()]
+    rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
+    assert len(rows) == 16
+    for model, arithmetic, size, ram, flash, *_ in rows:
+        params = ContrastParameters() if model == "`flight`" else load_set(9)
+        width, height = map(int, size.split("x"))
+        costs = Export(params, width, height, arithmetic == "fixed").costs
+        assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
 
 
 def test_branches_not_taken_are_left_out():
