@@ -84,9 +84,11 @@ def answers_of_python(params, frames):
 
 
 def error_of_mp(export, answers, right):
-    """By how much mp is wrong, relative to it and to the mp at which mp_abs is 1/2, (n,)."""
-    half = export.params.kappa * export.n_cells
-    return np.abs(answers[:, 3] - right[:, 3]) / (right[:, 3] + half)
+    """By how much mp is wrong, (n,): of itself; fixed, of itself and where mp_abs is 1/2."""
+    error, mp = np.abs(answers[:, 3] - right[:, 3]), right[:, 3]
+    if export.is_fixed:
+        return error / (mp + export.params.kappa * export.n_cells)
+    return error / np.where(mp > 0.0, mp, 1.0)
 
 
 def error_of_place(export, answers, right):

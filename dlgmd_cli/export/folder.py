@@ -26,10 +26,9 @@ STATIC = (
 )
 
 ACCURACY = {
-    False: "Its membrane potential is Python's to 1e-5, relative to the potential and to the one "
-    "at which mp_abs is 1/2.",
-    True: "Integers round: mp_abs differs from Python's by 0.01 at most in the sample flights, and "
-    "alarms by a frame.",
+    False: "Its membrane potential is Python's to 1e-5 of it.",
+    True: "Integers round: in rendered flights mp_abs differs from Python's by 0.03 at most, and\n"
+    "the alarms are the same; expect a frame of difference in others.",
 }
 
 Frames = list[npt.NDArray[np.uint8]]

@@ -98,10 +98,13 @@ int main(void)
         is_again = is_again && is_same(answer, &answers[1][i]);
         first[0] = answer->alarm && i < first[0] ? i : first[0];
         first[1] = right->alarm && i < first[1] ? i : first[1];
-        /* Relative to K and the K at which mp_abs is 1/2; where little is active, its place
-           counts little. */
+        /* Where little is active, its place counts little. */
+        double share = right->mp / (right->mp + HALF);
+#if DLGMD_FIXED
         double scale = right->mp + HALF;
-        double share = right->mp / scale;
+#else
+        double scale = right->mp > 0 ? right->mp : 1;
+#endif
         mp = larger(mp, apart((double)answer->mp * MP_UNIT, right->mp) / scale);
         mp_abs = larger(mp_abs, apart((double)answer->mp_abs * UNIT, right->mp_abs));
         place = larger(place, share * apart((double)answer->g_x * UNIT, right->g_x));
