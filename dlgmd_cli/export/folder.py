@@ -82,7 +82,8 @@ def _filled(export: Export, name: str) -> str:
         "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),
         "height": str(export.height),
-        "costs": _costs(export),
+        "costs": "\n   ".join(_costs(export)),
+        "list_of_costs": "\n".join(f"- {line}" for line in _costs(export)),
         "accuracy": ACCURACY[export.is_fixed],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
@@ -92,16 +93,17 @@ def _filled(export: Export, name: str) -> str:
     return text
 
 
-def _costs(export: Export) -> str:
+def _costs(export: Export) -> list[str]:
     """What a frame costs, in words."""
     costs = {key: f"{n:,}" for key, n in export.costs.items()}
     multiplications, additions = export.code.operations
-    return (
-        f"RAM: {costs['ram_bytes']} bytes of state, and at most {costs['stack_bytes']} of stack.\n"
-        f"   Flash: about {costs['flash_bytes']} bytes (gcc -O2, Cortex-M4).\n"
-        f"   A frame: {costs['multiplications']} multiplications and {costs['additions']} "
-        f"additions in the kernels\n   ({multiplications} and {additions} for each cell)."
-    )
+    return [
+        f"RAM: {costs['ram_bytes']} bytes of state, and at most {costs['stack_bytes']} of stack",
+        f"Flash: about {costs['flash_bytes']} bytes (gcc -O2, Cortex-M4)",
+        f"A frame: {costs['multiplications']} multiplications and {costs['additions']} additions "
+        "in the kernels",
+        f"A cell: {multiplications} and {additions} of them",
+    ]
 
 
 def vectors(export: Export, answers: list[Detection]) -> str:
