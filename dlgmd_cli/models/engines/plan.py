@@ -16,7 +16,7 @@ column sum of the height there. Discs from the same Gaussian, on different frame
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -185,7 +185,16 @@ def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
 # Compiled loops
 
 
-def fuse(kernels: dict[int, FloatKernel], gaussians: Sequence[FloatKernel]) -> list[Sum]:
+def _loads(sums: list[Sum]) -> float:
+    """What it costs a compiled loop to compute some sums, in loads per pixel."""
+    return len(sources_of(sums)) * IMAGE_COST + sum(len(taps) + 1 for taps in sums)
+
+
+def fuse(
+    kernels: dict[int, FloatKernel],
+    gaussians: Sequence[FloatKernel],
+    cost: Callable[[list[Sum]], float] = _loads,
+) -> list[Sum]:
     """The cheapest sums found for these kernels, given as to `plan`.
 
     The last one is Σ_d kernels[d] ∗ P(t - d); those before it go up the columns, and each may
@@ -193,9 +202,7 @@ def fuse(kernels: dict[int, FloatKernel], gaussians: Sequence[FloatKernel]) -> l
     """
     profiles = [gaussian[len(gaussian) // 2] for gaussian in gaussians]
     plans = [_fuse_layout(layout, profiles) for layout in layouts(kernels)]
-    return min(
-        plans, key=lambda sums: len(sources_of(sums)) * IMAGE_COST + sum(len(s) + 1 for s in sums)
-    )
+    return min(plans, key=cost)
 
 
 def sources_of(sums: list[Sum]) -> list[Source]:
