@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.run import run as run
     from dlgmd_cli.video.frames import open_video as open_video
 
-# Imported on first use, so that the command line can answer --help without NumPy and OpenCV.
+# Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _HOMES = {
     "Alarm": "models.detection",
     "ContrastDLGMD": "models.contrast",

@@ -17,9 +17,9 @@ def main() -> None:
         run()
     except SystemExit as ending:
         cancel.ignore()
-        if threading.active_count() > 1:  # a decoder that hangs would keep Python from ending
+        if threading.active_count() > 1:  # a hanging decoder would keep Python from exiting
             for stream in (sys.stdout, sys.stderr):
-                with suppress(OSError, AttributeError):  # closed, or nobody reads it
+                with suppress(OSError, AttributeError):  # a closed stream or pipe
                     stream.flush()
             os._exit(ending.code if isinstance(ending.code, int) else 1)
         raise

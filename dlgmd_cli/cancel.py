@@ -1,4 +1,4 @@
-"""The stop flag: the first signal asks every loop to end, the second ends the program at once."""
+"""The stop flag: the first signal asks every loop to stop, the second ends the program at once."""
 
 import os
 import signal
@@ -10,24 +10,24 @@ EXIT_INTERRUPTED = 130
 _requested = False
 
 
-class Interrupted(Exception):  # noqa: N818, it is no error
-    """The user asked to stop, and what was being computed cannot be kept."""
+class Interrupted(Exception):  # noqa: N818, stopping is not an error
+    """The user asked to stop, and unfinished work is discarded."""
 
 
 def listen() -> None:
-    """Let Ctrl-C, `kill` and a closed terminal set the flag; for programs, not for libraries.
+    """Make Ctrl-C, `kill` and a closed terminal set the flag; for programs, not for libraries.
 
-    SIGTERM and SIGHUP stay ignored where they are, so that `nohup` works.
+    Where SIGTERM or SIGHUP is ignored it stays ignored: `nohup` depends on that.
     """
-    _answer(_request)
+    _set_handlers(_request)
 
 
 def ignore() -> None:
-    """Let signals do nothing from now on: all is done, and Python's own end must not be cut off."""
-    _answer(signal.SIG_IGN)
+    """Ignore signals from now on: the work is done, and Python must shut down undisturbed."""
+    _set_handlers(signal.SIG_IGN)
 
 
-def _answer(handler: Any) -> None:
+def _set_handlers(handler: Any) -> None:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and (

@@ -1,13 +1,13 @@
-"""What can go wrong, said in one line: what, why, and how to mend it."""
+"""Errors that fit on one line: what is at fault, why, and how to fix it."""
 
 
 def printable(text: str) -> str:
-    """`text` on one line, with what a terminal would act on shown as an escape."""
+    """`text` on one line, with control characters escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class DlgmdError(Exception):
-    """Base of every error that a user can cause or mend.
+    """Base of every error that a user can cause or fix.
 
     Parameters
     ----------
@@ -37,15 +37,15 @@ class SourceError(DlgmdError):
 
 
 class MissingExtraError(DlgmdError):
-    """A package that is asked for and not installed."""
+    """An optional package that is needed but not installed."""
 
 
 class WorkerError(DlgmdError):
-    """A process that was to share the work and died."""
+    """A worker process died, or a cluster cannot do the work."""
 
 
 class FrameError(DlgmdError):
-    """A frame that the model cannot take: wrong shape or type."""
+    """A frame of the wrong shape or type for the model."""
 
 
 class ResultError(DlgmdError):
@@ -57,4 +57,4 @@ class OutputError(DlgmdError):
 
 
 class OutputExistsError(OutputError):
-    """A result that stands already and may not be replaced."""
+    """A result already exists and may not be replaced."""

@@ -1,4 +1,4 @@
-"""Names of results: short, and told apart."""
+"""Short, distinct names for results."""
 
 import os
 from collections.abc import Sequence
@@ -6,23 +6,23 @@ from pathlib import Path
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """The names, with (2), (3) … after those that stood before."""
-    found: list[str] = []
+    """The names in their order; repeated ones get (2), (3) … appended."""
+    distinct: list[str] = []
     for name in names:
         candidate, number = name, 1
-        while candidate in found:
+        while candidate in distinct:
             number += 1
             candidate = f"{name} ({number})"
-        found.append(candidate)
-    return found
+        distinct.append(candidate)
+    return distinct
 
 
 def told_apart(paths: Sequence[Path]) -> list[str]:
-    """The last part of every path; where several end alike, as many as tell them apart."""
-    every = [Path(os.path.abspath(path)).parts for path in paths]
+    """The last part of each path, or as many parts as it takes to make the names distinct."""
+    all_parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = []
-    for parts in every:
-        others = [other for other in every if other != parts]
+    for parts in all_parts:
+        others = [other for other in all_parts if other != parts]
         n = 1
         while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
             n += 1

@@ -1,8 +1,8 @@
-"""Every model's parameters: keys with symbol, unit, default and range; presets, files, merging.
+"""Parameters of every model: symbols, units, defaults and ranges; presets, files and merging.
 
-Parameters merge as defaults < preset or file < single overrides, and are frozen afterwards. The
-registry `MODELS` says which models there are: a new one is a class of parameters and an entry here,
-a module in `models/`, and a YAML file in `configs/`.
+Overrides take precedence over a preset or file, and that over the defaults; the result is frozen.
+The registry `MODELS` lists the models. A new model needs a parameter class and an entry here, a
+module in `models/`, and a YAML file in `configs/`.
 """
 
 import math
@@ -19,12 +19,13 @@ from dlgmd_cli.plain_yaml import SHOW_HINT, parse, read
 ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
-# The configurations that `--config` takes by name; the first is what is used if nothing is named.
+# The configurations that `--config` takes by name; the first is the default.
 PRESETS = ("flight",)
-# What a model is made for unless its file says otherwise: width in px, frames a second.
+# Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
-_MOST = {"width_px": 8192, "model_fps": 1000.0}
-# What run.yaml records beside the parameters; it takes no part when the file is read back.
+# The file's keys for these two, with their upper bounds.
+_DESIGN_LIMITS = {"width_px": 8192, "model_fps": 1000.0}
+# Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep"),
@@ -37,7 +38,7 @@ ParametersT = TypeVar("ParametersT", bound="Parameters")
 
 @dataclass(frozen=True)
 class Spec:
-    """What one key means and which values it takes."""
+    """Meaning and allowed values of one key."""
 
     symbol: str
     unit: str
@@ -51,7 +52,7 @@ class Spec:
         """The allowed values in words, for tables and help."""
         if self.choices:
             return ", ".join(self.choices)
-        if self.low == -math.inf:  # the one kind of key without a range
+        if self.low == -math.inf:  # only boolean keys have no range
             return "true, false"
         return f"{self.low:g} to {self.high:g}"
 
@@ -61,38 +62,38 @@ def _key(default: Any, *spec: Any, **choices: Any) -> Any:
     return field(default=default, metadata={"spec": Spec(*spec, **choices)})
 
 
-def _other(kind: "type[Parameters]", key: str, default: Any) -> Any:
-    """A key of `kind` with another default."""
+def _redefault(kind: "type[Parameters]", key: str, default: Any) -> Any:
+    """The field of `kind` with another default."""
     return field(default=default, metadata={"spec": kind.specs()[key]})
 
 
 def _t_mp(default: float) -> Any:
-    """The threshold that every model has."""
+    """The spiking threshold, a key of every model."""
     return _key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
 
 
 def _n_sp(default: int = 2) -> Any:
-    """The count that every model has."""
+    """The number of spikes for an alarm, a key of every model."""
     return _key(default, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
 
 
 class Parameters:
-    """A frozen set of named, checked values; subclasses are dataclasses of `_key` fields.
+    """Base of the parameter classes: frozen dataclasses of `_key` fields, checked when created.
 
     Attributes
     ----------
     model : str
         Name of the model.
     preset : str
-        What `dlgmd sets show` prints them by.
+        Name of a preset for `dlgmd sets show`.
     source : str
-        Where their values are from.
+        Publication that the values come from.
     t_mp : float
         Spiking threshold of the normalised membrane potential, [Zhao2023] Eq. (14).
     n_sp : int
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
-        Mean excitation at which `mp_abs` is 1/2; None where the model has a sigmoid of its own.
+        Mean excitation at which `mp_abs` is 1/2; None for a model with its own sigmoid.
     """
 
     model: ClassVar[str] = ""
@@ -109,7 +110,7 @@ class Parameters:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Check what depends on several keys; nothing unless a subclass says so."""
+        """Check values that depend on each other; subclasses override this."""
 
     @classmethod
     def specs(cls) -> dict[str, Spec]:
@@ -123,7 +124,7 @@ class Parameters:
 
     @classmethod
     def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
-        """Build from key -> value; a key left out keeps its default.
+        """Build from key -> value; missing keys keep their defaults.
 
         Raises
         ------
@@ -137,7 +138,7 @@ class Parameters:
 
     @classmethod
     def unknown(cls, key: str) -> ParameterError:
-        """The error for a key that there is not, with the one that was perhaps meant."""
+        """The error for an unknown key; it suggests the most similar one."""
         near = nearest(key[:100], cls.specs())
         hint = f"Did you mean '{near}'? " if near else ""
         return ParameterError(
@@ -145,11 +146,11 @@ class Parameters:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Key -> value, in the order of definition; `from_mapping` takes it back."""
+        """Key -> value, in the order of definition; the inverse of `from_mapping`."""
         return {key: getattr(self, key) for key in self.specs()}
 
     def _checked(self, key: str, value: Any) -> Any:
-        """Return `value` in the key's own type, or say what is wrong with it."""
+        """Return `value` converted to the key's type; raises ParameterError if it is invalid."""
         spec, default = self.specs()[key], self.defaults()[key]
         if isinstance(default, str):
             if not isinstance(value, str) or value not in spec.choices:
@@ -179,17 +180,17 @@ class Parameters:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The word of `known` that is most like `word`, the first of equals, or None."""
+    """The word of `known` that is most similar to `word`, or None if none is similar."""
 
-    def likeness(one: str) -> float:
-        return SequenceMatcher(None, one, word.lower()).ratio()
+    def similarity(candidate: str) -> float:
+        return SequenceMatcher(None, candidate, word.lower()).ratio()
 
-    best = max(known, key=likeness, default="")
-    return best if likeness(best) >= 0.6 else None
+    best = max(known, key=similarity, default="")
+    return best if similarity(best) >= 0.6 else None
 
 
 def shown(value: Any) -> str:
-    """A value as errors show it, briefly: a nested one could print without end."""
+    """A short form of a value for error messages; nested values could be very long."""
     if isinstance(value, str):
         return repr(str(value[:40]))
     if isinstance(value, int) and abs(value) > 10**30:
@@ -199,14 +200,22 @@ def shown(value: Any) -> str:
     return str(value)[:40]
 
 
+def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:
+    """Raise ParameterError if `name` is not one of the `known` names."""
+    known = tuple(known)
+    if name not in known:
+        why, mend = f"there is no {what} {shown(name)}", f"Choose from {', '.join(known)}."
+        raise ParameterError(origin, why, mend)
+
+
 def _wrong(key: str, value: Any, why: str) -> ParameterError:
-    """An error that shows the value."""
+    """An error that shows the offending value."""
     return ParameterError("", f"{key} = {shown(value)} {why}")
 
 
 @dataclass(frozen=True)
 class DistributedParameters(Parameters):
-    """What a cell is connected to, [Zhao2023] Eqs. (2) to (7); the defaults are those of set 9."""
+    """Parameters of the presynaptic connections, [Zhao2023] Eqs. (2) to (7); defaults of set 9."""
 
     formulation = "default"
 
@@ -219,7 +228,7 @@ class DistributedParameters(Parameters):
     a: float = _key(1.5, "a", "–", "strength of inhibition, Eq. (7)", 0, 100)
 
     def _check_together(self) -> None:
-        """Latency must be causal everywhere, and history short enough to keep."""
+        """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
         centre = self.alpha + 1.0 / (self.beta + 1.0)
         if centre < 0.0:
             raise ParameterError(
@@ -250,7 +259,7 @@ class DlgmdParameters(DistributedParameters):
     k: float = _key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
     ffi_gd: bool = _key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = _key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
-    m: float = _key(0.4, "m", "–", "luminance change that T_0 is for, Eq. (11)", 0.001, 100)
+    m: float = _key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
     kappa: float = _key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
@@ -261,30 +270,35 @@ class DlgmdParameters(DistributedParameters):
 
 
 @dataclass(frozen=True)
-class ContrastParameters(DistributedParameters):
+class _OneFrameLatency(DistributedParameters):
+    """Connections with α = β = λ = 0, as in sets 1 to 3: the latency is one frame everywhere."""
+
+    alpha: float = _redefault(DistributedParameters, "alpha", 0.0)
+    beta: float = _redefault(DistributedParameters, "beta", 0.0)
+    lam: float = _redefault(DistributedParameters, "lam", 0.0)
+
+
+@dataclass(frozen=True)
+class ContrastParameters(_OneFrameLatency):
     """Parameters of the contrast-relative D-LGMD; the defaults are the preset `flight`."""
 
     model: ClassVar[str] = "dlgmd-contrast"
     preset: ClassVar[str] = "dlgmd-contrast"
     source: ClassVar[str] = "Contrast-relative D-LGMD; this project, after Zhao et al., 2023"
 
-    alpha: float = _other(DistributedParameters, "alpha", 0.0)
-    beta: float = _other(DistributedParameters, "beta", 0.0)
-    lam: float = _other(DistributedParameters, "lam", 0.0)
-    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.9)
-    sigma_i: float = _other(DistributedParameters, "sigma_i", 3.0)
-    r: int = _other(DistributedParameters, "r", 6)
-    a: float = _other(DistributedParameters, "a", 1.7)
+    sigma_e: float = _redefault(DistributedParameters, "sigma_e", 0.9)
+    sigma_i: float = _redefault(DistributedParameters, "sigma_i", 3.0)
+    a: float = _redefault(DistributedParameters, "a", 1.7)
     c_p: float = _key(0.2, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
-    p_min: float = _key(0.011, "P_min", "luminance", "least that P must exceed", 0, 1)
+    p_min: float = _key(0.011, "P_min", "luminance", "lowest threshold of P", 0, 1)
     c_n: float = _key(2.5, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
     c_s: float = _key(0.6, "c_S", "–", "share of the contrast σ that S must exceed", 0, 100)
-    s_min: float = _key(0.008, "S_min", "luminance", "least that S must exceed", 0, 100)
+    s_min: float = _key(0.008, "S_min", "luminance", "lowest threshold of S", 0, 100)
     w_sigma: float = _key(0.2, "w_σ", "–", "weight of the newest frame in σ and ν", 0.001, 1)
-    growth: float = _key(1.5, "F_max", "–", "growth of change above which it inhibits", 0.01, 1e6)
-    w_m: float = _key(0.25, "w_M", "–", "weight of the newest frame in usual change", 0.001, 1)
+    growth: float = _key(1.5, "F_max", "–", "growth of change that begins to inhibit", 0.01, 1e6)
+    w_m: float = _key(0.25, "w_M", "–", "weight of the newest frame in mean change", 0.001, 1)
     sigma_c: float = _key(
-        0.45, "σ_c", "half sides", "how far off the centre cells count", 0.05, 100
+        0.45, "σ_c", "half sides", "width of the weighting about the centre", 0.05, 100
     )
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
@@ -292,20 +306,17 @@ class ContrastParameters(DistributedParameters):
 
 
 @dataclass(frozen=True)
-class OnOffParameters(DlgmdParameters):
+class OnOffParameters(_OneFrameLatency, DlgmdParameters):
     """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
 
     model: ClassVar[str] = "dlgmd-onoff"
     preset: ClassVar[str] = "dlgmd-onoff"
     source: ClassVar[str] = "ON/OFF D-LGMD; set 3 of Zhao et al., IEEE TNNLS 34(5), 2023"
 
-    alpha: float = _other(DistributedParameters, "alpha", 0.0)
-    beta: float = _other(DistributedParameters, "beta", 0.0)
-    lam: float = _other(DistributedParameters, "lam", 0.0)
-    sigma_e: float = _other(DistributedParameters, "sigma_e", 0.35)
-    sigma_i: float = _other(DistributedParameters, "sigma_i", 2.5)
-    r: int = _other(DistributedParameters, "r", 4)
-    kappa: float = _other(DlgmdParameters, "kappa", 0.0466)
+    sigma_e: float = _redefault(DistributedParameters, "sigma_e", 0.35)
+    sigma_i: float = _redefault(DistributedParameters, "sigma_i", 2.5)
+    r: int = _redefault(DistributedParameters, "r", 4)
+    kappa: float = _redefault(DlgmdParameters, "kappa", 0.0466)
 
 
 @dataclass(frozen=True)
@@ -315,27 +326,27 @@ class LgmdParameters(Parameters):
     model: ClassVar[str] = "lgmd"
     preset: ClassVar[str] = "lgmd"
     source: ClassVar[str] = "LGMD; Zhao et al., 2018, after Yue and Rind, 2006"
-    # Its own normalisation is 1 / (1 + exp(-K / n_cell)), from 1/2 at rest.
+    # Normalised by its own sigmoid 1 / (1 + exp(-K / n_cell)), which is 1/2 at rest.
     kappa = None
 
     p1: float = _key(0.0, "p_1", "–", "persistence of change after one frame", -1, 1)
     p2: float = _key(0.0, "p_2", "–", "persistence of change after two frames", -1, 1)
     w_i: float = _key(0.3, "W_I", "–", "strength of inhibition", 0, 100)
-    delta_c: float = _key(0.01, "Δ_C", "grey levels", "least of the scale of grouping", 1e-6, 255)
+    delta_c: float = _key(0.01, "Δ_C", "grey levels", "lowest scale ω of the grouping", 1e-6, 255)
     c_omega: float = _key(
-        4.0, "C_ω", "–", "share of the greatest Ce that scales grouping", 0.001, 1000
+        4.0, "C_ω", "–", "divisor of the greatest Ce in the grouping scale ω", 0.001, 1000
     )
     c_de: float = _key(0.15, "C_de", "–", "decay coefficient of G", 1e-6, 100)
     t_de: float = _key(15.0, "T_de", "grey levels", "threshold of decayed G", 0, 1e6)
-    # At 25 it would switch the cell off through contact; 255 is never.
+    # At 25, the cell would be silent during contact; 255 is never exceeded.
     t_ffi: float = _key(
-        255.0, "T_FFI", "grey levels", "feed-forward inhibition that switches off", 0, 255
+        255.0, "T_FFI", "grey levels", "feed-forward inhibition that silences the cell", 0, 255
     )
     t_mp: float = _t_mp(0.99999994)
     n_sp: int = _n_sp()
 
     def _check_together(self) -> None:
-        """What persists must die away."""
+        """Persistence must decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
             raise ParameterError(
                 "",
@@ -354,8 +365,8 @@ class EmdLgmdParameters(Parameters):
 
     tau_high: float = _key(8.0, "τ_h", "frames", "time constant of the high-pass", 0.01, 1000)
     tau_low: float = _key(2.0, "τ_l", "frames", "time constant of the delay", 0.01, 1000)
-    delta: float = _key(0.02, "δ", "–", "expansion that a frame predicts", 0, 1)
-    f_active: float = _key(0.05, "F_a", "luminance", "change that makes a cell count", 0, 1)
+    delta: float = _key(0.02, "δ", "–", "expansion predicted from a frame to the next", 0, 1)
+    f_active: float = _key(0.05, "F_a", "luminance", "change above which a cell is active", 0, 1)
     c: float = _key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
     t_mp: float = _t_mp(0.4)
     n_sp: int = _n_sp()
@@ -366,7 +377,7 @@ class EmdLgmdParameters(Parameters):
 
 @dataclass(frozen=True)
 class FlowDivergenceParameters(Parameters):
-    """Parameters of the divergence of optical flow, which has no threshold of its own."""
+    """Parameters of the optical-flow baseline; its threshold is not published but ours."""
 
     model: ClassVar[str] = "flow-divergence"
     preset: ClassVar[str] = "9"
@@ -385,7 +396,7 @@ class ModelEntry(NamedTuple):
     attribute: str
 
 
-# By the name that `--model` takes. The modules are imported on first use, since OpenCV is slow.
+# By the name for `--model`. The modules are imported on first use: importing OpenCV is slow.
 MODELS: dict[str, ModelEntry] = {
     "dlgmd": ModelEntry(DlgmdParameters, "dlgmd_cli.models.dlgmd", "DLGMD"),
     "dlgmd-contrast": ModelEntry(ContrastParameters, "dlgmd_cli.models.contrast", "ContrastDLGMD"),
@@ -394,7 +405,7 @@ MODELS: dict[str, ModelEntry] = {
     "emd-lgmd": ModelEntry(EmdLgmdParameters, "dlgmd_cli.models.emd_lgmd", "EmdLGMD"),
 }
 
-# What the models are held against, and `--model` does not take.
+# Baselines for comparison; `--model` does not offer them.
 BASELINES: dict[str, ModelEntry] = {
     "flow-divergence": ModelEntry(
         FlowDivergenceParameters, "dlgmd_cli.models.flow_divergence", "FlowDivergence"
@@ -404,11 +415,11 @@ BASELINES: dict[str, ModelEntry] = {
 
 @dataclass(frozen=True)
 class Config:
-    """What a file says: the model, its parameters, and the options of the run that wrote it.
+    """Contents of a configuration file: the model, its parameters, and the options of a run.
 
-    `name` is what errors call the file; `values` holds the parameters that it sets, not checked;
-    `named` is the set or the preset that it names, as records have it. `width_px` and `model_fps`
-    are what its parameters are made for: the width of the processed frame, and frames a second.
+    `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
+    `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
+    are the frame width and the frame rate that the parameters are designed for.
     """
 
     name: str
@@ -422,7 +433,7 @@ class Config:
 
 
 def presets_dir() -> Path:
-    """The folder of `setN.yaml`: inside an installed package, beside it in the repository."""
+    """The folder of the presets: inside an installed package, beside it in the repository."""
     package = Path(__file__).resolve().parent
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
@@ -467,11 +478,11 @@ def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
 
 
 def load_config(path: str | Path) -> Config:
-    """Read a YAML file of parameters; a `run.yaml` is one too.
+    """Read a YAML file of parameters, such as a `run.yaml`.
 
-    The name of a shipped preset, `flight`, stands for its file; a file of that very name, without
-    a suffix, needs its absolute path. In a file the key `set` or `preset` stands for the values of
-    that set or preset, which the file's other keys override.
+    The name of a shipped preset, `flight`, stands for its file; to read your own file of that name,
+    give its absolute path. The key `set` or `preset` in a file loads the values of that set or
+    preset, and the file's other keys override them.
 
     Raises
     ------
@@ -496,31 +507,29 @@ def load_config(path: str | Path) -> Config:
         right, what = (dict, "a mapping") if key == "options" else (str, "a name")
         if not isinstance(value, right | None):
             raise ParameterError(name, f"{key} is not {what}", SHOW_HINT)
-    made_for = {key: _made_for(name, key, document.pop(key)) for key in _MOST if key in document}
+    design = {
+        key: _design(name, key, document.pop(key)) for key in _DESIGN_LIMITS if key in document
+    }
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
     own["options"] = own["options"] or {}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     base = Config(name)
-    if named and "schema" not in document:  # a record has all values itself
+    if named and "schema" not in document:  # a run.yaml already holds every value
         base = _named(name, named)
         own["model"] = own["model"] or base.model
-    made_for = {key: getattr(base, key) for key in _MOST} | made_for
-    return Config(name, **own, **made_for, values={**base.values, **values}, named=named)
+    design = {key: getattr(base, key) for key in _DESIGN_LIMITS} | design
+    return Config(name, **own, **design, values={**base.values, **values}, named=named)
 
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:
-    """What a configuration says, with single keys overridden; raises ParameterError."""
+    """The parameters of a configuration, with single keys overridden; raises ParameterError."""
     name = config.model or DlgmdParameters.model
-    if name not in MODELS:
-        known = ", ".join(MODELS)
-        raise ParameterError(
-            config.name, f"there is no model {name[:40]!r}", f"Choose from {known}."
-        )
+    require_known("model", name, MODELS, config.name)
     return merge(MODELS[name].parameters, config, overrides)
 
 
 def _named(name: str, named: dict[str, Any]) -> Config:
-    """The set or the preset that the file `name` builds on."""
+    """The set or preset that the file `name` builds on."""
     if len(named) > 1:
         raise ParameterError(name, "set and preset exclude each other", "Give one of them.")
     (key,) = named
@@ -536,14 +545,13 @@ def _named(name: str, named: dict[str, Any]) -> Config:
         raise ParameterError(name, error.why, error.mend) from None
 
 
-def _made_for(name: str, key: str, value: Any) -> Any:
-    """A width in px or a rate in frames a second, checked."""
-    is_whole = key == "width_px"
+def _design(name: str, key: str, value: Any) -> Any:
+    """A checked width in px or rate in frames per second."""
+    is_whole, high = key == "width_px", _DESIGN_LIMITS[key]
     kind = numbers.Integral if is_whole else numbers.Real
-    if isinstance(value, bool) or not isinstance(value, kind) or not 1 <= value <= _MOST[key]:  # type: ignore[operator]
+    if isinstance(value, bool) or not isinstance(value, kind) or not 1 <= value <= high:  # type: ignore[operator]
         what = "a whole number" if is_whole else "a number"
-        why = f"{key} = {shown(value)} is not {what} from 1 to {_MOST[key]:g}"
-        raise ParameterError(name, why)
+        raise ParameterError(name, f"{key} = {shown(value)} is not {what} from 1 to {high:g}")
     return value if is_whole else float(value)  # type: ignore[arg-type]
 
 
@@ -564,7 +572,7 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 def merge(
     kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
 ) -> ParametersT:
-    """Defaults, then `config`, then `overrides`; a ParameterError names whichever is at fault."""
+    """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
     values = config.values if config else {}
     try:
         return kind.from_mapping({**values, **overrides})

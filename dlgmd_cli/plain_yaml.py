@@ -1,4 +1,4 @@
-"""Plain YAML of small files: numbers, truth values, names, lists and mappings, and nothing else."""
+"""A safe subset of YAML for small files: numbers, booleans, names, lists and mappings."""
 
 import re
 from functools import lru_cache
@@ -8,20 +8,20 @@ from typing import Any
 from dlgmd_cli.errors import ParameterError
 
 MAX_CONFIG_BYTES = 100_000
-# Of lists and mappings within each other; run.yaml has four.
+# Nesting depth of lists and mappings; run.yaml has four levels.
 MAX_DEPTH = 20
 _PLAIN = "Only plain numbers, true, false and names are read."
 SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
 
 def read(path: Path) -> str:
-    """The text of a file that is small enough to be a configuration."""
+    """The text of a configuration file; raises ParameterError if it is missing or too large."""
     name = str(path)
     try:
         if not path.is_file():
             why = "is not a file" if path.exists() else "there is no such file"
             raise ParameterError(name, why, "Check the path given to --config.")
-        with path.open("rb") as file:  # some are longer than they say
+        with path.open("rb") as file:  # files in /proc report a size of 0
             data = file.read(MAX_CONFIG_BYTES + 1)
         size = max(path.stat().st_size, len(data))
         if size > MAX_CONFIG_BYTES:
@@ -36,7 +36,7 @@ def read(path: Path) -> str:
 
 
 def parse(name: str, text: str) -> Any:
-    """The document in `text`; tags and references, which no configuration needs, are refused."""
+    """The document in `text`; tags and references are refused, no configuration needs them."""
     import yaml
 
     loader, depth = _loader(), 0
@@ -44,7 +44,7 @@ def parse(name: str, text: str) -> Any:
         for event in yaml.parse(text, Loader=loader):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > MAX_DEPTH:  # the parser's time grows with its square
+            if depth > MAX_DEPTH:  # parsing time grows with the square of the depth
                 raise ParameterError(name, "its values are nested too deeply", SHOW_HINT)
             tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None)
             if tag is not None or anchor is not None:
@@ -53,7 +53,7 @@ def parse(name: str, text: str) -> Any:
         return yaml.load(text, Loader=loader)
     except yaml.MarkedYAMLError as error:
         where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        if isinstance(error, yaml.constructor.ConstructorError):  # a key twice, or of no use as one
+        if isinstance(error, yaml.constructor.ConstructorError):  # a repeated or unhashable key
             raise ParameterError(name, f"{str(error.problem)[:200]}{where}", _PLAIN) from None
         raise ParameterError(name, f"is not valid YAML{where}", SHOW_HINT) from None
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
@@ -62,11 +62,11 @@ def parse(name: str, text: str) -> Any:
 
 @lru_cache(maxsize=1)
 def _loader() -> Any:
-    """Safe YAML in which a number is what it looks like: 1e-3 is one, 010 is ten, 1:30 is text."""
+    """A safe loader without YAML 1.1 surprises: 1e-3 is a number, 010 is ten, 1:30 is text."""
     import yaml
 
     class Loader(yaml.SafeLoader):
-        yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's own way
+        yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML declares it this way
             first: [pair for pair in pairs if pair[0].rpartition(":")[2] in ("bool", "null")]
             for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
         }

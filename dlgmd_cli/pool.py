@@ -1,12 +1,13 @@
-"""The pool of processes that batches, sweeps and `synth --count` share; a crash costs one task."""
+"""The process pool of batches, sweeps and `synth --count`: a crash costs one task only."""
 
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing import connection, resource_tracker
@@ -22,11 +23,9 @@ TaskT = TypeVar("TaskT")
 
 DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", "timeout"
 
-# How long processes may take to end by themselves.
-_PATIENCE_S = 5.0
-# How often the stop flag is looked at.
+# Interval between checks of the stop flag.
 _TICK_S = 0.1
-# So many pools in a row may end before one of their processes begins a task.
+# How many pools in a row may break before any process begins a task.
 _MAX_BROKEN = 3
 
 
@@ -37,12 +36,12 @@ class Outcome:
     Attributes
     ----------
     status : str
-        `done`; `failed` (the function raised `error`); `crashed` (it took its process with it);
-        `killed` (something else ended the process, as happens when memory runs out); `timeout`.
+        `done`; `failed` (the function raised `error`); `crashed` (its process crashed); `killed`
+        (its process was killed, as happens when memory runs out); `timeout`.
     value : object
-        What the function returned.
+        Return value of the function.
     error : Exception or None
-        Why it is not done.
+        Why the task is not done.
     """
 
     status: str
@@ -63,31 +62,32 @@ def run_tasks(
     *,
     timeout_s: float | None = None,
 ) -> Iterator[tuple[TaskT, Outcome]]:
-    """Call `function` on every task, `jobs` at a time, each in a process.
+    """Call `function` on every task, in `jobs` processes at a time.
 
-    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and end
+    The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and exit
     when this process does.
 
     Parameters
     ----------
     function : callable
-        Takes one task. It, the tasks and what it returns or raises can be pickled.
+        Takes one task. The function, the tasks, and its return values and exceptions must be
+        picklable.
     tasks : iterable
-        Taken as they are needed.
+        Consumed as needed.
     jobs : int
-        Processes at a time.
+        Number of processes.
     timeout_s : float, optional
-        How long one task may take.
+        Time limit of one task.
 
     Yields
     ------
     (task, Outcome)
-        As the tasks end.
+        In the order in which the tasks end.
 
     Raises
     ------
     Interrupted
-        If the user asks to stop; tasks that are being worked on are dropped.
+        If the user asks to stop; unfinished tasks are dropped.
     WorkerError
         If no process lives long enough to begin a task.
     """
@@ -96,7 +96,7 @@ def run_tasks(
     running: dict[Any, TaskT] = {}
     try:
         while True:
-            # One more than there are processes, so that none waits for this loop.
+            # One task more than there are processes keeps them from waiting for this loop.
             chosen = list(islice(waiting, jobs + 1 - len(running)))
             is_broken = False
             with _sigint_blocked():
@@ -108,10 +108,6 @@ def run_tasks(
                     else:
                         running[future] = chosen.pop(0)
             if not running and not chosen:
-                # Not at once: a process that is only starting would complain of what is gone.
-                pool.close()
-                with suppress(TimeoutError, futures.TimeoutError):
-                    pool.join(timeout=_PATIENCE_S)
                 break
             ended, _ = futures.wait(running, timeout=_TICK_S, return_when=futures.FIRST_COMPLETED)
             cancel.check()
@@ -133,27 +129,27 @@ def run_tasks(
 
 
 def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
-    """So many processes, which start with the first task.
+    """A pool of `jobs` processes, which start with the first task.
 
-    They get `function` as they start, so that they import what it needs before they take a task:
-    who is killed while it takes one would keep the others from theirs.
+    They get `function` at the start, and so import its modules before they take a task. A process
+    that is killed while it takes a task would block the others.
     """
     return ProcessPool(
         max_workers=jobs,
         initializer=_begin,
-        initargs=(max(1, n_processors() // jobs), function),
+        initargs=(_QuietStart(), max(1, n_processors() // jobs), function),
         context=multiprocessing.get_context("spawn"),
     )
 
 
 def _end(pool: Any) -> None:
-    """End the processes of a pool, whatever they do."""
+    """End the processes of a pool, busy or not."""
     pool.stop()
     pool.join()
 
 
 def _outcome(future: Any, timeout_s: float | None) -> Outcome:
-    """How the task of an ended future ended."""
+    """The outcome of a finished future."""
     error = future.exception()
     if error is None:
         return Outcome(DONE, future.result())
@@ -172,11 +168,11 @@ def _outcome(future: Any, timeout_s: float | None) -> Outcome:
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block Ctrl-C in the processes started meanwhile, until they have learnt to ignore it."""
+    """Block Ctrl-C in processes started inside; `_begin` unblocks it once they ignore it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # else started with the first process, and unblocks Ctrl-C
+    resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -184,8 +180,26 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(n_threads: int, function: Callable[..., Any]) -> None:
-    """What every process of the pool does first."""
+class _QuietStart:
+    """Unpickled in a starting process before the pool's locks, see `_hide_missing_locks`."""
+
+    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
+        return _hide_missing_locks, ()
+
+
+def _hide_missing_locks() -> None:
+    """Let a process that starts while its pool ends exit without a traceback."""
+
+    def hook(kind: Any, error: Any, trace: Any) -> None:
+        if kind is not FileNotFoundError:
+            sys.__excepthook__(kind, error, trace)
+
+    sys.excepthook = hook
+
+
+def _begin(_: None, n_threads: int, function: Callable[..., Any]) -> None:
+    """Prepare a process of the pool."""
+    sys.excepthook = sys.__excepthook__
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -194,7 +208,7 @@ def _begin(n_threads: int, function: Callable[..., Any]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has ended, however that came."""
+    """Exit when the parent process has ended, for whatever reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -1,4 +1,4 @@
-"""What in a stream is no new picture, and where frames are missing; both decided causally."""
+"""Causal detection of repeated pictures and of missing frames in a stream."""
 
 from collections import deque
 from statistics import median
@@ -8,33 +8,34 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-# A gap is longer than so many of the usual intervals, which count as no shorter than MIN_USUAL_S.
+# A gap exceeds this many median intervals; the median counts as MIN_USUAL_S at least.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
-# So many intervals, or changes, tell what is usual.
+# Number of recent intervals or changes that are kept, and the least number to judge by.
 _N_USUAL, _N_AT_LEAST = 12, 3
 # Rows of a picture that are compared.
 _N_ROWS = 90
-# A repeat changes by less than this share of what is usual; what follows by twice as much or more.
+# A repeat changes by less than `_SHARE` of the usual change. The picture that ends a run of repeats
+# changes more than `_RISE` times as much as any of them.
 _SHARE, _RISE = 0.25, 2.0
-# Longer runs of repeats are a still scene.
+# A longer run of repeats is a still scene.
 MAX_RUN = 11
 
 
 class GapDetector:
-    """Tells from the times of frames where some are missing."""
+    """Detects missing frames from the frames' times."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the frames before."""
+        """Forget all earlier frames."""
         self._last_s = float("nan")
         self._intervals: deque[float] = deque(maxlen=_N_USUAL)
 
     def step(self, time_s: float) -> bool:
-        """Whether the frame at this time comes after a gap, compared with the intervals before."""
+        """Whether frames are missing just before this time, judged by the earlier intervals."""
         interval_s, self._last_s = time_s - self._last_s, time_s
-        if not interval_s > 0.0:  # the first frame, or a clock that was set back
+        if not interval_s > 0.0:  # the first frame, or a clock set back
             return False
         usual_s = median(self._intervals) if self._intervals else interval_s
         self._intervals.append(interval_s)
@@ -42,18 +43,17 @@ class GapDetector:
 
 
 class RepeatDetector:
-    """Tells which pictures merely repeat the one before, exactly or encoded anew.
+    """Detects pictures that repeat the previous one, exactly or re-encoded.
 
-    A picture's change is the root mean square of its difference from the one before, over some 90
-    of its rows. It repeats that one if nothing changes, or if the change is less than a quarter of
-    the usual one: the upper quartile of the last 12 new pictures.
+    The change of a picture is the L2 norm of its difference from the previous one, over about 90
+    rows. A picture is a repeat if its change is zero, or below a quarter of the usual change: the
+    upper quartile over the last 12 new pictures.
 
-    A scene that comes to rest changes as little. Hence no more pictures in a row count as repeats
-    than there were before: one at first, and as many as such a run had when the change rose again
-    after it, as it does when a repeat is over. Nothing is a repeat before the first change, and no
-    more than 11 pictures in a row are.
+    A scene that comes to rest changes just as little. The length of a run of repeats is therefore
+    limited: to one picture at first, and later to the longest run that ended with a clear rise of
+    the change. A picture is never a repeat before the first change, and a run never exceeds 11.
 
-    Pixels where `hidden`, (H, W), is True are not looked at.
+    Pixels where `hidden`, (H, W), is True are ignored.
     """
 
     def __init__(self, hidden: npt.NDArray[np.bool_] | None = None) -> None:
@@ -61,21 +61,21 @@ class RepeatDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the pictures before."""
+        """Forget all earlier pictures."""
         self._rows: npt.NDArray[Any] | None = None
         self._changes: deque[float] = deque(maxlen=_N_USUAL)
         self._longest, self._run, self._highest_in_run, self._n_equal = 1, 0, 0.0, 0
 
     def step(self, image: npt.NDArray[Any]) -> bool:
-        """Whether a picture, (H, W) or (H, W, 3) of any type, repeats the one before."""
-        before = self._rows
-        every = max(1, len(image) // _N_ROWS)
-        rows = self._rows = np.array(image[::every])
+        """Whether a picture, (H, W) or (H, W, 3) of any type, repeats the previous one."""
+        previous = self._rows
+        row_step = max(1, len(image) // _N_ROWS)
+        rows = self._rows = np.array(image[::row_step])
         if self._hidden is not None:
-            rows[self._hidden[::every]] = 0
-        if before is None or before.shape != rows.shape or before.dtype != rows.dtype:
+            rows[self._hidden[::row_step]] = 0
+        if previous is None or previous.shape != rows.shape or previous.dtype != rows.dtype:
             return False
-        change = cv2.norm(rows, before)
+        change = cv2.norm(rows, previous)
         if change == 0.0:
             self._n_equal += 1
             return bool(self._changes) and self._n_equal <= MAX_RUN
@@ -86,7 +86,7 @@ class RepeatDetector:
         return is_repeat
 
     def _is_low(self, change: float) -> bool:
-        """Whether a change above 0 is so far below the usual one as that of a repeat."""
+        """Whether a change above 0 is small enough for a repeat."""
         usual, n_usual = sorted(self._changes), len(self._changes)
         if n_usual >= _N_AT_LEAST and change < _SHARE * usual[3 * n_usual // 4]:
             self._run += 1

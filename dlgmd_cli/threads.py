@@ -1,4 +1,4 @@
-"""How many threads decoders and models may keep busy at once, in this process."""
+"""The number of threads that decoders and models may use in this process."""
 
 import os
 
@@ -6,23 +6,23 @@ _limit: int | None = None
 
 
 def n_processors() -> int:
-    """How many processors this process may use."""
+    """Number of processors available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def limit_threads(count: int | None) -> None:
-    """From now on, use so many at most; None for as many as there are processors."""
+    """Use at most `count` threads from now on; None allows one per processor."""
     global _limit
     _limit = count
 
 
 def thread_limit() -> int | None:
-    """What `limit_threads` said last."""
+    """The limit last set by `limit_threads`."""
     return _limit
 
 
 def n_threads() -> int:
-    """How many threads are worth having."""
+    """Number of threads to use: one per processor, within the limit."""
     return min(n_processors(), _limit or n_processors())

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dlgmd_cli.flights.renderer.solids import Round, Solid, quad
+from dlgmd_cli.flights.renderer.solids import Capsule, Solid, quad
 from dlgmd_cli.flights.renderer.texture import Texture
 
 
@@ -38,7 +38,7 @@ def board(x, side, level=0.5, name="board", *, z=0.0):
 
 def capsule(first, last, radius, level=0.5, name="capsule", *, motion=None):
     texture = level if isinstance(level, Texture) else plain(level)
-    return Round(name, np.array([first, last], float), radius, texture, motion=motion)
+    return Capsule(name, np.array([first, last], float), radius, texture, motion=motion)
 
 
 def ball(at, radius, level=0.5, name="ball", *, motion=None):

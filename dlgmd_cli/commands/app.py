@@ -28,6 +28,7 @@ COMMANDS = (
     "kernels",
     "sets",
     "synth",
+    "export",
     "evaluate",
     "calibrate",
     "bench",

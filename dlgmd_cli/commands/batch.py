@@ -278,12 +278,12 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
 
 def _process(plan: "Plan", outcomes: "Iterator[Any]", labels: list[str]) -> bool:
     """Run all tasks with a progress bar and warnings; False if the user interrupted it."""
-    from dlgmd_cli.runs.batch import work_on
+    from dlgmd_cli.runs.batch import record_outcomes
 
     n_ended = n_failed = 0
     try:
         with progress("batch", len(plan.tasks), "video") as advance:
-            for task, rows in work_on(plan, outcomes):
+            for task, rows in record_outcomes(plan, outcomes):
                 failures = _failures(rows, labels)
                 warnings = [
                     text for row in rows.values() for text in row.record.get("warnings", [])

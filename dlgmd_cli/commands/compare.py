@@ -161,7 +161,7 @@ def compare(
                 )
             found = [one.until(annotations.collision_frame) for one in found]
             results = {one.label: result for one, result in zip(setups, found, strict=True)}
-            runs.require_an_answer(input_path, video, setups, found, options)
+            runs.require_response(input_path, video, setups, found, options)
             warnings = _warnings(setups, results)
             warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
             for warning in warnings:

@@ -172,7 +172,7 @@ def _strongest(
             )
         if cancel.requested():
             raise cancel.Interrupted
-        runs.require_an_answer(input_path, video, [setup], [first], options)
+        runs.require_response(input_path, video, [setup], [first], options)
     return strongest_frames(first)
 
 

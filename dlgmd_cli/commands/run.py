@@ -69,7 +69,7 @@ def run(
             note_sampling(input_path, video, options.fps)
             for line in details(result):
                 detail(line)
-            runs.require_an_answer(input_path, video, [setup], [result], options)
+            runs.require_response(input_path, video, [setup], [result], options)
             files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
     _show(result, folder, as_json)

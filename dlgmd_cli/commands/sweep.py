@@ -38,7 +38,7 @@ from dlgmd_cli.parameters import Parameters, parse_overrides
 if TYPE_CHECKING:
     from dlgmd_cli.results.sweep import Grid
     from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.runs.sweep import Subject, Sweep
+    from dlgmd_cli.runs.sweep import Sweep, SweepInput
 
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 # The parameters of the paper's Fig. 11, except for those that it varies.
@@ -129,7 +129,7 @@ def sweep(
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as options_of
     from dlgmd_cli.runs.run import open_input
-    from dlgmd_cli.runs.sweep import FIGURE, Sweep, film
+    from dlgmd_cli.runs.sweep import FIGURE, Sweep, video_input
     from dlgmd_cli.threads import n_processors
 
     _refuse_others(input_path, shape, {**given, "false_positive_frame": false_positive_frame})
@@ -141,7 +141,7 @@ def sweep(
         else:
             options = options_of(setup, given)
             video = opened.enter_context(open_input(input_path, [setup], options))
-            subject = film(input_path, video, options, false_positive_frame)
+            subject = video_input(input_path, video, options, false_positive_frame)
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
         swept = Sweep(folder, subject, grid, setup, say)
         result, n_points = swept.result, len(swept.points)
@@ -232,12 +232,12 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
 
 def _cubes(
     shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
-) -> "Subject":
+) -> "SweepInput":
     """The cubes that the options ask for; clips are as high as the largest kernel needs."""
-    from dlgmd_cli.runs.sweep import cubes
+    from dlgmd_cli.runs.sweep import cube_input
 
     speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
     side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
     radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
     reach_px = max([*radii, getattr(params, "r", size_wh[1])])
-    return cubes(speeds_px, side_px, shape["frames"], size_wh, reach_px)
+    return cube_input(speeds_px, side_px, shape["frames"], size_wh, reach_px)

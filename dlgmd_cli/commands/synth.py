@@ -22,7 +22,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
-    from dlgmd_cli.flights.dataset import Fleet
+    from dlgmd_cli.flights.dataset import FlightSet
     from dlgmd_cli.stimuli.base import Scene
     from dlgmd_cli.stimuli.clip import DrawSheet, Form
 
@@ -188,9 +188,9 @@ def synth(
         return
     if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
-    from dlgmd_cli.flights.dataset import Fleet
+    from dlgmd_cli.flights.dataset import FlightSet
 
-    _render_fleet(Fleet(scene, options, count, out, form, draw), jobs, overwrite)
+    _render_fleet(FlightSet(scene, options, count, out, form, draw), jobs, overwrite)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
@@ -237,65 +237,65 @@ def _render_one(
         print_path(path)
 
 
-def _render_fleet(fleet: "Fleet", jobs: int | None, overwrite: bool) -> None:
+def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> None:
     """Render the missing flights, and write the labels of all that exist, even after an error."""
     from dlgmd_cli.results.store import locked
 
     is_interrupted = False
-    with locked(fleet.folder):
-        present = fleet.present()
-        missing = [number for number in range(fleet.count) if number not in present]
-        fleet.check(missing, overwrite=overwrite)
+    with locked(flights.folder):
+        present = flights.present()
+        missing = [number for number in range(flights.count) if number not in present]
+        flights.check(missing, overwrite=overwrite)
         if present:
-            say(f"{len(present)} of {fleet.count} flights were already there.")
+            say(f"{len(present)} of {flights.count} flights were already there.")
         try:
-            _render_missing(fleet, missing, jobs or n_processors(), overwrite)
+            _render_missing(flights, missing, jobs or n_processors(), overwrite)
         except (Interrupted, KeyboardInterrupt):
             is_interrupted = True
         except Exception:
-            if len(fleet.present()) > len(present):
-                say(_kept(fleet, _label(fleet, overwrite)))
+            if len(flights.present()) > len(present):
+                say(_kept(flights, _label(flights, overwrite)))
             raise
-        n_present = _label(fleet, overwrite)
+        n_present = _label(flights, overwrite)
     if is_interrupted:
-        say(f"Interrupted. {_kept(fleet, n_present)}" if n_present else "Interrupted.")
+        say(f"Interrupted. {_kept(flights, n_present)}" if n_present else "Interrupted.")
         raise click.exceptions.Exit(EXIT_INTERRUPTED)
-    if n_present < fleet.count:
+    if n_present < flights.count:
         raise Failed(
-            f"{fleet.count - n_present} of {fleet.count} flights failed; the other {n_present} "
-            f"are in {fleet.folder}. Fix what is named above, then run the same command again.",
+            f"{flights.count - n_present} of {flights.count} flights failed; the other {n_present} "
+            f"are in {flights.folder}. Fix what is named above, then run the same command again.",
             EXIT_FAILED,
         )
 
 
-def _render_missing(fleet: "Fleet", missing: list[int], jobs: int, overwrite: bool) -> None:
+def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwrite: bool) -> None:
     """Render flights, and report those that fail."""
     from dlgmd_cli.flights.dataset import render_flights
 
-    n_present = fleet.count - len(missing)
+    n_present = flights.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))
-    with progress(fleet.scene.name, fleet.count, "flight") as on_flight:
+    with progress(flights.scene.name, flights.count, "flight") as on_flight:
         on_flight(n_present)
-        done = render_flights(fleet, missing, n_jobs, overwrite=overwrite)
+        done = render_flights(flights, missing, n_jobs, overwrite=overwrite)
         for n_done, (number, error) in enumerate(done, start=n_present + 1):
             if error is not None:
-                name = fleet.name_of(number)
+                name = flights.name_of(number)
                 say(str(error) if name in error.what else f"{name}: {error}")
             on_flight(n_done)
 
 
-def _label(fleet: "Fleet", overwrite: bool) -> int:
+def _label(flights: "FlightSet", overwrite: bool) -> int:
     """Write the labels of the existing flights, if there are any; returns their number."""
-    labels = fleet.present()
+    labels = flights.present()
     if labels:
-        fleet.write_labels(labels, overwrite=overwrite)
-        print_path(fleet.labels_path)
+        flights.write_labels(labels, overwrite=overwrite)
+        print_path(flights.labels_path)
     return len(labels)
 
 
-def _kept(fleet: "Fleet", n_present: int) -> str:
+def _kept(flights: "FlightSet", n_present: int) -> str:
     """The message about the flights that exist after an early end."""
     return (
-        f"{fleet.folder} holds {n_present} of {fleet.count} flights; "
+        f"{flights.folder} holds {n_present} of {flights.count} flights; "
         "run the same command again for the others."
     )

@@ -1,4 +1,4 @@
-"""The bodies that furniture is made of: boxes and flat pictures, turned anyhow."""
+"""The bodies that furniture is made of: boxes and flat panels in any orientation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.textures import Size
 
 SIDES = ("front", "back", "left", "right", "top", "bottom")
-_ABOVE, _BELOW, _LEVEL = 1.0, 0.45, 0.72  # shares of the light on what looks up, down, sideways
+_ABOVE, _BELOW, _LEVEL = 1.0, 0.45, 0.72  # share of the light on faces facing up, down, sideways
 _LAMP_SIDE = np.array([0.1, -0.15, 0.0])
 
 
 @dataclass(frozen=True)
 class Skin:
-    """What a face is covered with.
+    """The texture of a face.
 
-    Of a picture with a size (width and height, in m), a face shows as much as it has room for, the
-    height along its longer side; one without a size fills every face.
+    A picture with a size (width and height, in m) is cut to the face, with its height along the
+    longer side. A picture without a size is stretched to fill the face.
     """
 
     texture: Texture
@@ -29,15 +29,15 @@ class Skin:
 
 
 @dataclass(frozen=True)
-class Spot:
-    """Where a thing stands and how it is turned: x of its own is its front, y its left, z up.
+class Placement:
+    """Position, orientation and scale of an object; its own axes are front (x), left (y), up (z).
 
     Attributes
     ----------
     at_m : ndarray, shape (3,)
-        Its own origin, in the world.
+        Its origin in the world.
     axes : ndarray, shape (3, 3)
-        Its own axes in the world, as columns; as long as it is larger than usual.
+        Its axes in the world, as columns; their length is the scale.
     """
 
     at_m: FloatArray
@@ -45,36 +45,42 @@ class Spot:
 
     @property
     def scale(self) -> float:
-        """How many times as large as usual it is."""
+        """Scale relative to the catalogue."""
         return float(np.linalg.norm(self.axes[:, 0]))
 
     def world(self, points_m: npt.ArrayLike) -> FloatArray:
-        """Points, (..., 3), from its own axes to the world's."""
+        """Points, (..., 3), from object to world coordinates."""
         points: FloatArray = self.at_m + np.asarray(points_m, float) @ self.axes.T
         return points
 
-    def inside(self, at_m: npt.ArrayLike, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> "Spot":
-        """A spot that is given in the axes of this one."""
-        return Spot(self.world(at_m), self.axes @ rotation(0.0, pitch_deg, yaw_deg))
+    def inside(
+        self, at_m: npt.ArrayLike, yaw_deg: float = 0.0, pitch_deg: float = 0.0
+    ) -> "Placement":
+        """A placement given in the coordinates of this one."""
+        return Placement(self.world(at_m), self.axes @ rotation(0.0, pitch_deg, yaw_deg))
 
 
-def spot(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Spot:
-    """A spot at (x, y), on the floor, or at (x, y, z); see `Spot`."""
+def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Placement:
+    """A placement at (x, y) on the floor, or at (x, y, z)."""
     x, y, z = (*at_m, 0.0)[:3]
-    return Spot(np.array([x, y, z], float), scale * rotation(0.0, 0.0, yaw_deg))
+    return Placement(np.array([x, y, z], float), scale * rotation(0.0, 0.0, yaw_deg))
 
 
 def block(
-    name: str, where: Spot, corners_m: FloatArray, skins: Mapping[str, Skin], motion: Motion | None
+    name: str,
+    where: Placement,
+    corners_m: FloatArray,
+    skins: Mapping[str, Skin],
+    motion: Motion | None,
 ) -> Solid:
-    """A box between two corners, (2, 3) in its spot's axes, the lesser first.
+    """A box between two corners, (2, 3) in object coordinates, the lower one first.
 
-    It has the sides that have skins: "front" (along x), "back", "left" (along y), "right", "top"
-    and "bottom"; what nobody can ever see may be left out.
+    It has only the sides that have skins: "front" (+x), "back", "left" (+y), "right", "top" and
+    "bottom". Sides that can never be seen may be left out.
     """
     (x0, y0, z0), (x1, y1, z1) = corners_m.tolist()
     dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-    # Top left corner, right and down, as somebody who looks at that side has them.
+    # Top left corner, right and down, as seen from outside.
     frames = {
         "front": ((x1, y0, z1), (0, dy, 0), (0, 0, -dz)),
         "back": ((x0, y1, z1), (0, -dy, 0), (0, 0, -dz)),
@@ -87,21 +93,21 @@ def block(
     return Solid(name, faces, motion)
 
 
-def panel(name: str, where: Spot, size_m: Size, covered: Skin, motion: Motion | None) -> Solid:
-    """A flat upright picture that looks along x of its spot, which is the middle of its bottom."""
+def panel(name: str, where: Placement, size_m: Size, covered: Skin, motion: Motion | None) -> Solid:
+    """An upright flat picture facing +x; its placement is at the middle of the bottom edge."""
     width, height = size_m
     face = _face(where, (0, -width / 2, height), (0, width, 0), (0, 0, -height), covered)
     return Solid(name, [face], motion)
 
 
 def _face(
-    where: Spot,
+    where: Placement,
     origin: npt.ArrayLike,
     right: npt.ArrayLike,
     down: npt.ArrayLike,
     covered: Skin,
 ) -> Face:
-    """A rectangle given in a spot's axes, covered, and lit by lamps above."""
+    """A rectangular face in object coordinates with a skin, lit by lamps above."""
     at = where.world(origin)
     across, along = (where.axes @ np.asarray(side, float) for side in (right, down))
     width, height = float(np.linalg.norm(across)), float(np.linalg.norm(along))

@@ -1,4 +1,4 @@
-"""Many flights of one scene, each from a seed of its own, and what they are labelled with."""
+"""Many flights of one scene, each with its own seed, and their labels."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -19,15 +19,15 @@ from dlgmd_cli.stimuli.clip import (
     clip_paths,
     identity,
     n_digits,
-    refuse_standing,
+    refuse_existing_clip,
     remove_leftovers,
     write_clip,
 )
 
 
 @dataclass(frozen=True)
-class Fleet:
-    """Flights of one scene in one folder; number i has the seed of `options`, and i more."""
+class FlightSet:
+    """Flights of one scene in one folder; flight i has the seed `options.seed` + i."""
 
     scene: Scene[Any]
     options: FlightOptions
@@ -42,7 +42,7 @@ class Fleet:
 
     @property
     def labels_path(self) -> Path:
-        """Where the labels are."""
+        """The file of labels."""
         return self.folder / LABELS
 
     def options_of(self, number: int) -> FlightOptions:
@@ -50,16 +50,16 @@ class Fleet:
         return replace(self.options, seed=self.options.seed + number)
 
     def name_of(self, number: int) -> str:
-        """What a flight's files are called."""
+        """Stem of a flight's files."""
         return f"{self.scene.name}-{number:0{n_digits(self.count)}d}"
 
     def paths_of(self, number: int) -> tuple[Path, ...]:
-        """A flight's files: frames, truth, record, and the sheet if there is to be one."""
+        """A flight's files: frames, truth, record, and the contact sheet if wanted."""
         has_sheet = self.draw_sheet is not None
         return clip_paths(self.scene, self.form, self.folder, self.name_of(number), sheet=has_sheet)
 
     def present(self) -> dict[int, Label]:
-        """The labels of the flights that are there, whole and as asked for, by number."""
+        """Labels, by number, of the flights that exist, are complete and match the options."""
         labels = {}
         for number in range(self.count):
             facts = read_record(self.paths_of(number)[2])
@@ -69,7 +69,7 @@ class Fleet:
         return labels
 
     def check(self, missing: Iterable[int], *, overwrite: bool) -> None:
-        """Raise OutputExistsError if what is in the way of flights may not be replaced."""
+        """Raise OutputExistsError if files in the way of the flights may not be replaced."""
         for number in missing:
             paths = self.paths_of(number)
             facts = {} if overwrite else read_record(paths[2])
@@ -80,17 +80,17 @@ class Fleet:
                     f"another flight already exists here ({differing})",
                     "Add --overwrite to replace such flights, or choose another --out.",
                 )
-            refuse_standing(paths, self.form, overwrite=overwrite)
+            refuse_existing_clip(paths, self.form, overwrite=overwrite)
         self._check_labels(overwrite=overwrite)
 
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
-        """Write the labels of flights, unless those of other videos are there."""
+        """Write the labels; raises OutputExistsError if the file lists other videos."""
         self._check_labels(overwrite=overwrite)
         with appearing(self.labels_path) as (path,):
             write_labels(path, [labels[number] for number in sorted(labels)])
 
     def _differing(self, number: int, facts: dict[str, Any]) -> list[str]:
-        """Why a record is not that of a whole flight as it is asked for; nothing if it is."""
+        """Differences between a record and the requested flight; empty if it is complete."""
         wanted = identity(self.scene, self.options_of(number), self.form)
         options, found = wanted.pop("options"), facts.get("options")
         differing = [key for key, value in wanted.items() if facts.get(key) != value]
@@ -113,7 +113,7 @@ class Fleet:
         return [] if is_whole else ["damaged"]
 
     def _check_labels(self, *, overwrite: bool) -> None:
-        """Raise OutputExistsError if labels of other videos are where the fleet's are to be."""
+        """Raise OutputExistsError if there is a file of labels that lists other videos."""
         path = self.labels_path
         refuse_existing(path, overwrite=True)
         if overwrite or not path.exists():
@@ -130,40 +130,40 @@ class Fleet:
 
 
 def render_flights(
-    fleet: Fleet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
+    flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
 ) -> Iterator[tuple[int, DlgmdError | None]]:
-    """Render flights by number; the files do not depend on how many processes do it.
+    """Render flights by number; the files do not depend on the number of processes.
 
-    Yields the number of each flight as it is done, and the error if it failed. Nobody else may
-    write into the fleet's folder meanwhile: what killed processes left there is removed.
+    Yields the number of each flight when it is done, with the error if it failed. The folder must
+    be locked: temporary files of killed processes are removed from it.
     """
-    remove_leftovers(fleet.folder)
+    remove_leftovers(flights.folder)
     if jobs == 1:
         for number in numbers:
             error: DlgmdError | None = None
             try:
-                _render(fleet, overwrite, number)
+                _render(flights, overwrite, number)
             except DlgmdError as caught:
                 error = caught
             yield number, error
         return
     try:
-        for number, outcome in run_tasks(partial(_render, fleet, overwrite), numbers, jobs):
+        for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):
             if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
                 raise outcome.error
             yield number, outcome.error
     finally:
-        remove_leftovers(fleet.folder)
+        remove_leftovers(flights.folder)
 
 
-def _render(fleet: Fleet, overwrite: bool, number: int) -> None:
+def _render(flights: FlightSet, overwrite: bool, number: int) -> None:
     """Render one flight."""
     write_clip(
-        fleet.scene,
-        fleet.options_of(number),
-        fleet.folder,
-        fleet.form,
-        name=fleet.name_of(number),
+        flights.scene,
+        flights.options_of(number),
+        flights.folder,
+        flights.form,
+        name=flights.name_of(number),
         overwrite=overwrite,
-        draw_sheet=fleet.draw_sheet,
+        draw_sheet=flights.draw_sheet,
     )

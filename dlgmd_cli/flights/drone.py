@@ -1,8 +1,8 @@
-"""A quadrotor that flies a script: a point mass with an attitude, and thrust along its own up.
+"""A quadrotor that flies a script: a point mass with an attitude and thrust along its body z-axis.
 
-An autopilot turns what each phase of the script commands into orders (attitude, yaw rate, climb);
-the drone follows them with the lags of its motors and attitude, drag, and gusts of wind. As on a
-stabilised camera drone, orders are eased before they are followed, unless the drone is agile.
+An autopilot converts each phase of the script into commands (attitude, yaw rate, climb). The drone
+follows them with the lags of its motors and attitude, drag, and gusts of wind. Unless it is agile,
+commands are smoothed first, as on a stabilised camera drone.
 """
 
 import math
@@ -19,34 +19,34 @@ from dlgmd_cli.flights.script import SPIN_UP_S, Phase, hover
 
 STEP_S = 0.001
 GRAVITY_M_S2 = 9.81
-# Speed lost to the air, in 1/s: 12 degrees of pitch lead to about 6 m/s.
+# Drag coefficient in 1/s: 12 degrees of pitch lead to about 6 m/s.
 DRAG_1_S = 0.35
-# Of a drone of 0.3 to 0.5 m: how fast its attitude follows, critically damped, and its lags.
+# For a drone of 0.3 to 0.5 m: natural frequency of its attitude (critically damped), and lags.
 _ATTITUDE_RAD_S = 10.0
 _YAW_LAG_S = 0.15
 _MOTOR_LAG_S = 0.04
 _MAX_THRUST_M_S2 = 2.5 * GRAVITY_M_S2
 
-# How orders are eased. PX4 limits jerk, to 8 m/s³ where a pilot flies (MPC_JERK_MAX; missions have
-# 4): a drone that leans by an angle gains g times that, so it leans at jerk / g at most. It limits
-# the acceleration of yaw, too (MPC_YAWRAUTO_ACC). ArduPilot lets an angle approach what is asked
-# with a time constant (ATC_INPUT_TC: 0.15 s, crisp ones 0.1 s) and limits its acceleration; with
-# 250 degrees/s², 10 degrees take about 0.4 s.
+# Smoothing of commands. PX4 limits jerk, to 8 m/s³ under manual control (MPC_JERK_MAX; 4 in
+# missions). Since the acceleration is g times the lean angle, the lean rate is at most jerk / g.
+# PX4 also limits the yaw acceleration (MPC_YAWRAUTO_ACC). ArduPilot lets an angle approach its
+# setpoint with a time constant (ATC_INPUT_TC: 0.15 s, or 0.1 s for a crisp response) and limits the
+# angular acceleration: with 250 degrees/s², 10 degrees take about 0.4 s.
 _LEAN_RAD_S = 8.0 / GRAVITY_M_S2
 _LEAN_RAD_S2 = math.radians(250.0)
 _EASE_S = 0.1
 _YAW_RAD_S2 = math.radians(60.0)
 
-# How fast the autopilot corrects speed and position, in 1/s.
+# Gains of the autopilot for speed and position, in 1/s.
 _SPEED_GAIN, _PLACE_GAIN = 1.6, 0.7
 _CLIMB_GAIN, _HEIGHT_GAIN = 6.0, 2.0
 _HEADING_GAIN = 1.5
 _MAX_LEAN = math.radians(25.0)
-# Below this speed it counts as stopped when it is to hold a position.
+# Below this speed the drone counts as stopped.
 _SLOW_M_S = 0.1
 
-# A blow leaves this share of the speed, backwards. It throws the nose up by an angle for each m/s
-# of speed, up to the greatest one, and the drone backs off.
+# At contact, the drone rebounds with this share of its speed. The nose is thrown up in proportion
+# to the speed, up to a maximum, and the drone backs off.
 RESTITUTION = 0.25
 _MAX_KICK_DEG, _KICK_DEG_PER_M_S = 12.0, 4.0
 _BACK_OFF_M = 0.25
@@ -72,25 +72,25 @@ def fly(
     contact_s: float | None = None,
     agile: bool = False,
 ) -> Path:
-    """Fly a script, which begins on the floor if its first phase does, else in the air.
+    """Simulate a flight; it begins on the floor if the first phase of the script does.
 
     Parameters
     ----------
     script : sequence of Phase
     position_m : array_like, shape (3,)
-        Where it starts.
+        Start position.
     yaw_deg, speed_m_s : float
-        Where its nose points at first, and how fast it flies that way, if it is in the air.
+        Initial heading and, if it starts in the air, forward speed.
     seed : int
-        Of the disturbances. The same script and seed are the same flight to the last bit.
+        Seed of the disturbances. The same script and seed give the same flight to the last bit.
     jitter : float
         Factor on the disturbances; 0 is still air.
     contact_s : float, optional
-        Time above 0 at which it hits something. It is thrown back, and hovers near by instead of
-        following the script, as a phase called "collision". Up to and including that time, the
+        Time above 0 at which the drone hits something. It rebounds, and then hovers near by in a
+        phase called "collision" instead of following the script. Up to and including that time, the
         flight is the same as without contact. A time at or after the end changes nothing.
     agile : bool
-        Whether orders are followed at once, as a racing drone does, instead of eased.
+        Whether commands are followed at once, as by a racing drone, instead of smoothed.
     """
     starts = [0.0]
     for each in script:
@@ -111,7 +111,7 @@ def fly(
     first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
     if contact_s is None:
         return Path((first,), phases)
-    after = _rebound(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
+    after = _after_contact(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
     kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
@@ -119,7 +119,7 @@ def fly(
 def _simulated(
     drone: "_Drone", pilot: "_Pilot", begins: Mapping[int, Phase], gusts: Sequence[_Gust]
 ) -> FloatArray:
-    """Samples of a flight, as `Stretch` has them; `begins` holds the phases by their first step."""
+    """Simulated samples, see `Stretch`; `begins` holds the phases by their first step."""
     samples = [drone.sample()]
     for step, gust in enumerate(gusts):
         if step in begins:
@@ -130,9 +130,9 @@ def _simulated(
 
 
 def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
-    """Disturbances at each step: Ornstein-Uhlenbeck processes, from their usual level on.
+    """Disturbances at each step: Ornstein-Uhlenbeck processes, stationary from the start.
 
-    A longer flight begins with the disturbances of a shorter one.
+    A longer flight begins with the same disturbances as a shorter one.
     """
     if strength == 0.0:
         return [(0.0,) * len(_DISTURBANCES)] * n_steps
@@ -149,7 +149,7 @@ def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
     return list(zip(*channels, strict=True))
 
 
-class _Orders(NamedTuple):
+class _Commands(NamedTuple):
     """Roll and pitch in rad, yaw rate in rad/s, and acceleration upwards in m/s²."""
 
     roll: float
@@ -162,7 +162,7 @@ class _Orders(NamedTuple):
 class _Drone:
     """Position and velocity in the world, attitude, and thrust per mass; m, rad and s.
 
-    Plain numbers, since the simulation takes thousands of small steps.
+    Plain floats are fastest, since the simulation takes thousands of small steps.
     """
 
     x: float
@@ -181,7 +181,7 @@ class _Drone:
     stands: bool = False
 
     def sample(self) -> tuple[float, ...]:
-        """Position, velocity, attitude and its rates, as `Stretch` keeps them."""
+        """Position, velocity, attitude and attitude rates, see `Stretch`."""
         return (
             *(self.x, self.y, self.z),
             *(self.vx, self.vy, self.vz),
@@ -189,8 +189,8 @@ class _Drone:
             *(self.roll_rate, self.pitch_rate, self.yaw_rate),
         )
 
-    def advance(self, orders: _Orders, gust: _Gust) -> None:
-        """Let a step of time pass."""
+    def advance(self, orders: _Commands, gust: _Gust) -> None:
+        """Advance by one time step."""
         wind_x, wind_y, wind_z, sway, nod, swing = gust
         cr, sr = math.cos(self.roll), math.sin(self.roll)
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)
@@ -207,26 +207,26 @@ class _Drone:
         ax = cy * ahead - sy * left - DRAG_1_S * self.vx + wind_x
         ay = sy * ahead + cy * left - DRAG_1_S * self.vy + wind_y
         az = lift - DRAG_1_S * self.vz + wind_z
-        self.x, self.vx = _moved(self.x, self.vx, ax)
-        self.y, self.vy = _moved(self.y, self.vy, ay)
-        self.z, self.vz = _moved(self.z, self.vz, az)
+        self.x, self.vx = _integrated(self.x, self.vx, ax)
+        self.y, self.vy = _integrated(self.y, self.vy, ay)
+        self.z, self.vz = _integrated(self.z, self.vz, az)
         w = _ATTITUDE_RAD_S
         roll_pull = w * (w * (orders.roll + sway - self.roll) - 2.0 * self.roll_rate)
         pitch_pull = w * (w * (orders.pitch + nod - self.pitch) - 2.0 * self.pitch_rate)
         yaw_pull = (orders.yaw_rate + swing - self.yaw_rate) / _YAW_LAG_S
-        self.roll, self.roll_rate = _moved(self.roll, self.roll_rate, roll_pull)
-        self.pitch, self.pitch_rate = _moved(self.pitch, self.pitch_rate, pitch_pull)
-        self.yaw, self.yaw_rate = _moved(self.yaw, self.yaw_rate, yaw_pull)
+        self.roll, self.roll_rate = _integrated(self.roll, self.roll_rate, roll_pull)
+        self.pitch, self.pitch_rate = _integrated(self.pitch, self.pitch_rate, pitch_pull)
+        self.yaw, self.yaw_rate = _integrated(self.yaw, self.yaw_rate, yaw_pull)
 
 
-def _moved(value: float, rate: float, pull: float) -> tuple[float, float]:
-    """A value and its rate a step later; the mean rate makes them agree along the path."""
+def _integrated(value: float, rate: float, pull: float) -> tuple[float, float]:
+    """A value and its rate one step later, by the trapezoidal rule."""
     later = rate + pull * STEP_S
     return value + 0.5 * (rate + later) * STEP_S, later
 
 
 def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: float) -> _Drone:
-    """The drone at time 0: on the floor, or in the air and balanced for its speed."""
+    """The drone at time 0: on the floor, or in the air and trimmed for its speed."""
     x, y, z = (float(each) for each in np.asarray(position_m, float))
     yaw = math.radians(yaw_deg)
     if first.forward == "stand" or first.climb_m:
@@ -237,7 +237,7 @@ def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: f
     return _Drone(x, y, z, vx, vy, pitch=pitch, yaw=yaw, thrust=thrust)
 
 
-def _rebound(
+def _after_contact(
     before: Stretch,
     drone: _Drone,
     contact_s: float,
@@ -246,14 +246,14 @@ def _rebound(
     *,
     agile: bool,
 ) -> Stretch:
-    """The flight after a blow at `contact_s`, with the gusts from then on."""
+    """The flight after contact at `contact_s`, with the gusts from then on."""
     position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
     drone.x, drone.y, drone.z = position
     drone.roll, drone.pitch, drone.yaw = angles
     speed = math.sqrt(sum(each * each for each in velocity))
     back = [-each / speed if speed else 0.0 for each in velocity]
     drone.vx, drone.vy, drone.vz = (RESTITUTION * speed * each for each in back)
-    # A kick of the rate by w turns a critically damped attitude by w / (e W) at most.
+    # A rate impulse w turns a critically damped attitude of frequency W by w / (e W) at most.
     kick = min(_MAX_KICK_DEG, _KICK_DEG_PER_M_S * speed) * _ATTITUDE_RAD_S * math.e
     aside, swing = np.random.default_rng([seed, 1]).uniform(-0.5, 0.5, 2).tolist()
     drone.roll_rate = rates[0] + math.radians(kick * aside)
@@ -264,52 +264,52 @@ def _rebound(
     return Stretch(contact_s, STEP_S, samples)
 
 
-class _Lean:
-    """An angle that follows what is asked for with a limited rate and angular acceleration.
+class _EasedAngle:
+    """An angle that follows its setpoint with limited rate and acceleration.
 
-    Near its goal it approaches exponentially; from farther away, as fast as it can still stop.
+    Near the setpoint the approach is exponential. Farther away, it is as fast as braking allows.
     """
 
     def __init__(self, angle: float) -> None:
         self._angle, self._rate = angle, 0.0
 
     def follow(self, goal: float) -> float:
-        """The angle after a step of time, in rad."""
+        """The angle after one time step, in rad."""
         to_go = goal - self._angle
         gap, near = abs(to_go), _LEAN_RAD_S2 * _EASE_S**2
         fast = gap / _EASE_S if gap < near else math.sqrt(2.0 * _LEAN_RAD_S2 * (gap - near / 2.0))
         rate = math.copysign(min(fast, _LEAN_RAD_S), to_go)
-        self._rate = _towards(self._rate, rate, _LEAN_RAD_S2)
+        self._rate = _rate_limited(self._rate, rate, _LEAN_RAD_S2)
         self._angle += self._rate * STEP_S
         return self._angle
 
 
-def _towards(value: float, goal: float, rate: float) -> float:
-    """A value a step of time later on its way to a goal, at a rate at most."""
+def _rate_limited(value: float, goal: float, rate: float) -> float:
+    """`value` moved towards `goal` for one time step, at most at `rate`."""
     return value + min(max(goal - value, -rate * STEP_S), rate * STEP_S)
 
 
 class _Pilot:
-    """The autopilot, which flies one phase after the other.
+    """The autopilot.
 
-    It holds a given position, (x, y), at first, or the one where the drone stops.
+    When holding a position, it holds the initially given one, (x, y), or else where it stopped.
     """
 
     def __init__(
         self, drone: _Drone, hold_m: tuple[float, float] | None = None, *, agile: bool
     ) -> None:
-        self._eased = None if agile else (_Lean(drone.roll), _Lean(drone.pitch))
+        self._eased = None if agile else (_EasedAngle(drone.roll), _EasedAngle(drone.pitch))
         self._turns = 0.0
         self._height = drone.z
         self._heading, self._heading_rate = drone.yaw, 0.0
         self._hold = hold_m
 
     def begin(self, phase: Phase, drone: _Drone, time_s: float) -> None:
-        """Take up a phase."""
+        """Begin a phase."""
         self._phase = phase
         self._yaw_rate = math.radians(phase.yaw_rate_deg_s)
         self._pitch = math.radians(phase.pitch_deg)
-        # A climb from the floor begins when the propellers carry the weight.
+        # A climb from the floor begins once the propellers carry the weight.
         wait = SPIN_UP_S if drone.stands else 0.0
         self._climb_start_s, self._climb_s = time_s + wait, phase.seconds - wait
         self._from_m = self._height
@@ -320,8 +320,8 @@ class _Pilot:
         if not self._holds:
             self._hold = None
 
-    def steer(self, drone: _Drone, time_s: float) -> _Orders:
-        """What to do now, for a step of time."""
+    def steer(self, drone: _Drone, time_s: float) -> _Commands:
+        """The commands for the next time step."""
         cos, sin = math.cos(drone.yaw), math.sin(drone.yaw)
         ahead = cos * drone.vx + sin * drone.vy
         left = cos * drone.vy - sin * drone.vx
@@ -333,7 +333,7 @@ class _Pilot:
                 most = self._pitch
         else:
             forwards = _SPEED_GAIN * (self._speed - ahead) + DRAG_1_S * ahead
-            # The first term is what a curve takes.
+            # The first term is the centripetal acceleration.
             leftwards = drone.yaw_rate * ahead + (DRAG_1_S - _SPEED_GAIN) * left
         pitch = min(max(-math.atan2(forwards, GRAVITY_M_S2), -_MAX_LEAN), most)
         if self._phase.forward == "tilt":
@@ -343,10 +343,10 @@ class _Pilot:
             roll = math.radians(self._phase.roll_deg)
         if self._eased:
             roll, pitch = self._eased[0].follow(roll), self._eased[1].follow(pitch)
-        return _Orders(roll, pitch, self._turn(drone), self._lift(drone, time_s))
+        return _Commands(roll, pitch, self._turn(drone), self._lift(drone, time_s))
 
     def _stay(self, drone: _Drone) -> tuple[float, float]:
-        """Acceleration along x and y that stops the drone, and then keeps it where it is."""
+        """Acceleration along x and y that stops the drone and then holds its position."""
         if self._hold is None and math.hypot(drone.vx, drone.vy) < _SLOW_M_S:
             self._hold = drone.x + drone.vx / _SPEED_GAIN, drone.y + drone.vy / _SPEED_GAIN
         to_x, to_y = self._hold or (drone.x, drone.y)
@@ -356,9 +356,9 @@ class _Pilot:
         )
 
     def _turn(self, drone: _Drone) -> float:
-        """Yaw rate that follows the heading of a drone that nothing disturbs."""
+        """Yaw rate that keeps the heading of an undisturbed drone."""
         eases = self._eased is not None
-        self._turns = _towards(self._turns, self._yaw_rate, _YAW_RAD_S2 if eases else math.inf)
+        self._turns = _rate_limited(self._turns, self._yaw_rate, _YAW_RAD_S2 if eases else math.inf)
         was = self._heading_rate
         self._heading_rate += (self._turns - was) / _YAW_LAG_S * STEP_S
         wanted = self._turns + _HEADING_GAIN * (self._heading - drone.yaw)
@@ -366,7 +366,7 @@ class _Pilot:
         return wanted
 
     def _lift(self, drone: _Drone, time_s: float) -> float:
-        """Acceleration upwards that keeps the height, or climbs along the path of least jerk."""
+        """Vertical acceleration that holds the height, or climbs on a minimum-jerk trajectory."""
         if self._phase.forward == "stand":
             return -GRAVITY_M_S2
         height, speed, lift = self._height, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""The furniture that `furniture.yaml` describes."""
+"""Building the furniture described in `furniture.yaml`."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -9,14 +9,14 @@ import numpy as np
 import yaml
 
 from dlgmd_cli.flights import pictures, textures
-from dlgmd_cli.flights.bodies import SIDES, Skin, Spot, block, panel
-from dlgmd_cli.flights.renderer.solids import Body, Motion, Round
+from dlgmd_cli.flights.bodies import SIDES, Placement, Skin, block, panel
+from dlgmd_cli.flights.renderer.solids import Body, Capsule, Motion
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.textures import Rng, Size
 
 CATALOGUE = Path(__file__).with_name("furniture.yaml")
 _PICTURES = {**vars(textures), **vars(pictures)}
-# The faces of a box that can be seen.
+# Visible faces of a box, by the values of `shows`.
 _SHOWN = {
     "all": SIDES,
     "standing": ("front", "back", "left", "right", "top"),
@@ -33,29 +33,29 @@ _MIRRORED = {
 
 @cache
 def catalogue() -> dict[str, dict[str, Any]]:
-    """What `furniture.yaml` has: `pieces` and what can be put `at_walls`, each by name."""
+    """The contents of `furniture.yaml`: `pieces`, and furniture `at_walls`, each by name."""
     found: dict[str, dict[str, Any]] = yaml.safe_load(CATALOGUE.read_text("utf-8"))
     return found
 
 
-def furniture(name: str, rng: Rng, where: Spot, *, motion: Motion | None = None) -> list[Body]:
-    """The bodies of one piece of the catalogue, none of which cuts into another.
+def furniture(name: str, rng: Rng, where: Placement, *, motion: Motion | None = None) -> list[Body]:
+    """The bodies of one piece of the catalogue, which do not intersect.
 
-    Each has the name of the piece that it belongs to, and all move by `motion`.
+    Each has the name of its piece, and all share `motion`.
     """
     piece = catalogue()["pieces"][name]
     return _parts(piece, piece.get("name", name), rng, where, motion)
 
 
-def furniture_at_wall(name: str, rng: Rng, where: Spot) -> list[Body]:
-    """What the catalogue has at walls under a name, at a spot where a wall meets the floor."""
+def furniture_at_wall(name: str, rng: Rng, where: Placement) -> list[Body]:
+    """The bodies of an `at_walls` entry; `where` is at the foot of the wall."""
     return _parts(catalogue()["at_walls"][name], name, rng, where)
 
 
 def _parts(
-    entry: Mapping[str, Any], name: str, rng: Rng, where: Spot, motion: Motion | None = None
+    entry: Mapping[str, Any], name: str, rng: Rng, where: Placement, motion: Motion | None = None
 ) -> list[Body]:
-    """The bodies of one entry of the catalogue, in its order."""
+    """The bodies of a catalogue entry, in its order."""
     tones = {name: _number(spec, {}, rng) for name, spec in entry.get("tones", {}).items()}
     parts = entry["parts"]
     sizes = {part["skin"]: tuple(part["panel"]) for part in parts if "panel" in part}
@@ -74,14 +74,14 @@ def _parts(
             *ends, radius = part["capsule"]
             texture = skins[part["skin"]].texture
             middles = at.world(np.reshape(ends, (2, 3)))
-            bodies.append(Round(name, middles, at.scale * radius, texture, 0.85, motion))
+            bodies.append(Capsule(name, middles, at.scale * radius, texture, 0.85, motion))
         else:
             bodies += _boxes(part, name, at, skins, motion)
     return bodies
 
 
 def _boxes(
-    part: Mapping[str, Any], name: str, where: Spot, skins: Mapping[str, Skin], motion: Any
+    part: Mapping[str, Any], name: str, where: Placement, skins: Mapping[str, Skin], motion: Any
 ) -> list[Body]:
     """A box and its mirror images."""
     sides = {side: skins[part.get(side, part["skin"])] for side in _SHOWN[part.get("shows", "all")]}
@@ -94,7 +94,7 @@ def _boxes(
 def _skin(
     spec: Mapping[str, Any], size_m: Size | None, tones: Mapping[str, float], rng: Rng
 ) -> Skin:
-    """What a skin of the catalogue looks like this time."""
+    """A skin of the catalogue with random details."""
     if "plain" in spec:
         return Skin(Texture(_number(spec["plain"], tones, rng)))
     size = size_m or tuple(spec["size_m"])
@@ -105,7 +105,7 @@ def _skin(
 
 
 def _number(spec: Any, tones: Mapping[str, float], rng: Rng) -> float:
-    """A tone: given, drawn evenly from a range, or one that has a name."""
+    """A tone: a number, a uniform draw from a range, or a named tone."""
     if isinstance(spec, list):
         return float(rng.uniform(*spec))
     return tones[spec] if isinstance(spec, str) else float(spec)

@@ -1,4 +1,4 @@
-"""How near and how large bodies are, and when a flight first touches one."""
+"""Distances and angular sizes of bodies, and the first contact of a flight."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -9,21 +9,21 @@ from dlgmd_cli.flights.path import REACH_M, Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import Body, Face, Surfaces, World
 
-# A solid with fewer faces has no inside.
+# A solid with fewer faces is not closed.
 _LEAST_CLOSED = 4
-# The longest and the shortest time from one look at the distances to the next.
+# Longest and shortest time step in the search for contact.
 _LONGEST_S, _SHORTEST_S = 0.02, 0.002
-# What the drone or a body may gain in speed until the next look.
+# Upper bound on the gain in speed of the drone and the bodies during a step.
 _MARGIN_M_S = 0.5
 _N_HALVINGS = 40
-# A drone that is thrown back by what it touches is within reach only for an instant.
+# Tolerance of contact: a rebounding drone is within reach for an instant only.
 _ROUNDING_M = 1e-6
-# The angle between directions nearer to each other than this has no rate.
+# Below this sine of the angle between two directions, its rate is taken as 0.
 _SAME_DIRECTION = 1e-12
 
 
 class Nearest:
-    """Exact distances from a point to convex bodies, and to walls, which are whole planes."""
+    """Exact distances from a point to convex bodies, and to walls as infinite planes."""
 
     def __init__(self, bodies: Sequence[Body], walls: Sequence[Face] = ()) -> None:
         self.surfaces = Surfaces(bodies)
@@ -48,17 +48,17 @@ class Nearest:
         They are 0 inside a body, and negative behind a wall.
         """
         surfaces = self.surfaces
-        # A body that has moved is as far as one at rest is from where the point would be then.
+        # Instead of moving the bodies, move the point the other way.
         points = position_m - surfaces.offsets(time_s)
         distances = np.full(len(surfaces.bodies), np.inf)
         if len(self._solids):
             distances[self._solids] = self._to_solids(points)
-        if surfaces.rounds:
-            distances[surfaces.round_body] = self._to_rounds(points[surfaces.round_body])
+        if surfaces.capsules:
+            distances[surfaces.capsule_body] = self._to_rounds(points[surfaces.capsule_body])
         return np.concatenate([distances, self._wall_normals @ position_m - self._wall_levels])
 
     def _to_solids(self, points: FloatArray) -> FloatArray:
-        """Distances from a point for each body to the solids."""
+        """Distances to the solids from points, one for each body."""
         surfaces = self.surfaces
         to_corners = points[surfaces.face_body][:, None] - surfaces.corners_m
         heights = (to_corners[:, 0] * surfaces.normals).sum(axis=-1)
@@ -75,7 +75,7 @@ class Nearest:
         return np.where(inside, 0.0, nearest)
 
     def _to_rounds(self, points: FloatArray) -> FloatArray:
-        """Distances from a point for each round body to its surface."""
+        """Distances to the capsules from points, one for each capsule."""
         first, axis = self.surfaces.ends_m[:, 0], np.diff(self.surfaces.ends_m, axis=1)[:, 0]
         squares = (axis**2).sum(axis=-1)
         along = ((points - first) * axis).sum(axis=-1) / np.where(squares > 0.0, squares, 1.0)
@@ -85,7 +85,7 @@ class Nearest:
 
 
 def surroundings(world: World, names: Collection[str] | None = None) -> Nearest:
-    """Everything in a world that a drone can hit, or only the bodies and the room of some names."""
+    """Distances to everything in a world, or only to the bodies and the room with certain names."""
     bodies = [body for body in world.bodies if names is None or body.name in names]
     return Nearest(bodies, world.room.faces if names is None or world.room.name in names else ())
 
@@ -93,10 +93,10 @@ def surroundings(world: World, names: Collection[str] | None = None) -> Nearest:
 def first_contact(
     path: Path, world: World, target_names: Collection[str] | None = None
 ) -> float | None:
-    """When something first comes within `REACH_M` of the camera, in s; None if nothing ever does.
+    """Time, in s, when something first comes within `REACH_M` of the camera, or None.
 
-    What is that near from the start on, such as the floor that the drone stands on, counts only
-    once it has been farther away. Names are those of `surroundings`.
+    Whatever is that close at the start, such as the floor under the drone, counts only after it
+    has been farther away. For the names see `surroundings`.
     """
     nearest = surroundings(world, target_names)
 
@@ -128,18 +128,18 @@ def first_contact(
     return None
 
 
-class Extent:
-    """The angle that bodies span together, as seen from a point.
+class AngularExtent:
+    """The angle that a group of bodies spans, as seen from a point.
 
-    It is spanned by two of their corners, or of the balls that their round parts end in: the
-    angle between the directions to the two, plus half the angle that each ball spans itself.
+    The greatest angle is between two corners, or two end balls of capsules. For balls, half of the
+    angle that each ball spans is added to the angle between the directions to their centres.
 
     Attributes
     ----------
     points_m, radii_m : ndarray, shape (n, 3) and (n,)
-        Corners of solids, with radius 0, and the middles of the balls that round bodies end in.
+        Corners of solids, with radius 0, and centres of the end balls of capsules.
     body : ndarray, shape (n,)
-        Index of the body that a point belongs to.
+        Index of each point's body.
     """
 
     def __init__(self, surfaces: Surfaces) -> None:
@@ -149,7 +149,7 @@ class Extent:
         tagged = np.hstack([of_corner, surfaces.corners_m.reshape(-1, 3)])
         corners = np.unique(tagged, axis=0)
         self.points_m = np.concatenate([corners[:, 1:], surfaces.ends_m.reshape(-1, 3)])
-        self.body = np.concatenate([corners[:, 0], np.repeat(surfaces.round_body, 2)]).astype(int)
+        self.body = np.concatenate([corners[:, 0], np.repeat(surfaces.capsule_body, 2)]).astype(int)
         self.radii_m = np.concatenate([np.zeros(len(corners)), np.repeat(surfaces.radii_m, 2)])
 
     def angle(
@@ -159,10 +159,10 @@ class Extent:
         offsets_m: FloatArray,
         velocities_m_s: FloatArray,
     ) -> tuple[float, float]:
-        """The greatest angle between two directions from a moving point to bodies, and its rate.
+        """The angle, in degrees, seen from a moving point, and its rate in degrees/s.
 
-        Offsets and velocities of the bodies are (n_bodies, 3). The angle is 180 degrees, and its
-        rate 0, where the bodies surround the point, or it is in a round one.
+        Offsets and velocities of the bodies are (n_bodies, 3). The angle is 180 and its rate 0 if
+        the bodies surround the point, or if it is inside a capsule.
         """
         towards = self.points_m + offsets_m[self.body] - position_m
         speeds = velocities_m_s[self.body] - velocity_m_s
@@ -183,7 +183,7 @@ class Extent:
 
 
 def _between(units: FloatArray, speeds: FloatArray) -> tuple[float, float]:
-    """Angle between two directions, (2, 3), and its rate; `speeds` are per distance."""
+    """Angle between two unit vectors, (2, 3), and its rate; `speeds` are divided by distance."""
     cosine = float(units[0] @ units[1])
     sine = float(np.linalg.norm(np.cross(units[0], units[1])))
     angle = math.atan2(sine, cosine)

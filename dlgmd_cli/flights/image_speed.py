@@ -1,29 +1,29 @@
-"""How fast what is seen moves in the picture."""
+"""Image speed: how fast the scene moves in the picture."""
 
 import numpy as np
 
-from dlgmd_cli.flights.geometry import Extent
+from dlgmd_cli.flights.geometry import AngularExtent
 from dlgmd_cli.flights.path import State
 from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
 from dlgmd_cli.flights.renderer.solids import IntArray, Surfaces, World
 from dlgmd_cli.flights.renderer.visibility import is_outside
 
-# Cells of the grid of lines of sight; its rim is the picture's.
+# Cells of the grid of viewing rays, which spans the picture.
 _N_COLUMNS, _N_ROWS = 64, 36
-# A line of sight along the edge between two faces meets both of them.
+# Tolerance for a ray that hits the edge between two faces.
 _ROUNDING = 1e-9
 _LEAST = 1e-12
-# A point is hidden by what is nearer by more than this share.
+# Relative tolerance in depth when deciding whether a point is hidden.
 _HIDES = 1e-6
 # Points on the outline of a ball.
 _N_AROUND = 8
 
 
 class ImageSpeed:
-    """The speed of the fastest point in the picture.
+    """The greatest image speed over sample points.
 
-    The points are those at the crossings of a grid over the picture, and the visible ones of the
-    target's corners and of the outlines of its round parts.
+    The points are the nodes of a grid over the picture, and the visible corners of the target and
+    points on the outlines of its round parts.
     """
 
     def __init__(self, world: World, camera: Camera, target: str | None = None) -> None:
@@ -35,13 +35,13 @@ class ImageSpeed:
             np.linspace(-half_height, half_height, _N_ROWS + 1),
         )
         self.grid = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
-        marks = Extent(Surfaces(world.bodies))
+        marks = AngularExtent(Surfaces(world.bodies))
         of_target = np.array([world.bodies[i].name == target for i in marks.body], bool)
         self._marks, self._radii = marks.points_m[of_target], marks.radii_m[of_target]
         self._mark_body = marks.body[of_target]
 
     def fastest(self, state: State, time_s: float) -> float:
-        """In px/s, of the points that a camera in this state sees at a time."""
+        """The greatest image speed, in px/s, for a camera in this state at a time."""
         pose, offsets = state.pose, self.surfaces.offsets(time_s)
         marks, mark_body = self._marked(state, offsets)
         rays = np.concatenate([self.grid, marks / marks[:, 2:]])
@@ -53,7 +53,7 @@ class ImageSpeed:
         axes = pose.camera_from_world.T
         speeds = (self.surfaces.velocities(time_s) - state.velocity_m_s) @ axes
         spin = state.angular_velocity_rad_s @ axes
-        # How fast x / z and y / z change, in 1/s.
+        # Rates of change of x / z and y / z, in 1/s.
         moves = speeds[body] * closeness[:, None] - np.cross(spin, rays)
         flow = moves[:, :2] - rays[:, :2] * moves[:, 2:]
         seen = closeness > 0.0
@@ -63,11 +63,10 @@ class ImageSpeed:
     def cast(
         self, rays: FloatArray, pose: Pose, offsets_m: FloatArray
     ) -> tuple[FloatArray, IntArray]:
-        """Find what is nearest along rays, (n, 3), in the camera's axes, with 1 forward.
+        """Find the nearest body along rays, (n, 3), in camera axes with forward component 1.
 
-        The bodies have moved by (n_bodies, 3) m. Returns 1 / depth along the camera's axis, (n,),
-        in 1/m, and the index of the body in `surfaces`, whose last one is the room; both are 0
-        where nothing is.
+        The bodies have moved by (n_bodies, 3) m. Returns 1 / depth, (n,) in 1/m, and the indices of
+        the bodies in `surfaces`, where the last one is the room. Both are 0 for rays without a hit.
         """
         surfaces, axes = self.surfaces, pose.camera_from_world.T
         closeness, body = np.zeros(len(rays)), np.zeros(len(rays), np.intp)
@@ -77,7 +76,7 @@ class ImageSpeed:
         heights = (corners[:, 0] * normals).sum(axis=-1)
         chosen = np.flatnonzero((heights < 0.0) & ~is_outside(self._camera, corners))
         corners, planes = corners[chosen], normals[chosen] / heights[chosen, None]
-        # Through the camera and each side; positive outside of the face.
+        # Planes through the camera and each side; positive outside the face.
         sides = np.cross(corners, np.roll(corners, -1, axis=1))
         sides /= np.maximum(np.sqrt((sides**2).sum(axis=-1, keepdims=True)), _LEAST)
         columns = np.ascontiguousarray(rays.T)
@@ -86,7 +85,7 @@ class ImageSpeed:
             for side, plane, owner in zip(sides, planes, surfaces.face_body[chosen], strict=True)
         ]
         for ends, radius, owner in zip(
-            surfaces.ends_m, surfaces.radii_m, surfaces.round_body, strict=True
+            surfaces.ends_m, surfaces.radii_m, surfaces.capsule_body, strict=True
         ):
             seen = self._camera.view(ends + offsets_m[owner], pose)
             if (seen[:, 2] >= -radius).any():
@@ -97,7 +96,7 @@ class ImageSpeed:
         return closeness, body
 
     def _marked(self, state: State, offsets_m: FloatArray) -> tuple[FloatArray, IntArray]:
-        """The target's points that may be seen, in the camera's axes, and their bodies."""
+        """The target's points inside the picture, in camera axes, and their bodies."""
         at = self._camera.view(self._marks + offsets_m[self._mark_body], state.pose)
         outlines = [
             _outline(middle, radius) for middle, radius in zip(at, self._radii, strict=True)
@@ -112,7 +111,7 @@ class ImageSpeed:
 
 
 def _outline(middle: FloatArray, radius: float) -> FloatArray:
-    """Points of a ball where sight from the origin touches it, and the nearest one, (n, 3)."""
+    """Points on the outline of a ball seen from the origin, and its nearest point, (n, 3)."""
     if radius == 0.0:
         return middle[None]
     distance = float(np.sqrt(middle @ middle))
@@ -129,7 +128,7 @@ def _outline(middle: FloatArray, radius: float) -> FloatArray:
 
 
 def _capsule(rays: FloatArray, ends: FloatArray, radius: float) -> FloatArray:
-    """Closeness at which lines enter a capsule; 0 for those that do not."""
+    """1 / depth at which rays enter a capsule; 0 for those that miss it."""
     balls = [_entry((rays**2).sum(axis=-1), rays @ end, end @ end - radius**2) for end in ends]
     near = np.maximum(*balls)
     axis = ends[1] - ends[0]
@@ -147,9 +146,9 @@ def _capsule(rays: FloatArray, ends: FloatArray, radius: float) -> FloatArray:
 
 
 def _entry(squares: FloatArray, along: FloatArray, power: float) -> FloatArray:
-    """1 / s for the lesser solution s of a s² - 2 b s + c = 0, where it is above 0; else 0."""
+    """1 / s for the smaller solution s of a s² - 2 b s + c = 0 if it is positive, else 0."""
     inner = along**2 - squares * power
     meets = (inner >= 0.0) & (along > 0.0) & (power > 0.0)
     root = np.sqrt(np.where(meets, inner, 0.0))
-    # The lesser solution is c / (b + sqrt(b² - a c)).
+    # The smaller solution is c / (b + sqrt(b² - a c)).
     return np.where(meets, (along + root) / (power if power > 0.0 else 1.0), 0.0)

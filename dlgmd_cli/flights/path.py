@@ -1,4 +1,4 @@
-"""A flight: where the drone was and how it moved, and the world that it flew through."""
+"""The path of a flight, and its stage: the path with the world around it."""
 
 import math
 from collections.abc import Sequence
@@ -10,18 +10,18 @@ import numpy as np
 from dlgmd_cli.flights.renderer.camera import FloatArray, Pose, rotation
 from dlgmd_cli.flights.renderer.solids import Solid, World
 
-# Distance from the camera to the drone's hull: what comes that near has been hit.
+# Distance from the camera to the drone's hull: contact is at this distance.
 REACH_M = 0.1
-# Times of frames and sums of the lengths of phases may differ in the last digits.
+# Tolerance for rounding in times.
 _SAME_S = 1e-9
 
 
 @dataclass(frozen=True)
 class State:
-    """The drone at an instant.
+    """State of the drone at an instant.
 
-    Angles are those of `rotation` in renderer/camera.py; yaw goes beyond 360 after a full turn. The
-    angular velocity, (3,), is about the world's axes.
+    For the angles, see `rotation` in renderer/camera.py; yaw exceeds 360 after a full turn. The
+    angular velocity, (3,), is in world coordinates.
     """
 
     position_m: FloatArray
@@ -39,10 +39,10 @@ class State:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A smooth part of a flight, in samples `step_s` apart.
+    """A smooth part of a flight, sampled every `step_s` seconds.
 
-    Each of the samples, (n, 12), has position, velocity, roll, pitch and yaw, and their rates, in
-    m, rad and s.
+    Each of the samples, (n, 12), holds position, velocity, roll, pitch and yaw, and the rates of
+    these angles, in m, rad and s.
     """
 
     start_s: float
@@ -50,9 +50,9 @@ class Stretch:
     samples: FloatArray
 
     def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Position, velocity, attitude and its rates: cubic Hermite between the samples.
+        """Position, velocity, attitude and attitude rates, by cubic Hermite interpolation.
 
-        The velocity and the rates are the derivatives of the other two, exactly.
+        The velocity and the rates are the exact derivatives of the other two.
         """
         steps = (time_s - self.start_s) / self.step_s
         index = min(max(math.floor(steps), 0), len(self.samples) - 2)
@@ -75,9 +75,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Path:
-    """The path of a drone: stretches, each valid until the next one starts, that time included.
+    """The path of a drone.
 
-    Phases have a name, start and end, in s, without gaps.
+    Each stretch is valid up to and including the start of the next. Phases are tuples of name,
+    start and end, in s, without gaps.
     """
 
     stretches: Sequence[Stretch]
@@ -85,19 +86,19 @@ class Path:
 
     @property
     def duration_s(self) -> float:
-        """How long the flight takes."""
+        """Duration of the flight."""
         return self.phases[-1][2]
 
     def phase(self, time_s: float) -> str:
-        """The name of the phase at a time; where one ends, it is the next one's."""
+        """Name of the phase at a time; at a boundary, that of the later one."""
         begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
         return begun[-1] if begun else self.phases[0][0]
 
     def state(self, time_s: float) -> State:
-        """Where the drone is and how it moves; at the time of contact, just before it.
+        """State of the drone; at the time of contact, the state just before it.
 
-        Before the start and after the end, the state is the first and the last one: an exposure
-        may reach a little beyond the flight.
+        Before the start and after the end, it is the first and the last state, since an exposure
+        may extend a little beyond the flight.
         """
         time = min(max(time_s, 0.0), self.duration_s)
         begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
@@ -118,15 +119,15 @@ class Stage:
     Attributes
     ----------
     target : str
-        Name of the bodies that distances and angles refer to; all of that name are one target.
+        Name of the target; all bodies of that name together are the target.
     wall : Solid or None
-        What they refer to instead, where that is a side of the room.
+        The target if it is a side of the room.
     contact_s : float or None
         Time at which the drone hits something.
     duration_s : float
-        How much of the flight is filmed.
+        Duration of the filmed part of the flight.
     agile : bool
-        Whether the drone follows its orders at once; see `fly`.
+        Whether the drone follows commands at once; see `fly`.
     """
 
     world: World
@@ -139,7 +140,7 @@ class Stage:
 
 
 def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:
-    """About the world's axes, from roll, pitch and yaw, in rad, and their rates."""
+    """Angular velocity in world coordinates, from roll, pitch and yaw in rad and their rates."""
     _, pitch, yaw = angles
     cos, sin = math.cos(yaw), math.sin(yaw)
     about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])

@@ -1,4 +1,4 @@
-"""Obstacles put in the way of a flight or beside it, and the world that they make with a room."""
+"""Placing obstacles in the path of a flight or beside it, and building the world from a room."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,35 +11,35 @@ from dlgmd_cli.flights.geometry import Nearest
 from dlgmd_cli.flights.path import REACH_M, Path
 from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import Body, World
-from dlgmd_cli.flights.rooms import Place
+from dlgmd_cli.flights.rooms import FurnishedRoom
 
-# Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front looks along its x.
+# Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front faces along its x.
 Build: TypeAlias = Callable[[tuple[float, float], float], Sequence[Body]]
 
-# Obstacles reach less far than this from where they are built; looked for in steps of that.
+# Bound on the extent of obstacles, and step of the search.
 _FARTHEST_M, _STEP_M = 3.0, 0.02
 _N_HALVINGS = 50
 _STANDS_M_S, _TOUCHING_M = 0.1, 0.01
 
-# Frames of the paper's videos are this far apart.
+# Frame interval of the paper's videos.
 FRAME_S = 1.0 / 30.0
 
-# How bright a room is: a white surface that faces the lamps is as bright as a camera can see.
+# Light in a room: a white surface facing the lamps is just saturated in the camera.
 DAYLIGHT = 1.35
 
 
-class PassedError(Exception):
-    """A flight that goes over or under the obstacle that was to be in its way."""
+class MissedError(Exception):
+    """The flight passes over or under the obstacle that it should hit."""
 
 
-def in_the_way(
+def obstacle_in_path(
     path: Path, contact_s: float, build: Build, target: str, *, turned_deg: float = 0.0
 ) -> list[Body]:
-    """An obstacle straight ahead, so far that the camera comes within reach of it at a time.
+    """An obstacle straight ahead, placed so that the drone touches it at `contact_s`.
 
-    The path is that as if nothing were there. `target` is the name of what is met; other parts of
-    the obstacle must not be met before. Its front is turned from where the drone comes from. Raises
-    PassedError if the camera does not come within reach of it.
+    `path` is the flight without contact. `target` names the part to be touched; other parts must
+    not be touched earlier. The front is turned by `turned_deg` from facing the drone. Raises
+    MissedError if the drone cannot touch the target.
     """
     state = path.state(contact_s)
     ahead = heading(state.velocity_m_s)
@@ -57,7 +57,7 @@ def in_the_way(
     while not touches(far - _STEP_M):
         far -= _STEP_M
         if far < -_FARTHEST_M:
-            raise PassedError(target)
+            raise MissedError(target)
     near = far - _STEP_M
     for _ in range(_N_HALVINGS):
         middle = 0.5 * (near + far)
@@ -65,12 +65,13 @@ def in_the_way(
     return [body.moved(near * ahead) for body in bodies]
 
 
-def beside(
+def obstacle_beside(
     path: Path, time_s: float, build: Build, aside_m: float, ahead_m: float = 0.0
 ) -> list[Body]:
-    """An obstacle that looks at the drone from beside or before where it is at a time.
+    """An obstacle beside or ahead of the drone's position at a time, facing the drone.
 
-    It is so far left of the drone and ahead, as it flies then; as its nose points, if it does not.
+    It is `aside_m` to the left and `ahead_m` ahead, relative to the direction of flight, or to the
+    heading if the drone is at rest.
     """
     state = path.state(time_s)
     stands = np.linalg.norm(state.velocity_m_s) < _STANDS_M_S
@@ -80,20 +81,22 @@ def beside(
     return list(build((x, y), math.degrees(math.atan2(ahead[1], ahead[0])) + 180.0))
 
 
-def world_of(place: Place, guests: Sequence[Body] = (), light: float = DAYLIGHT) -> World:
-    """A furnished place and what else is in it, in steady light.
+def build_world(
+    place: FurnishedRoom, obstacles: Sequence[Body] = (), light: float = DAYLIGHT
+) -> World:
+    """The world of a furnished room and obstacles, in constant light.
 
-    Furniture that has the name of a guest gets another one, so that truths are about the guest.
+    Furniture with the same name as an obstacle is renamed: the name identifies the target.
     """
-    taken = {guest.name for guest in guests}
+    taken = {obstacle.name for obstacle in obstacles}
     furniture = [_other(body) if body.name in taken else body for body in place.bodies]
-    return World(place.room, [*furniture, *guests], lambda _: light)
+    return World(place.room, [*furniture, *obstacles], lambda _: light)
 
 
-def singled_out(world: World, index: int) -> World:
-    """A world where only the piece of furniture that a body is a part of has that body's name.
+def with_unique_name(world: World, index: int) -> World:
+    """The world with other furniture renamed so that only one piece has its name.
 
-    Parts of a piece share a name and touch.
+    The piece is that of the body `index`: the bodies of the same name connected to it by touching.
     """
     name = world.bodies[index].name
     axes = np.eye(3)
@@ -118,12 +121,12 @@ def singled_out(world: World, index: int) -> World:
 
 
 def _other(body: Body) -> Body:
-    """The same body by another name."""
+    """The body under another name."""
     return replace(body, name=f"other {body.name}")
 
 
 def heading(velocity_m_s: FloatArray) -> FloatArray:
-    """The level direction of a velocity, as a unit vector (3,)."""
+    """Horizontal direction of a velocity, a unit vector (3,)."""
     level = velocity_m_s * (1.0, 1.0, 0.0)
     ahead: FloatArray = level / np.linalg.norm(level)
     return ahead

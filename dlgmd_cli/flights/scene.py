@@ -1,4 +1,4 @@
-"""Flights as scenes: each is built from a seed, filmed, and known in every detail."""
+"""Flights as scenes: built from a seed, filmed, and with full ground truth."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -25,11 +25,10 @@ from dlgmd_cli.stimuli.base import (
     switch,
 )
 
-# By how much rounding may change a time in ms, and a time in frames.
+# Rounding tolerance for times in ms and in frames.
 _TOLERANCE = 1e-6
-# How far the fastest point may move between two pictures that are blurred into one, and between
-# two strips of rows that are each taken at one time; and the greatest numbers of both. As many
-# are taken while the light changes.
+# Motion blur averages several pictures; a rolling shutter is rendered in strips of rows. Each has a
+# greatest motion per step and a greatest number, which is also used while the light changes.
 _BLUR_STEP_PX, _MAX_PICTURES = 1.0, 64
 _STRIP_STEP_PX, _MAX_STRIPS = 0.5, 128
 _TOO_FAST_PX_S = 1e12
@@ -37,10 +36,10 @@ _TOO_FAST_PX_S = 1e12
 
 @dataclass(frozen=True)
 class FlightOptions(ClipOptions):
-    """Options of all flights: the camera's and the drone's, in addition to those of every clip.
+    """Options of all flights: those of the camera and the drone, besides those of every clip.
 
-    Noise is as `Sensor` has it. Exposure and rolling shutter are 0 for none. `agile` None leaves
-    it to the scene whether the drone follows its orders at once; see `fly`.
+    For the noise see `Sensor`. An exposure or rolling shutter of 0 disables it. `agile` says
+    whether the drone follows commands at once, see `fly`; None leaves it to the scene.
     """
 
     fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
@@ -68,10 +67,10 @@ class FlightOptions(ClipOptions):
 
 
 class FlightScene(Scene[FlightOptions]):
-    """A flight through a place.
+    """A flight through a room.
 
-    `stage` builds the place and the flight from a seed and `FlightOptions.agile`; it is a function
-    of a module, so that it can be pickled.
+    `stage` builds the room and the flight from a seed and `FlightOptions.agile`; it must be
+    picklable.
     """
 
     truth_type = FlightTruth
@@ -92,14 +91,14 @@ class FlightScene(Scene[FlightOptions]):
         return {**self.__dict__, "_built": None}
 
     def stage(self, options: FlightOptions) -> Stage:
-        """The place and the flight; the last one is kept."""
+        """The room and the flight; the latest is cached."""
         wanted = options.seed, options.agile
         if self._built is None or self._built[0] != wanted:
             self._built = wanted, self._build(*wanted)
         return self._built[1]
 
     def n_frames(self, options: FlightOptions) -> int:
-        """As many as asked for, else the whole flight."""
+        """Number of frames: as set, else the whole flight."""
         n_all = math.floor(self.stage(options).duration_s * options.fps + _TOLERANCE) + 1
         if options.n_frames is not None and options.n_frames > n_all:
             raise invalid(
@@ -121,14 +120,14 @@ class FlightScene(Scene[FlightOptions]):
         return film(self.stage(options), options, self.n_frames(options))
 
     def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
-        """The truth of each frame, from the geometry alone."""
+        """The ground truth of each frame, computed from the geometry."""
         camera = Camera(options.shape, options.fov_deg)
         return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
 
     def record(self, options: FlightOptions) -> dict[str, Any]:
-        """The facts of the clip as a whole, as the README of the sample videos has them.
+        """Properties of the clip, as documented in the README of the sample videos.
 
-        `collision_frame` is the first at or after the contact, None if the clip has none.
+        `collision_frame` is the first frame at or after contact, None if there is none.
         """
         stage, n_frames = self.stage(options), self.n_frames(options)
         height, width = options.shape
@@ -156,8 +155,8 @@ class FlightScene(Scene[FlightOptions]):
 def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
     """The frames of a flight in order, (H, W) uint8.
 
-    Frame i is taken at i / fps. With an exposure, that is the middle of the time that the shutter
-    is open; with a rolling shutter, it is the time of the middle row.
+    Frame i is taken at i / fps: the middle of the exposure, and the time of the middle row with a
+    rolling shutter.
     """
     camera = Camera(options.shape, options.fov_deg)
     sensor = Sensor(
@@ -190,7 +189,7 @@ def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyIm
 
 
 def _fastest(stage: Stage, speeds: ImageSpeed, time_s: float, half_s: float) -> float:
-    """The greatest speed in the picture, in px/s, that matters within `half_s` of a time."""
+    """The greatest image speed around a time, in px/s; 0 without exposure and readout time."""
     if half_s == 0.0:
         return 0.0
     if stage.world.light(time_s - half_s) != stage.world.light(time_s + half_s):

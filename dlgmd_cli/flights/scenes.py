@@ -1,4 +1,4 @@
-"""The scenes by name."""
+"""All scenes, by name."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -12,12 +12,12 @@ import yaml
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.flights import script
 from dlgmd_cli.flights.ball import ball_and_capsules
-from dlgmd_cli.flights.bodies import spot
+from dlgmd_cli.flights.bodies import placement
 from dlgmd_cli.flights.drone import fly
 from dlgmd_cli.flights.furniture import furniture
 from dlgmd_cli.flights.path import Path as FlightPath
 from dlgmd_cli.flights.path import Stage
-from dlgmd_cli.flights.placing import DAYLIGHT, FRAME_S, in_the_way, world_of
+from dlgmd_cli.flights.placing import DAYLIGHT, FRAME_S, build_world, obstacle_in_path
 from dlgmd_cli.flights.random_flight import random_flight
 from dlgmd_cli.flights.renderer.solids import Body, Motion
 from dlgmd_cli.flights.rooms import cluttered_room, corridor, simple_room
@@ -31,23 +31,23 @@ from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
 _ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}
 _DUSK, _OFF_WALL_M = 0.3, 0.01
-# What is filmed after a collision.
+# Time filmed after a collision.
 _AFTER_S = 15 * FRAME_S
 
 _LOOMING = ApproachOptions()
-# Starts where the looming cube ends, so that the one is the other played backwards.
+# Starts where the looming cube ends: each is the other played backwards.
 _RECEDING = ApproachOptions(distance_m=_LOOMING.speed_m_s / _LOOMING.fps)
 
-# The size of the paper's videos; of its simulations; and one of which hundreds are soon rendered.
+# Frame sizes of the paper's videos, of its simulations, and one that is fast to render.
 _FULL_HD = FlightOptions(shape=(1080, 1920))
 _SIMULATED = FlightOptions(shape=(600, 800))
 _SMALL = FlightOptions(shape=(360, 640))
 
 
 def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) -> Stage:
-    """The flight that a part of `scenes.yaml` describes, with the seed of all that is random.
+    """The flight described by an entry of `scenes.yaml`; `seed` determines everything random.
 
-    `agile` overrides what the part says.
+    `agile` overrides the entry.
     """
     agile = spec.get("agile", False) if agile is None else agile
     phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
@@ -62,14 +62,16 @@ def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) 
         contact_s = hit_at * FRAME_S
         build = partial(_piece, obstacle["piece"], np.random.default_rng([seed, 2]))
         turned = obstacle.get("turned_deg", 0.0)
-        guests = in_the_way(free, contact_s, build, target, turned_deg=turned)
-        end_m = max(float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in guests)
-        place = kind(rng, **{"length_m": end_m + behind_m, **room}, guests=guests)
+        obstacles = obstacle_in_path(free, contact_s, build, target, turned_deg=turned)
+        end_m = max(float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in obstacles)
+        place = kind(rng, **{"length_m": end_m + behind_m, **room}, obstacles=obstacles)
         path = flight(contact_s=contact_s)
-        return Stage(world_of(place, guests), path, target, contact_s, contact_s + _AFTER_S, agile)
+        return Stage(
+            build_world(place, obstacles), path, target, contact_s, contact_s + _AFTER_S, agile
+        )
     room.setdefault("length_m", _x(free, free.duration_s) + behind_m)
-    guests = _bystander(obstacle, rng, free, room["length_m"])
-    world = world_of(kind(rng, **room, guests=guests), guests)
+    obstacles = _missed_obstacle(obstacle, rng, free, room["length_m"])
+    world = build_world(kind(rng, **room, obstacles=obstacles), obstacles)
     if "lamps_on_at" in spec:
         on_s = spec["lamps_on_at"] / 30.0
         world = replace(world, light=lambda time_s: DAYLIGHT if time_s >= on_s else _DUSK)
@@ -79,11 +81,11 @@ def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) 
 def _piece(
     name: str, rng: Rng, at_m: Sequence[float], yaw_deg: float = 0.0, motion: Motion | None = None
 ) -> list[Body]:
-    """A piece of furniture somewhere, on the floor unless a height is given."""
-    return furniture(name, rng, spot(at_m, yaw_deg), motion=motion)
+    """A piece of furniture at (x, y) on the floor, or at (x, y, z)."""
+    return furniture(name, rng, placement(at_m, yaw_deg), motion=motion)
 
 
-def _bystander(
+def _missed_obstacle(
     obstacle: Mapping[str, Any], rng: Rng, path: FlightPath, length_m: float
 ) -> list[Body]:
     """An obstacle that is not hit."""
@@ -102,7 +104,7 @@ def _bystander(
 
 
 def _x(path: FlightPath, time_s: float) -> float:
-    """How far along the room a drone is at a time, in m."""
+    """Position along the room at a time, in m."""
     return float(path.state(time_s).position_m[0])
 
 
@@ -125,7 +127,7 @@ def _flat_scenes() -> Iterator[Scene[Any]]:
 
 
 def _flights() -> Iterator[FlightScene]:
-    """First-person video of rooms: collisions, the paper's Fig. 8, near misses, random ones."""
+    """First-person flights: collisions, the paper's Fig. 8, near misses, and random ones."""
     named = yaml.safe_load(NAMED_FLIGHTS.read_text("utf-8")).items()
     hits = {name for name, spec in named if "hit_at" in spec["obstacle"]}
     for name, spec in named:

@@ -1,29 +1,29 @@
-"""What a flight is to do: phases in a row, each with what is commanded and for how long."""
+"""The script of a flight: a sequence of phases with their commands and durations."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Forward = Literal["stand", "hold", "keep", "tilt", "brake"]
 
-# How long the propellers take to carry the weight.
+# Time until the propellers carry the weight.
 SPIN_UP_S = 0.5
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a flight in which one thing is commanded.
+    """A part of a flight with constant commands.
 
     Attributes
     ----------
     forward : str
-        What happens to the speed along the nose: "stand" on the floor, "hold" the position,
-        "keep" the speed there was at first, "tilt" by `pitch_deg` whatever the speed, or "brake"
-        with `pitch_deg` and then hold the position.
+        Control of the forward speed: "stand" on the floor, "hold" the position, "keep" the initial
+        speed, "tilt" by `pitch_deg` regardless of the speed, or "brake" with `pitch_deg` and then
+        hold the position.
     pitch_deg, roll_deg, yaw_rate_deg_s : float
-        Nose up, right side down, and counter-clockwise as seen from above are positive. Without a
-        roll, it banks as far as it takes not to slip sideways.
+        Positive for nose up, right side down, and counter-clockwise as seen from above. Without
+        `roll_deg`, the drone banks so as not to slip sideways.
     climb_m : float
-        How far it rises; at most about 1.4 (seconds - 0.5)² m can be flown.
+        Gain in height; the drone can climb at most about 1.4 (seconds - 0.5)² m.
     """
 
     name: str
@@ -36,48 +36,47 @@ class Phase:
 
 
 def stand(seconds: float) -> Phase:
-    """Stand on the floor with the propellers off; only before the first take-off."""
+    """Stand on the floor with the motors off; only before the first take-off."""
     return Phase("stand", seconds, "stand")
 
 
 def take_off(seconds: float, height_m: float, pitch_deg: float = 0.0) -> Phase:
-    """Rise by `height_m`, on the spot or with the nose up or down.
+    """Climb by `height_m`, vertically or with a constant pitch.
 
-    As the first phase, or after `stand`, the propellers spin up before the drone leaves the floor;
-    otherwise it climbs from where it is.
+    As the first phase or after `stand`, the propellers spin up before the drone leaves the floor.
     """
     return Phase("take off", seconds, "tilt" if pitch_deg else "hold", pitch_deg, climb_m=height_m)
 
 
 def hover(seconds: float) -> Phase:
-    """Stop, and hold the position."""
+    """Stop and hold the position."""
     return Phase("hover", seconds, "hold")
 
 
 def pitch(seconds: float, pitch_deg: float) -> Phase:
-    """Turn the nose up (positive) or down (negative) and leave it there."""
+    """Pitch up (positive) or down (negative) and keep that angle."""
     return Phase("pitch", seconds, "tilt", pitch_deg)
 
 
 def accelerate(seconds: float, pitch_deg: float) -> Phase:
-    """Gain speed with the nose down, by a negative angle; drag sets the final speed."""
+    """Accelerate with the nose down (a negative angle); drag limits the speed."""
     return Phase("accelerate", seconds, "tilt", pitch_deg)
 
 
 def cruise(seconds: float, yaw_rate_deg_s: float = 0.0) -> Phase:
-    """Keep the forward speed there was at first, straight on or in a banked turn."""
+    """Keep the initial forward speed, straight on or in a banked turn."""
     return Phase("cruise", seconds, "keep", yaw_rate_deg_s=yaw_rate_deg_s)
 
 
 def decelerate(seconds: float, pitch_deg: float) -> Phase:
-    """Lose speed with the nose up, by a positive angle, and then hold the position."""
+    """Brake with the nose up (a positive angle), then hold the position."""
     return Phase("decelerate", seconds, "brake", pitch_deg)
 
 
 def yaw(seconds: float, rate_deg_s: float, pitch_deg: float = 0.0) -> Phase:
-    """Turn about the vertical; on the spot, or in a curve.
+    """Turn about the vertical axis, on the spot or in a curve.
 
-    The forward speed stays what it was, or the nose where it was, if that is given.
+    The drone keeps its forward speed or, if `pitch_deg` is given, that pitch.
     """
     forward: Forward = "tilt" if pitch_deg else "keep"
     return Phase("yaw", seconds, forward, pitch_deg, yaw_rate_deg_s=rate_deg_s)
@@ -86,10 +85,10 @@ def yaw(seconds: float, rate_deg_s: float, pitch_deg: float = 0.0) -> Phase:
 def weave(
     seconds: float, pitch_deg: float, roll_deg: float, yaw_rate_deg_s: float, climb_m: float
 ) -> Phase:
-    """Do it all at once: gain or lose speed, lean, turn and climb or sink."""
+    """Do everything at once: change speed, roll, turn, and climb or sink."""
     return Phase("weave", seconds, "tilt", pitch_deg, roll_deg, yaw_rate_deg_s, climb_m)
 
 
 def roll(seconds: float, roll_deg: float) -> Phase:
-    """Lean to the right (positive) or left (negative) and slip there, at the forward speed."""
+    """Roll right (positive) or left (negative) and slip sideways, keeping the forward speed."""
     return Phase("roll", seconds, "keep", roll_deg=roll_deg)

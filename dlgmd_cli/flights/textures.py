@@ -1,8 +1,8 @@
-"""Pictures of surfaces, drawn in metres from a seed: what walls, floors and furniture are made of.
+"""Random textures of walls, floors and furniture, drawn in metres.
 
-Every material takes the generator, the size of the surface (width and height, in m) and a
-resolution, and gives reflectance, (h, w) float32 in 0..1, linear in light. `tone` is about its
-mean.
+Every material takes a random generator, the size of the surface (width and height, in m) and a
+resolution, and returns the reflectance, (h, w) float32 in 0..1, linear in light. `tone` is roughly
+its mean.
 """
 
 import math
@@ -18,17 +18,17 @@ Rng = np.random.Generator
 Size = tuple[float, float]  # width and height, in m
 MAX_SIDE_PX = 3600
 DARKEST, BRIGHTEST = 0.02, 0.95
-_SHIFT = 4  # binary places of the fractions of a pixel that OpenCV draws with
+_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 _GRAIN_PX = 256
 _CELL_PX = 8.0
-_EVENED = 1.16  # what interpolation takes off the standard deviation
+_EVENED = 1.16  # factor that makes up for the lower standard deviation after interpolation
 
 
-class Sheet:
-    """A picture of something flat; x goes right and y down, in m from its top left corner.
+class Canvas:
+    """A picture to draw on; x points right and y down, in m from the top left corner.
 
-    It has less resolution where a side would have more than `MAX_SIDE_PX`, and one tone before
-    anything is drawn.
+    The resolution is reduced if a side would exceed `MAX_SIDE_PX`. Initially, the picture is filled
+    with `tone`.
     """
 
     def __init__(self, size_m: Size, px_per_m: float, tone: float = 0.5) -> None:
@@ -50,7 +50,7 @@ class Sheet:
         cv2.fillPoly(self.image, [fixed], tone, shift=_SHIFT)
 
     def rectangle(self, x: float, y: float, width: float, height: float, tone: float) -> None:
-        """Fill an upright rectangle that has its top left corner at (x, y)."""
+        """Fill an upright rectangle with its top left corner at (x, y)."""
         low_x, high_x = (round(each * self.scale) for each in (x, x + width))
         low_y, high_y = (round(each * self.scale) for each in (y, y + height))
         self.image[max(low_y, 0) : max(high_y, 0), max(low_x, 0) : max(high_x, 0)] = tone
@@ -76,8 +76,8 @@ class Sheet:
         around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
         self.polygon(np.stack([x + radius * np.cos(around), y + radius * np.sin(around)], -1), tone)
 
-    def lettering(self, rng: Rng, box: Sequence[float], line: float, tone: float) -> None:
-        """Fill the box (x, y, width, height) with lines, `line` high, of strokes like words."""
+    def text(self, rng: Rng, box: Sequence[float], line: float, tone: float) -> None:
+        """Fill the box (x, y, width, height) with fake text in lines of height `line`."""
         x, y, width, height = box
         for top in np.arange(y, y + height - line / 2.0, 1.8 * line):
             start, end = x, x + width * rng.uniform(0.6, 1.0)
@@ -88,24 +88,24 @@ class Sheet:
                     self.rectangle(stroke, top + line - tall, 0.3 * line, tall, tone)
                 start += word + 0.7 * line
 
-    def stick(self, picture: FloatImage, x: float, y: float) -> None:
+    def paste(self, picture: FloatImage, x: float, y: float) -> None:
         """Paste a picture of the same resolution with its top left corner at (x, y)."""
         top, left = round(y * self.scale), round(x * self.scale)
         room = self.image[top : top + picture.shape[0], left : left + picture.shape[1]]
         room[...] = picture[: room.shape[0], : room.shape[1]]
 
     def finished(self, blur_px: float = 0.7) -> FloatImage:
-        """The picture without edges finer than its pixels, within what things reflect."""
-        return limited(cv2.GaussianBlur(self.image, (0, 0), blur_px))
+        """The picture as reflectance, blurred to avoid aliasing."""
+        return reflectance(cv2.GaussianBlur(self.image, (0, 0), blur_px))
 
 
-def limited(image: npt.ArrayLike) -> FloatImage:
-    """The picture within what things reflect."""
+def reflectance(image: npt.ArrayLike) -> FloatImage:
+    """The picture clipped to plausible reflectances."""
     return np.clip(image, DARKEST, BRIGHTEST, dtype=np.float32)
 
 
 def grain(rng: Rng, shape: tuple[int, int], blur_px: float = 1.0) -> FloatImage:
-    """Fine noise of standard deviation 1; it repeats, out of sight, every 256 px."""
+    """Fine noise of standard deviation 1, with an inconspicuous period of 256 px."""
     tile = rng.standard_normal((_GRAIN_PX, _GRAIN_PX), np.float32)
     rim = 16
     wide = cv2.copyMakeBorder(tile, rim, rim, rim, rim, cv2.BORDER_WRAP)
@@ -116,14 +116,14 @@ def grain(rng: Rng, shape: tuple[int, int], blur_px: float = 1.0) -> FloatImage:
     return fine
 
 
-def clouds(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImage:
-    """Smooth noise of standard deviation near 1 and about a blob per cell, (width, height)."""
+def smooth_noise(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImage:
+    """Smooth noise of standard deviation near 1, with blobs of size `cell_px`, (width, height)."""
     cell = cell_px if isinstance(cell_px, tuple) else (cell_px, cell_px)
-    # Wide blobs are made small and stretched, which is quicker and looks the same.
+    # Large blobs are drawn small and enlarged, which is faster and looks the same.
     steps = [max(1.0, each / _CELL_PX) for each in cell]
     small = [math.ceil(side / step) for side, step in zip(shape[::-1], steps, strict=True)]
     cell = (cell[0] / steps[0], cell[1] / steps[1])
-    # Another cell on each side: what is stretched over the edge has a plain rim there.
+    # One more cell on each side: replicated borders would show.
     width, height = (math.ceil(side / each) + 3 for side, each in zip(small, cell, strict=True))
     coarse = rng.standard_normal((height, width), np.float32) * _EVENED
     place = np.array([[cell[0], 0, -1.5 * cell[0]], [0, cell[1], -1.5 * cell[1]]])
@@ -134,74 +134,76 @@ def clouds(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImag
     return stretched
 
 
-def layered(rng: Rng, sheet: Sheet, cells_m: Sequence[float], fine: float = 0.5) -> FloatImage:
-    """Noise at several scales at once, standard deviation near 1, `fine` of it grain."""
-    total = fine * grain(rng, sheet.shape)
+def layered(rng: Rng, canvas: Canvas, cells_m: Sequence[float], fine: float = 0.5) -> FloatImage:
+    """Noise at several scales, of standard deviation near 1; `fine` is the weight of the grain."""
+    total = fine * grain(rng, canvas.shape)
     for cell_m in cells_m:
-        total += clouds(rng, sheet.shape, max(3.0, cell_m * sheet.scale))
+        total += smooth_noise(rng, canvas.shape, max(3.0, cell_m * canvas.scale))
     return total / math.sqrt(fine**2 + len(cells_m))
 
 
 def plaster(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.6) -> FloatImage:
-    """Painted plaster, uneven, with stains and a few scratches."""
-    sheet = Sheet(size_m, px_per_m, tone)
+    """Uneven painted plaster with stains and a few scratches."""
+    canvas = Canvas(size_m, px_per_m, tone)
     width, height = size_m
     for _ in range(int(1.5 * width)):
         x, y = rng.uniform(0.0, width), height * rng.beta(3.0, 1.5)
         ends = rng.normal((x, y), 0.12, (2, 2))
-        sheet.line(np.array([(x, y), *ends]), 0.008, tone * rng.uniform(0.75, 0.92))
-    stained = np.maximum(clouds(rng, sheet.shape, 0.7 * sheet.scale) - 1.0, 0.0)
-    uneven = layered(rng, sheet, (1.2, 0.3, 0.08, 0.03), fine=0.8)
-    return limited(sheet.finished(1.2) * (1.0 + 0.045 * uneven - 0.06 * stained))
+        canvas.line(np.array([(x, y), *ends]), 0.008, tone * rng.uniform(0.75, 0.92))
+    stained = np.maximum(smooth_noise(rng, canvas.shape, 0.7 * canvas.scale) - 1.0, 0.0)
+    uneven = layered(rng, canvas, (1.2, 0.3, 0.08, 0.03), fine=0.8)
+    return reflectance(canvas.finished(1.2) * (1.0 + 0.045 * uneven - 0.06 * stained))
 
 
 def brick(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.5) -> FloatImage:
-    """A brick wall; its joints have the tone, and the bricks are darker."""
-    sheet = Sheet(size_m, px_per_m, tone)
+    """A brick wall; `tone` is that of the joints, and the bricks are darker."""
+    canvas = Canvas(size_m, px_per_m, tone)
     long, high, joint = 0.25, 0.08, 0.012
     for row, y in enumerate(np.arange(0.0, size_m[1], high)):
         for x in np.arange(-0.5 * long * (row % 2), size_m[0], long):
             of_brick = tone * rng.uniform(0.42, 0.78)
-            sheet.rectangle(x, y, long - joint, high - joint, of_brick)
-    return limited(sheet.finished(0.8) * (1.0 + 0.09 * layered(rng, sheet, (1.0, 0.1, 0.03))))
+            canvas.rectangle(x, y, long - joint, high - joint, of_brick)
+    return reflectance(canvas.finished(0.8) * (1.0 + 0.09 * layered(rng, canvas, (1.0, 0.1, 0.03))))
 
 
 def wood(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
-    """Wood whose fibres run along the height."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    bent = clouds(rng, sheet.shape, (0.09 * sheet.scale, 0.7 * sheet.scale))
-    x = np.arange(sheet.shape[1], dtype=np.float32) / sheet.scale
+    """Wood with vertical grain."""
+    canvas = Canvas(size_m, px_per_m, tone)
+    bent = smooth_noise(rng, canvas.shape, (0.09 * canvas.scale, 0.7 * canvas.scale))
+    x = np.arange(canvas.shape[1], dtype=np.float32) / canvas.scale
     rings = np.sin(2.0 * np.pi * (x / 0.025 + 0.7 * bent))
-    fibres = clouds(rng, sheet.shape, (max(2.5, 0.004 * sheet.scale), 0.25 * sheet.scale))
-    return limited(tone * (1.0 + 0.09 * rings + 0.08 * fibres + 0.08 * bent))
+    fibres = smooth_noise(rng, canvas.shape, (max(2.5, 0.004 * canvas.scale), 0.25 * canvas.scale))
+    return reflectance(tone * (1.0 + 0.09 * rings + 0.08 * fibres + 0.08 * bent))
 
 
 def parquet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.2) -> FloatImage:
-    """A floor of planks that run along the width."""
-    sheet = Sheet(size_m, px_per_m, tone)
+    """A floor of horizontal planks."""
+    canvas = Canvas(size_m, px_per_m, tone)
     long, high = rng.uniform(0.9, 1.4), rng.uniform(0.1, 0.16)
     for y in np.arange(0.0, size_m[1], high):
         for x in np.arange(-long * rng.uniform(), size_m[0], long):
-            sheet.rectangle(x, y, long, high, tone * rng.normal(1.0, 0.14))
-            sheet.rectangle(x, y, 0.007, high, 0.45 * tone)
-        sheet.rectangle(0.0, y, size_m[0], 0.006, 0.5 * tone)
-    fibres = clouds(rng, sheet.shape, (0.25 * sheet.scale, 0.015 * sheet.scale))
-    return limited(sheet.finished() * (1.0 + 0.12 * fibres + 0.03 * grain(rng, sheet.shape)))
+            canvas.rectangle(x, y, long, high, tone * rng.normal(1.0, 0.14))
+            canvas.rectangle(x, y, 0.007, high, 0.45 * tone)
+        canvas.rectangle(0.0, y, size_m[0], 0.006, 0.5 * tone)
+    fibres = smooth_noise(rng, canvas.shape, (0.25 * canvas.scale, 0.015 * canvas.scale))
+    return reflectance(canvas.finished() * (1.0 + 0.12 * fibres + 0.03 * grain(rng, canvas.shape)))
 
 
 def carpet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatImage:
-    """Short pile, trodden, with the joints of its squares."""
-    sheet = Sheet(size_m, px_per_m, tone)
+    """Worn carpet tiles in two shades."""
+    canvas = Canvas(size_m, px_per_m, tone)
     for column, x in enumerate(np.arange(0.0, size_m[0], 0.5)):
         for row, y in enumerate(np.arange(0.0, size_m[1], 0.5)):
-            sheet.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
-    pile = layered(rng, sheet, (1.5, 0.3, 0.06, 0.025), fine=1.2)
-    return limited(sheet.finished(1.0) * (1.0 + 0.16 * pile))
+            canvas.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
+    pile = layered(rng, canvas, (1.5, 0.3, 0.06, 0.025), fine=1.2)
+    return reflectance(canvas.finished(1.0) * (1.0 + 0.16 * pile))
 
 
 def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
     """Woven cloth with slight creases."""
-    sheet = Sheet(size_m, px_per_m, tone)
-    weave = clouds(rng, sheet.shape, (3.0, 14.0)) + clouds(rng, sheet.shape, (14.0, 3.0))
-    creased = layered(rng, sheet, (0.4, 0.1), fine=0.2)
-    return limited(tone * (1.0 + 0.08 * weave + 0.08 * creased))
+    canvas = Canvas(size_m, px_per_m, tone)
+    weave = smooth_noise(rng, canvas.shape, (3.0, 14.0)) + smooth_noise(
+        rng, canvas.shape, (14.0, 3.0)
+    )
+    creased = layered(rng, canvas, (0.4, 0.1), fine=0.2)
+    return reflectance(tone * (1.0 + 0.08 * weave + 0.08 * creased))

@@ -1,17 +1,17 @@
-"""The ground truth of each frame of a flight, from its geometry alone."""
+"""The ground truth of each frame of a flight, computed from the geometry."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.flights.geometry import Extent, Nearest
+from dlgmd_cli.flights.geometry import AngularExtent, Nearest
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
 from dlgmd_cli.flights.renderer.solids import Body
 
-# A frame's time and that of contact may differ in the last digits.
+# Rounding tolerance for times.
 _SAME_S = 1e-9
 
 
@@ -22,17 +22,16 @@ class FlightTruth:
     Attributes
     ----------
     x_m, y_m, z_m, roll_deg, pitch_deg, yaw_deg : float
-        The camera; see `State`.
+        Position and attitude of the camera, see `State`.
     distance_m : float
-        From the camera to the nearest point of the target; 0 inside.
+        Distance from the camera to the nearest point of the target; 0 inside.
     time_to_contact_s : float
-        Time left until contact in this flight; NaN after it, and in a flight without contact.
+        Time until contact; NaN after it, and in a flight without contact.
     angular_size_deg, angular_velocity_deg_s : float
-        The greatest angle between two directions from the camera to points of the target, whether
-        they are in the picture or not, 180 at most; and its rate, to which the camera's rotation
-        does not matter.
+        Greatest angle between two points of the target, inside the picture or not, 180 at most; and
+        its rate. Rotation of the camera does not affect either.
     max_image_speed_px : float
-        How far the fastest point in the picture would move until the next frame, in px.
+        Greatest image speed, in px/frame.
     """
 
     frame: int
@@ -52,9 +51,9 @@ class FlightTruth:
 
 
 def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Iterator[FlightTruth]:
-    """The truth of frames 0, 1, … at index / fps.
+    """The ground truth of frames 0, 1, … at index / fps.
 
-    Raises ParameterError if nothing in the world has the target's name.
+    Raises ParameterError if no body has the target's name.
     """
     target = Target(stage)
     speeds = ImageSpeed(stage.world, camera, stage.target)
@@ -78,7 +77,7 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
 
 
 class Target:
-    """The bodies of a stage that distances and angles refer to; raises as `truth_rows` does."""
+    """The target of a stage; raises as `truth_rows` does."""
 
     def __init__(self, stage: Stage) -> None:
         name = stage.target
@@ -88,7 +87,7 @@ class Target:
         if not bodies:
             raise ParameterError("the flight's target", f"nothing is named '{name}'")
         self._nearest = Nearest(bodies)
-        self._extent = Extent(self._nearest.surfaces)
+        self._extent = AngularExtent(self._nearest.surfaces)
 
     def seen_from(self, state: State, time_s: float) -> tuple[float, float, float]:
         """Distance in m, angular size in degrees, and its rate in degrees/s; see `FlightTruth`."""
@@ -102,7 +101,7 @@ class Target:
 
 
 def _time_left(stage: Stage, time_s: float) -> float:
-    """From a time to contact, in s."""
+    """Time until contact, in s."""
     if stage.contact_s is None or time_s > stage.contact_s + _SAME_S:
         return math.nan
     return max(stage.contact_s - time_s, 0.0)

@@ -1,4 +1,4 @@
-"""What every model looks like from outside, and the photoreceptors that each has of its own."""
+"""The interface of all models, and their photoreceptors."""
 
 import math
 from collections import deque
@@ -23,10 +23,10 @@ _TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 @dataclass(frozen=True)
 class Layers:
-    """Copies of a model's layers at one frame, each (H, W) float32; None before it is defined.
+    """Copies of a model's layers at one frame, each (H, W) float32; None until defined.
 
-    `p` is the photoreceptors' output, `s` the summation layer, `g` the grouping layer after its
-    threshold and saturation: what the membrane potential sums.
+    `p` is the output of the photoreceptors and `s` the summation layer. `g` is the grouping layer
+    after threshold and saturation, whose sum is the membrane potential.
     """
 
     p: FloatImage | None = None
@@ -36,13 +36,13 @@ class Layers:
 
 @dataclass(frozen=True)
 class Response:
-    """A model's answer to one frame; NaN marks what is not defined yet.
+    """A model's response to one frame; NaN where not defined yet.
 
     Attributes
     ----------
     p_sum, s_sum : float
-        Sums of the photoreceptor and the summation layer, without regard to sign, in the model's
-        own units of them.
+        Sums of the absolute values of the photoreceptor and the summation layer, in the model's
+        units.
     mp : float
         Raw membrane potential K, Eq. (13).
     ffi : float
@@ -50,7 +50,7 @@ class Response:
     t_de : float
         Threshold of the grouping layer, Eq. (11).
     layers : Layers or None
-        The layers, when `step` was asked for them.
+        The layers, if `step` was called with ``layers=True``.
     g_x, g_y : float
         Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
     """
@@ -78,23 +78,23 @@ class Response:
 
 
 def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:
-    """The answer before the history is full."""
+    """The response before the history is full."""
     return Response(p_sum, math.nan, math.nan, math.nan, math.nan, layers)
 
 
 class Model:
-    """A looming detector that is fed one frame at a time and keeps constant memory.
+    """A looming detector that processes one frame at a time in constant memory.
 
     Attributes
     ----------
     name : str
-        The name behind `--model`.
+        Name for `--model`.
     layer_units : (str, str, str)
         Units of the layers P, S and G, in words.
     params : Parameters
-        What it was made with.
+        Parameters of the model.
     engine_name : str
-        What computes the layers; before the first frame, what was asked for.
+        Engine that computes the layers; before the first frame, the requested one.
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
     """
@@ -107,60 +107,59 @@ class Model:
     _receptors: "Photoreceptors"
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         self._receptors.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Leave out some cells of all frames to come, which `reset` does not change.
+        """Ignore some cells of all frames from now on, also after `reset`.
 
-        Such cells have P = 0 and S = 0 whatever they show, and do not count as cells: they are
-        treated as the surroundings of the frame are.
+        Ignored cells have P = 0 and S = 0 and are not counted, like the surroundings of the frame.
 
         Parameters
         ----------
         hidden : ndarray, shape (H, W), bool, or None
-            True where a cell is left out; None if all cells count.
+            True for ignored cells; None for no ignored cells.
         """
         self._receptors.hide(hidden)
 
     @property
     def n_cells(self) -> int:
-        """How many cells of the newest frame count."""
+        """Number of cells of the newest frame that are not ignored."""
         return self._receptors.n_cells
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Take the next frame and answer to it.
+        """Process the next frame.
 
         Parameters
         ----------
         luminance : ndarray, shape (H, W), float32 or uint8
-            Luminance in 0..1, or grey levels in 0..255 that stand for it. The array may be reused
-            by the caller afterwards.
+            Luminance in 0..1, or grey levels in 0..255. The caller may reuse the array afterwards.
         time_s : float, optional
-            When the frame was taken. The models so far count frames, and do not look at it.
+            Time of the frame. The present models count frames and ignore it.
         layers : bool
-            Return copies of P, S and G as well.
+            Also return copies of P, S and G.
 
         Returns
         -------
         Response
-            NaN before `first_valid_frame` for all but `p_sum`, and for `p_sum` at the first frame.
+            Before `first_valid_frame`, everything except `p_sum` is NaN; at the first frame,
+            `p_sum` too.
 
         Raises
         ------
         FrameError
-            If the frame is neither a float32 nor a uint8 image, or not of the same size and type
-            as the one before.
+            If the frame is not a float32 or uint8 image, or differs in size or type from the
+            previous one.
         MissingExtraError
-            If the engine asked for needs a package that is not installed.
+            If the requested engine needs a package that is not installed.
         """
         raise NotImplementedError
 
 
 def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
-    """`params` if they are of this kind, its defaults if they are None, else a ParameterError."""
+    """`params`, or the defaults of `kind` for None; raises ParameterError for another class."""
     if params is None:
         return kind()
     if not isinstance(params, kind):
@@ -171,24 +170,24 @@ def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
 
 
 def shown_params(params: Any) -> str:
-    """What was given in place of parameters, briefly."""
+    """A short form of a wrong argument, for error messages."""
     return type(params).__name__ if isinstance(params, Parameters) else repr(params)[:40]
 
 
 def create_model(params: Parameters, **options: Any) -> Model:
-    """The model that `params` are parameters of.
+    """Create the model that belongs to the class of `params`.
 
     Parameters
     ----------
     params : Parameters
-        Of one of the `MODELS` or `BASELINES`.
+        Parameters of one of the `MODELS` or `BASELINES`.
     options
-        Passed to the model: `engine` and `tell`, see `DLGMD`.
+        `engine` and `tell`, see `DLGMD`.
 
     Raises
     ------
     ParameterError
-        If there is none, or no such engine.
+        If there is no such model or engine.
     MissingExtraError
         If the engine needs a package that is not installed.
     """
@@ -203,10 +202,10 @@ def create_model(params: Parameters, **options: Any) -> Model:
 
 
 def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Grey:
-    """An uninitialised array whose memory starts at a cache line.
+    """An uninitialised array that is aligned to a cache line.
 
-    OpenCV adds up in an order that depends on alignment: without it the last bit of a sum would
-    change from run to run.
+    OpenCV's order of summation depends on the alignment. Without it, the last bit of a sum would
+    differ from run to run.
     """
     n_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
     memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
@@ -225,7 +224,7 @@ def first_moments(image: FloatImage) -> tuple[float, float]:
 def centroid(
     g_sum: float, moments: tuple[float, float], shape: tuple[int, ...]
 ) -> tuple[float, float]:
-    """Where the activity of the grouping layer is: ΣG·x / ΣG and ΣG·y / ΣG.
+    """Centroid of the activity in the grouping layer: ΣG·x / ΣG and ΣG·y / ΣG.
 
     Parameters
     ----------
@@ -239,7 +238,7 @@ def centroid(
     Returns
     -------
     g_x, g_y : float
-        From -1, the left or upper border of the frame, to 1; NaN where ΣG = 0.
+        From -1, the left or upper border of the frame, to 1; NaN if ΣG = 0.
     """
     if not g_sum > 0.0:
         return math.nan, math.nan
@@ -248,28 +247,28 @@ def centroid(
 
 
 def centroid_of(g: FloatImage) -> tuple[float, float]:
-    """The `centroid` of a whole layer, (H, W), whose values are not negative."""
+    """The `centroid` of a non-negative layer, (H, W)."""
     return centroid(cv2.sumElems(g)[0], first_moments(g), g.shape)
 
 
 class Photoreceptors:
-    """P(t) = |L(t) - L(t-1)|, [Zhao2023] Eq. (1), of as many frames as a model looks back.
+    """P(t) = |L(t) - L(t-1)|, [Zhao2023] Eq. (1), of the last few frames.
 
     Parameters
     ----------
     depth : int
-        How many P to keep; 0 for a model that looks at the frames alone.
+        Number of P to keep; 0 for a model that uses the frames only.
 
     Attributes
     ----------
     frame : int
-        Number of the newest frame, counting from 0 at the beginning; -1 before it.
+        Number of the newest frame, from 0; -1 before the first frame.
     current, previous : ndarray, shape (H, W), uint8 or float32
-        The newest frame and the one before it; `previous` from frame 1 on.
-    stack : ndarray, shape (depth, H, W), of the frames' type unless `_stack_type` says another
-        The P, in levels of 0..255 or of 0..1; the newest takes the place of the oldest.
+        The newest frame and, from frame 1 on, the previous one.
+    stack : ndarray, shape (depth, H, W), of type `_stack_type`, by default that of the frames
+        Ring buffer of P, in levels of 0..255 or 0..1.
     hidden : ndarray, shape (H, W), bool, or None
-        True where a cell is left out, see `Model.ignore`.
+        True for ignored cells, see `Model.ignore`.
     """
 
     _stack_type: npt.DTypeLike | None = None
@@ -285,28 +284,28 @@ class Photoreceptors:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         self.frame = -1
         self._newest = 0
         self._p_sums: deque[float] = deque(maxlen=self._depth)
 
     def hide(self, hidden: Flags | None) -> None:
-        """Leave out the cells where this is True, see `Model.ignore`."""
+        """Ignore the cells where `hidden` is True, see `Model.ignore`."""
         self.hidden = None if hidden is None else np.ascontiguousarray(hidden, np.bool_)
         self._n_hidden = 0 if hidden is None else int(np.count_nonzero(hidden))
 
     @property
     def n_cells(self) -> int:
-        """How many cells of the newest frame are not hidden."""
+        """Number of cells of the newest frame that are not hidden."""
         return self.current.size - self._n_hidden
 
     def clear(self, image: Grey) -> None:
-        """Write 0 into the hidden cells of an image, (H, W)."""
+        """Set the hidden cells of an image, (H, W), to 0."""
         if self.hidden is not None:
             image[self.hidden] = 0
 
     def take(self, luminance: Grey) -> None:
-        """Look at the next frame; raises FrameError as `Model.step` does."""
+        """Store the next frame and compute its P; raises FrameError as `Model.step` does."""
         self._check(luminance)
         if self.frame < 0:
             shape, dtype = luminance.shape, luminance.dtype
@@ -318,16 +317,16 @@ class Photoreceptors:
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth
-            self._p_sums.appendleft(self._see(self.p(0)) * self.unit)
+            self._p_sums.appendleft(self._compute_p(self.p(0)) * self.unit)
 
-    def _see(self, out: Grey) -> float:
-        """Write P of the newest frame into `out`; the sum of |L(t) - L(t-1)|, both in levels."""
+    def _compute_p(self, out: Grey) -> float:
+        """Write P of the newest frame to `out`, in levels; returns Σ|L(t) - L(t-1)|, in levels."""
         cv2.absdiff(self.current, self.previous, dst=out)
         return float(cv2.sumElems(out)[0])
 
     @property
     def unit(self) -> float:
-        """What one level counts in luminance."""
+        """Luminance of one level."""
         return 1.0 / 255.0 if self.current.dtype == np.uint8 else 1.0
 
     def position(self, delay: int) -> int:
@@ -335,15 +334,15 @@ class Photoreceptors:
         return (self._newest - delay) % self._depth
 
     def p(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), in levels; not a copy."""
+        """P(t - delay), shape (H, W), in levels; a view."""
         return self.stack[self.position(delay)]
 
     def p_sum(self, delay: int) -> float:
-        """Σ|L(t - delay) - L(t - delay - 1)| in luminance, NaN where it is not defined."""
+        """Σ|L(t - delay) - L(t - delay - 1)| in luminance; NaN if not defined yet."""
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
 
     def _check(self, luminance: Grey) -> None:
-        """Raise FrameError unless this can be the next frame."""
+        """Raise FrameError if the frame has a wrong shape or type."""
         if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
             raise FrameError(
                 "frame",

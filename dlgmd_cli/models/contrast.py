@@ -1,4 +1,4 @@
-"""The contrast-relative D-LGMD: it counts the cells that change much for the picture's contrast."""
+"""The contrast-relative D-LGMD: it counts cells that change strongly relative to the contrast."""
 
 import math
 from collections.abc import Callable
@@ -20,12 +20,12 @@ from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import AUTO, Counting
 from dlgmd_cli.parameters import ContrastParameters
 
-# Cells that the lower quartile is taken over: some ten thousand are plenty.
+# Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
 
 
 class ContrastDLGMD(Distributed):
-    """D-LGMD whose thresholds follow the contrast of the picture, and which counts active cells.
+    """D-LGMD with thresholds relative to the contrast of the picture; it counts active cells.
 
     With σ(t) the smoothed standard deviation of the luminance:
 
@@ -40,24 +40,23 @@ class ContrastDLGMD(Distributed):
         K(t)  = ΣG
 
     with w ∝ exp(-ρ²/(2 sigma_c²)) and Σw = n_cell, where ρ is the distance of a cell from the
-    centre of the frame, in halves of its longer side. K is the number of active cells, so that κ̂
-    is their share; those off the centre count less.
+    centre of the frame, in halves of its longer side. K is the weighted number of active cells, and
+    κ̂ their share.
 
-    The D-LGMD sums products of S, which vanish where there is little contrast: it misses a plain
-    wall straight ahead. In every picture some cells show nothing that moves; how much they change,
-    ν, is the camera's noise. Where all of the picture begins to move at once, as when the drone
-    pitches or a lamp is switched on, there is no history that could inhibit, but change grows
-    faster than an approach makes it grow: F, the feed-forward inhibition `ffi`, is large. `t_de` is
-    the threshold of S. The layer P is P', while `p_sum` is Σ|L(t) - L(t-1)|, as in other models.
+    The D-LGMD sums products of S, which vanish at low contrast: it misses a plain wall straight
+    ahead. Here, cells are counted instead. ν estimates the camera's noise from cells in which
+    nothing moves; every picture has some. If the whole picture begins to move at once, because the
+    drone pitches or a lamp is switched on, there is no history to inhibit the response. The change
+    then grows faster than during an approach, and F, the feed-forward inhibition `ffi`, is large.
+    `t_de` is the threshold of S. The layer P is P', but `p_sum` is Σ|L(t) - L(t-1)| as in the other
+    models.
 
     Parameters
     ----------
     params : ContrastParameters, optional
         The published defaults unless given.
-    engine : str
+    engine, tell
         See `DLGMD`.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
 
     Examples
     --------
@@ -78,12 +77,12 @@ class ContrastDLGMD(Distributed):
         tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         params = checked_params(params, ContrastParameters)
-        super().__init__(params, engine, tell, least_delay=1)  # F(t) looks one frame back
+        super().__init__(params, engine, tell, least_delay=1)  # F(t) needs M(t-1)
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Leave out some cells, see `Model.ignore`; σ, ν and w are those of the others."""
+        """Ignore some cells, see `Model.ignore`, also in σ, ν and w."""
         super().ignore(hidden)
         self._weights = None
 
@@ -104,16 +103,15 @@ class ContrastDLGMD(Distributed):
         return Response(receptors.p_sum(0), s_sum, mp, ffi, threshold, g_x=g_x, g_y=g_y)
 
     def _threshold(self) -> float:
-        """What S must exceed for a cell to be active, in luminance."""
+        """Threshold of S for an active cell, in luminance."""
         return max(self.params.c_s * self._receptors.sigma, self.params.s_min)
 
 
 def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = None) -> FloatImage:
-    """How much each cell counts, (H, W): a Gaussian about the centre, 1 on average.
+    """Weights of the cells, (H, W): a Gaussian about the centre with a mean of 1.
 
-    Where `hidden`, (H, W), is True, it is 0; the average is that of the other cells.
-
-    `sigma` is its standard deviation in halves of the longer side.
+    `sigma` is the standard deviation in halves of the longer side. Cells where `hidden`, (H, W), is
+    True have weight 0 and do not enter the mean.
     """
     height, width = shape
     longer = max(shape)
@@ -126,23 +124,23 @@ def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = 
 
 
 def lower_quartile(image: Grey, hidden: Flags | None = None) -> float:
-    """What three quarters of the values reach, over some of the cells where there are many.
+    """Lower quartile of the values, estimated from a subset if there are many cells.
 
-    Where `hidden`, (H, W), is True, a cell does not count.
+    Cells where `hidden`, (H, W), is True are ignored.
     """
     step = max(1, math.isqrt(image.size // MAX_QUARTILE_CELLS))
     values = image[::step, ::step].ravel()
     if hidden is not None:
         values = values[~hidden[::step, ::step].ravel()]
-        if values.size == 0:  # so few cells that none of those looked at is among them
+        if values.size == 0:  # the subset has no visible cell
             values = image[~hidden]
     return float(np.partition(values, values.size // 4)[values.size // 4])
 
 
 def smoothed(before: float, newest: float, weight: float) -> float:
-    """The average of all values so far, with this weight of the newest one.
+    """Exponential moving average; `weight` is that of the newest value.
 
-    A frame with a NaN says nothing, and must not spoil all that come after.
+    NaN is skipped, so that a single bad frame does not affect all later ones.
     """
     if math.isnan(before) or math.isnan(newest):
         return newest if math.isnan(before) else before
@@ -150,7 +148,7 @@ def smoothed(before: float, newest: float, weight: float) -> float:
 
 
 class ContrastReceptors(Photoreceptors):
-    """P' of as many frames as the model looks back, each with the floor of its own frame.
+    """P' of the last few frames, each with the threshold of its own frame.
 
     Attributes
     ----------
@@ -159,24 +157,24 @@ class ContrastReceptors(Photoreceptors):
     noise : float
         Smoothed lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; from frame 1 on.
     growth : float
-        F(t), how much more changed than on average before; from frame 2 on, infinite where
-        nothing did and 0 where nothing does.
+        F(t), the change relative to its earlier average; from frame 2 on. Infinite if nothing
+        changed before, 0 if nothing changes now.
     """
 
     sigma: float
-    _stack_type = np.float32  # P' is no whole number of grey levels
+    _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
         self._params = params
         super().__init__(depth)
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         super().reset()
         self.sigma = self.noise = self.growth = self._usual = math.nan
 
-    def _see(self, out: Grey) -> float:
-        """Write P' of the newest frame into `out`; the sum of |L(t) - L(t-1)|."""
+    def _compute_p(self, out: Grey) -> float:
+        """Write P' of the newest frame to `out`; returns Σ|L(t) - L(t-1)|."""
         weight = self._params.w_sigma
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
@@ -191,14 +189,14 @@ class ContrastReceptors(Photoreceptors):
         return float(cv2.sumElems(change)[0])
 
     def _floor(self) -> float:
-        """What |L(t) - L(t-1)| must exceed, in luminance."""
+        """Threshold of |L(t) - L(t-1)|, in luminance."""
         params = self._params
         return max(params.c_p * self.sigma, params.c_n * self.noise, params.p_min)
 
     def _deviation(self, frame: Grey) -> float:
         """Standard deviation of the luminance.
 
-        As float32, so that it stays the same to the last bit when all cells get brighter alike.
+        It is rounded to float32, so that adding a constant to all cells does not change a bit.
         """
         counted = None if self.hidden is None else (~self.hidden).view(np.uint8)
         return float(np.float32(cv2.meanStdDev(frame, mask=counted)[1][0, 0] * self.unit))

@@ -1,4 +1,4 @@
-"""From membrane potential to alarm: normalisation, spikes, alarms. The same for every model."""
+"""Normalisation of the membrane potential, spikes and alarms, the same for every model."""
 
 import math
 from collections.abc import Callable
@@ -17,12 +17,12 @@ Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Potential = TypeVar("Potential", float, Series)
 
-# K of a single cell that answers to a change of one grey level, in luminance². A peak below it is
-# rounding: the EMD-LGMD's of an object that recedes is 6e-7.
+# K of a single cell for a change of one grey level, in luminance². A lower peak is due to rounding;
+# for a receding object, the EMD-LGMD's is 6e-7.
 LEAST_PEAK = 1.0 / 255.0**2
-# An alarm that begins so soon after the end of the one before belongs to it.
+# An alarm that begins within this time after the end of another belongs to it.
 MERGE_S = 0.3
-# Times such as 0.5 - 0.2 miss a tenth of a second by their last digits.
+# Tolerance for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
 
 
@@ -87,18 +87,18 @@ class SpikeDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the spikes before."""
+        """Forget all earlier spikes."""
         self._in_a_row = 0
 
     def step(self, level: float) -> tuple[bool, bool]:
-        """Whether there is a spike at this frame, and whether the alarm is on; NaN is no spike."""
+        """Whether this frame is a spike, and whether the alarm is on; NaN is not a spike."""
         spike = bool(level >= self._threshold)
         self._in_a_row = self._in_a_row + 1 if spike else 0
         return spike, self._in_a_row >= self._n_sp
 
 
 def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
-    """Spikes and alarms of a whole sequence, as `SpikeDetector` gives them frame by frame.
+    """Spikes and alarms of a whole sequence; see `SpikeDetector` for single frames.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
     Returns
     -------
     spikes, alarms : ndarray, shape (n,), bool
-        The alarm is on from the n_sp-th spike in a row to the last.
+        The alarm is on from the n_sp-th to the last spike in a row.
     """
     detector = SpikeDetector(threshold, n_sp)
     flags = np.array([detector.step(level) for level in levels.tolist()], np.bool_)
@@ -119,20 +119,20 @@ def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
 
 
 def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
-    """Rows at which an alarm is raised; one less than `MERGE_S` after the last is no new one.
+    """Rows at which a new alarm is raised; pauses shorter than `MERGE_S` do not end an alarm.
 
     Parameters
     ----------
     alarms : ndarray, shape (n,), bool
         Where the alarm is on.
     time_s : ndarray, shape (n,)
-        Times of the rows, in seconds, which do not decrease.
+        Non-decreasing times of the rows, in seconds.
 
     Returns
     -------
     ndarray of int
-        Row i is among them if the alarm is off at the row before, and was off for `MERGE_S`: no
-        later row is needed to know it.
+        Rows where the alarm turns on after it was off for `MERGE_S` at least. This is causal: it
+        does not depend on later rows.
     """
     on = np.flatnonzero(alarms)
     is_new = np.ones(len(on), np.bool_)
@@ -144,12 +144,12 @@ def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class Detection(Response):
-    """A model's answer to one frame, and what follows from it.
+    """A model's response to one frame, with its spike and alarm.
 
     Attributes
     ----------
     mp_abs : float
-        Membrane potential normalised by `absolute`; NaN before it is defined.
+        Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
         Whether `mp_abs` reaches the threshold.
     alarm : bool
@@ -162,25 +162,23 @@ class Detection(Response):
 
 
 class Alarm:
-    """A model with its alarm, fed one frame at a time: causal, in constant memory.
+    """A model with its alarm: causal, one frame at a time, in constant memory.
 
     Parameters
     ----------
     params : Parameters, optional
-        Of any model; those of the preset `flight` unless given, which is made for frames 240 px
+        Parameters of any model. The default is the preset `flight`, designed for frames 240 px
         wide.
     repeats : {"skip", "keep"}
-        What to do with frames that merely repeat the one before: no answer to them but the last
-        one, or show them to the model.
-    engine : str
+        Treatment of frames that repeat the previous one: `skip` returns the previous response,
+        `keep` passes them to the model.
+    engine, tell
         See `DLGMD`.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
 
     Attributes
     ----------
     model : Model
-        What computes the membrane potential.
+        The model that computes the membrane potential.
 
     Examples
     --------
@@ -208,7 +206,7 @@ class Alarm:
         self._last = Detection(**vars(undefined()))
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         self._begin_anew()
         self._gaps.reset()
         if self._repeats is not None:

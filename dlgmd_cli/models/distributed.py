@@ -1,4 +1,4 @@
-"""What models with the D-LGMD's distributed connections share: kernels, engine, warm-up."""
+"""The base of models with the D-LGMD's distributed connections: kernels, engine, warm-up."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,13 +29,10 @@ class Distributed(Model):
     ----------
     params : DistributedParameters
         Parameters of the model.
-    engine : str
-        What computes the layers: `opencv`, `numba` (a fused loop, compiled on first use), or
-        `auto`, which takes Numba for large frames where it is installed.
-    tell : callable
-        Called with a message before the engine is compiled, which takes some seconds.
+    engine, tell
+        See `DLGMD`.
     least_delay : int
-        How many frames the model looks back if its connections do not.
+        Number of earlier P that the model needs even if its connections do not.
 
     Attributes
     ----------
@@ -55,9 +52,9 @@ class Distributed(Model):
         self.params = params
         self.engine_name = self._asked_engine = engine
         self._tell = tell
-        choose_engine(engine)  # complains at once, not at the first frame
+        choose_engine(engine)  # raises now, not at the first frame
         self.connections = connect(params)
-        # P begins at frame 1.
+        # P is defined from frame 1 on.
         self.first_valid_frame = 1 + max(self.connections.max_delay_frames, least_delay)
         self._receptors = Photoreceptors(self.first_valid_frame)
         self._engine_is_for: tuple[object, object] | None = None
@@ -65,7 +62,7 @@ class Distributed(Model):
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Take the next frame and answer to it, see `Model.step`."""
+        """Process the next frame, see `Model.step`."""
         self._take(luminance)
         if self._receptors.frame == 0:
             self._prepare(luminance)
@@ -78,15 +75,15 @@ class Distributed(Model):
         return replace(self._respond((s, g)), layers=Layers(self._p_layer(), s, g))
 
     def _respond(self, images: Images | None) -> Response:
-        """The answer to the newest frame, once the history is full; S and G into `images`."""
+        """The response once the history is full; S and G are written to `images`."""
         raise NotImplementedError
 
     def _take(self, luminance: Grey) -> None:
-        """Show the next frame to the photoreceptors."""
+        """Pass the next frame to the photoreceptors."""
         self._receptors.take(luminance)
 
     def _prepare(self, luminance: Grey) -> None:
-        """Make an engine for frames like the first, unless there is one from before a reset."""
+        """Create an engine for frames like the first; after a reset, keep one that fits."""
         kind, n_cells = (luminance.shape, luminance.dtype), luminance.size
         if kind == self._engine_is_for:
             return
@@ -97,7 +94,7 @@ class Distributed(Model):
         )
 
     def _p_layer(self) -> FloatImage | None:
-        """A copy of P(t) in units of luminance; None at the first frame."""
+        """A copy of P(t) in luminance; None at the first frame."""
         if self._receptors.frame == 0:
             return None
         unit = np.float32(self._receptors.unit)

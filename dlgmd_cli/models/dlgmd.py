@@ -1,4 +1,4 @@
-"""The D-LGMD of [Zhao2023], fed one frame at a time."""
+"""The D-LGMD of [Zhao2023]."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import AUTO, Grouping
 from dlgmd_cli.parameters import DlgmdParameters
 
-# The released code divides by this whatever the frame: n_cell m of its authors' 800 x 600.
+# The released code divides by this for any frame size: n_cell m of the authors' 800 x 600 frames.
 RELEASED_CELLS = 200_000.0
 MAX_T_DE = 0.3
 
@@ -21,19 +21,19 @@ class DLGMD(Distributed):
     params : DlgmdParameters, optional
         Parameters and formulation; set 9 in the `default` formulation unless given.
     engine : str
-        What computes the layers: `opencv`, `numba` (a fused loop, compiled on first use), or
-        `auto`, which takes Numba for large frames where it is installed.
+        Engine for the layers: `opencv`, `numba` (a fused loop, compiled on first use), or `auto`,
+        which uses Numba for large frames if it is installed.
     tell : callable, optional
         Called with a message before the engine is compiled, which takes some seconds.
 
     Attributes
     ----------
     engine_name : str
-        The engine in use; what was asked for until the first frame.
+        The engine in use; before the first frame, the requested one.
     connections : Connections
         The kernels.
     first_valid_frame : int
-        Index of the first frame with a full history: P begins at 1.
+        Index of the first frame with a full history; P is defined from frame 1 on.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class DLGMD(Distributed):
     ) -> None:
         params = checked_params(params, DlgmdParameters)
         self._released = params.formulation == "released"
-        # FFI(t) looks one frame back, two in the released code, Eq. (12).
+        # FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code.
         self._ffi_delay = 2 if self._released else 1
         super().__init__(params, engine, tell, self._ffi_delay)
 
@@ -72,8 +72,8 @@ class DLGMD(Distributed):
     def _grouping(self) -> Grouping:
         """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).
 
-        The released code divides FFI by a constant. The printed equations have neither the cap of
-        the threshold nor the saturation.
+        The released code divides FFI by a constant. The printed equations neither limit the
+        threshold nor saturate G.
         """
         params, receptors = self.params, self._receptors
         is_literal = params.formulation == "equations"

@@ -1,4 +1,4 @@
-"""An LGMD on elementary motion detectors, the second model that the D-LGMD is compared with."""
+"""An LGMD with elementary motion detectors, another model that the D-LGMD is compared with."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from dlgmd_cli.parameters import EmdLgmdParameters
 
 
 class EmdLGMD(Model):
-    """LGMD on correlators that answer to expansion, after [Bermudez2007].
+    """LGMD based on correlators that respond to expansion, after [Bermudez2007].
 
     With luminance L in 0..1, and Z[·] a field expanded about its centre by 1 + delta:
 
@@ -32,17 +32,15 @@ class EmdLGMD(Model):
         R = Z[D] · F - D · Z[F],  M = max(R, 0)
         K = ΣM exp(-c FFI),  FFI = share of the cells with |F| > f_active
 
-    Low-passes are of first order, y(t) = y(t-1) + (1 - exp(-1/τ)) (x(t) - y(t-1)); L̄ begins at the
-    first frame and D at zero. The layer P is F, S is M, and G is M exp(-c FFI), which K sums.
+    The low-passes are of first order, y(t) = y(t-1) + (1 - exp(-1/τ)) (x(t) - y(t-1)). L̄ starts
+    with the first frame and D with zero. The layer P is F, S is M, and G is M exp(-c FFI).
 
     Parameters
     ----------
     params : EmdLgmdParameters, optional
         The defaults unless given.
-    engine : str
-        `opencv` or `auto`; there is no other.
-    tell : callable, optional
-        Never called; all models take one.
+    engine, tell
+        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
     """
 
     name = "emd-lgmd"
@@ -68,7 +66,7 @@ class EmdLGMD(Model):
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Take the next frame and answer to it, see `Model.step`."""
+        """Process the next frame, see `Model.step`."""
         receptors = self._receptors
         receptors.take(luminance)
         luminance = np.multiply(receptors.current, np.float32(receptors.unit), dtype=np.float32)
@@ -79,8 +77,8 @@ class EmdLGMD(Model):
             return undefined(layers=Layers() if layers else None)
         change = luminance - self._mean
         self._mean += self._slow * change
-        # What is left of it after the mean has followed: where it follows nearly at once, the
-        # difference to the new mean would be mere rounding.
+        # The difference to the new mean. Computed by subtraction, it would be mere rounding for a
+        # mean that follows almost at once.
         change *= self._rest
         self._delayed += self._fast * (change - self._delayed)
         p_sum = cv2.norm(change, cv2.NORM_L1)
@@ -98,7 +96,7 @@ class EmdLGMD(Model):
         return Response(p_sum, s_sum, s_sum * gain, ffi, 0.0, shown, g_x, g_y)
 
     def _expand(self, field: FloatImage) -> FloatImage:
-        """Z[·] of a field, newly allocated; no cell looks outside it, since delta >= 0."""
+        """Z[·] of a field, newly allocated; since delta >= 0, it needs no values from outside."""
         (row, share_y), (column, share_x) = self._places
         wide = _between(field, row, share_y[:, None], axis=0)
         return _between(wide, column, share_x, axis=1)
@@ -107,7 +105,7 @@ class EmdLGMD(Model):
 def _between(
     field: FloatImage, place: npt.NDArray[np.intp], share: FloatImage, axis: int
 ) -> FloatImage:
-    """What lies `share` of the way from `place` to the next one, along an axis."""
+    """Linear interpolation along an axis, at `share` of the way from `place` to the next cell."""
     near = np.take(field, place, axis=axis, mode="clip")
     step = np.take(field, place + 1, axis=axis, mode="clip")
     step -= near
@@ -117,7 +115,7 @@ def _between(
 
 
 def _places(side: int, delta: float) -> tuple[npt.NDArray[np.intp], FloatImage]:
-    """Where cells along a side look: the cell before that place, and how far beyond it."""
+    """Source positions of the cells along a side: the cell before, and the fraction beyond it."""
     centre = (side - 1) / 2
     source = centre + (np.arange(side) - centre) / (1.0 + delta)
     place = np.floor(source).astype(np.intp)

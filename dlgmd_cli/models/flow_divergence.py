@@ -1,4 +1,4 @@
-"""Divergence of optical flow: a plain way to see something loom, to hold the models against."""
+"""Divergence of optical flow: a simple looming detector, as a baseline."""
 
 from typing import Any
 
@@ -21,17 +21,17 @@ from dlgmd_cli.parameters import FlowDivergenceParameters
 class FlowDivergence(Model):
     """Mean divergence of dense optical flow over the frame.
 
-    The flow (u, v), in px, is OpenCV's DIS (Kroeger et al. 2016) with its preset `fast`, from the
-    frame before to this one. A scene that comes nearer at the same pace everywhere has a mean of
-    ∂u/∂x + ∂v/∂y of two over the time to contact. K is its positive part, per second where the
-    frames have times, else per frame, summed over the cells.
+    The flow (u, v) from the previous frame, in px, is OpenCV's DIS (Kroeger et al. 2016) with its
+    preset `fast`. For a frontal surface that approaches, the mean of ∂u/∂x + ∂v/∂y is two over the
+    time to contact. K is the positive part of the sum over the cells, per second if the frames have
+    times, else per frame.
 
     Parameters
     ----------
     params : FlowDivergenceParameters, optional
-        They only say when there is an alarm.
+        They affect only spikes and alarms.
     engine : str
-        Taken for the sake of the other models.
+        Not used; accepted by all models.
     """
 
     name = "flow-divergence"
@@ -48,7 +48,7 @@ class FlowDivergence(Model):
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Take the next frame and answer to it, see `Model.step`."""
+        """Process the next frame, see `Model.step`."""
         receptors = self._receptors
         receptors.take(luminance)
         before_s, self._time_s = self._time_s, time_s
@@ -73,11 +73,11 @@ class FlowDivergence(Model):
         return Response(p_sum, s_sum, mp, 0.0, 0.0, shown, *centroid_of(g))
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         super().reset()
         self._time_s = None
 
 
 def _levels(grey: Grey) -> Grey:
-    """Luminance as the 8 bits that DIS takes."""
+    """Luminance as uint8, the type that DIS accepts."""
     return grey if grey.dtype == np.uint8 else np.uint8(np.clip(grey, 0.0, 1.0) * 255.0 + 0.5)

@@ -10,7 +10,7 @@ from dlgmd_cli.parameters import DistributedParameters
 
 FloatKernel = npt.NDArray[np.float64]
 
-# Latency up to the first edge acts at once, up to the second one frame later, beyond it two.
+# Latencies below the first edge give a delay of 0 frames, up to the second 1, and beyond it 2.
 BAND_EDGES_FRAMES = (1.0, 1.8999)
 
 
@@ -44,8 +44,8 @@ def gaussian(radius_px: int, sigma_px: float) -> FloatKernel:
 
     Notes
     -----
-    The amplitude is that of the one-dimensional Gaussian, as in the authors' released code: with
-    unit mass the model would not select for speed at all.
+    The amplitude is that of the one-dimensional Gaussian, as in the authors' released code. With a
+    Gaussian of unit mass, the model would not be selective for speed.
     """
     if not sigma_px > 0.0:
         raise ParameterError("", f"sigma = {sigma_px:g} px is not above 0")
@@ -74,7 +74,7 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
     Raises
     ------
     ParameterError
-        If the radius is negative, or beta is: the latency would not be finite everywhere.
+        If the radius or beta is negative. With a negative beta, the latency could be infinite.
     """
     if beta < 0.0:
         raise ParameterError("", f"beta = {beta:g} is below 0")
@@ -84,18 +84,18 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
 
 @dataclass(frozen=True)
 class Connections:
-    """Everything that reaches one cell of the S layer; kernels are (2r + 1, 2r + 1) float64.
+    """The presynaptic connections of a cell in the S layer; kernels are (2r + 1, 2r + 1) float64.
 
     Attributes
     ----------
     latency : ndarray, shape (2r + 1, 2r + 1)
         τ, in frames.
     excitation : ndarray, same shape
-        K_E, from P(t).
+        K_E, applied to P(t).
     inhibition : dict of int to ndarray
-        Delay d in frames -> K_d, from P(t - d), for the delays that occur in the latency map.
+        Delay d in frames -> K_d, applied to P(t - d), for the delays in the latency map.
     gaussians : tuple of ndarray
-        The separable kernels that the others were cut from.
+        The separable kernels of which the others are parts.
     """
 
     latency: FloatKernel
@@ -110,26 +110,26 @@ class Connections:
 
     @property
     def max_delay_frames(self) -> int:
-        """The oldest P that is looked at."""
+        """The longest delay of inhibition."""
         return max(self.inhibition, default=0)
 
     def signed(self) -> dict[int, FloatKernel]:
-        """Delay -> the kernel that S adds up: excitation positive, inhibition negative."""
+        """Delay -> total kernel: excitation is positive, inhibition negative."""
         by_delay = {delay: -kernel for delay, kernel in self.inhibition.items()}
         by_delay[0] = self.excitation + by_delay.get(0, 0.0)
         return by_delay
 
 
 def connect(params: DistributedParameters) -> Connections:
-    """Derive the kernels of every delay, [Zhao2023] Eqs. (2) to (7).
+    """Compute the kernels of all delays, [Zhao2023] Eqs. (2) to (7).
 
     Parameters
     ----------
     params : DistributedParameters
-        With the formulation `equations`, the printed equations are taken literally: excitation
-        everywhere, and inhibition at a fractional latency from the two neighbouring frames. The
-        others follow the authors' released code: latency in three bands, excitation only where
-        inhibition does not come first.
+        The formulation `equations` follows the printed equations literally: excitation everywhere,
+        and inhibition at a fractional latency interpolated between two frames. The other
+        formulations follow the authors' released code: three latency bands, and excitation only
+        where the latency is at most one frame.
     """
     wide, narrow = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
     excite, inhibit = narrow, params.a * wide
@@ -139,7 +139,7 @@ def connect(params: DistributedParameters) -> Connections:
         weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in range(oldest + 1)}
     else:
         near, far = BAND_EDGES_FRAMES
-        # Inhibition without latency is netted into excitation, and so has no kernel of its own.
+        # Inhibition without delay is subtracted from excitation and has no kernel of its own.
         excite = np.where(latency < near, np.maximum(excite - inhibit, 0.0), excite)
         excite[latency > near] = 0.0
         weights = {1: (latency >= near) & (latency < far), 2: latency >= far}

@@ -1,4 +1,4 @@
-"""The LGMD without distributed connections that the D-LGMD is compared with."""
+"""The conventional LGMD, a model that the D-LGMD is compared with."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ from dlgmd_cli.models.base import (
 from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
 from dlgmd_cli.parameters import LgmdParameters
 
-# What the neighbours of a cell inhibit it with, one frame later.
+# Weights of lateral inhibition, which acts one frame later.
 INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]])
 WHITE = 255.0
 
@@ -27,22 +27,20 @@ WHITE = 255.0
 class LGMD(Model):
     """LGMD of [Zhao2018] after [Yue2006]: signed, with inhibition from the nearest neighbours.
 
-    With luminance L in grey levels, 0..255, everything outside the frame zero:
+    With luminance L in grey levels, 0..255, and zero outside the frame:
 
         P(t) = L(t) - L(t-1) + p1 P(t-1) + p2 P(t-2)
         S(t) = P(t) - w_i P(t-1) ∗ w
         Ce = S ∗ ones(3, 3)/9,  ω = delta_c + max|Ce| / c_omega,  G = S · Ce / ω
         G̃ = G where c_de G ≥ t_de, else 0
-        K = Σ|G̃|; G̃ is 0 throughout where FFI(t) = Σ|P(t-1)| / n_cell is above t_ffi
+        K = Σ|G̃|; all G̃ are 0 if FFI(t) = Σ|P(t-1)| / n_cell exceeds t_ffi
 
     Parameters
     ----------
     params : LgmdParameters, optional
         The published values unless given.
-    engine : str
-        `opencv` or `auto`; there is no other.
-    tell : callable, optional
-        Never called; all models take one.
+    engine, tell
+        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
     """
 
     name = "lgmd"
@@ -65,7 +63,7 @@ class LGMD(Model):
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
-        """Take the next frame and answer to it, see `Model.step`."""
+        """Process the next frame, see `Model.step`."""
         self._receptors.take(luminance)
         if self._receptors.frame == 0:
             self._p = []
@@ -100,11 +98,11 @@ class LGMD(Model):
 
     @property
     def _threshold(self) -> float:
-        """What G has to reach."""
+        """Threshold of G."""
         return self.params.t_de / self.params.c_de
 
     def _group(self, s: FloatImage) -> FloatImage:
-        """G̃ of S."""
+        """Compute G̃ from S."""
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)
         self._receptors.clear(ce)
         omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega

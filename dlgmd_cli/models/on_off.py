@@ -1,4 +1,4 @@
-"""The D-LGMD with an ON and an OFF pathway, which [Zhao2023] proposes in its last section."""
+"""The D-LGMD with ON and OFF pathways, as proposed in the last section of [Zhao2023]."""
 
 import math
 from collections.abc import Callable
@@ -21,28 +21,26 @@ from dlgmd_cli.models.engines import AUTO, Counting
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
 from dlgmd_cli.parameters import OnOffParameters
 
-# S of a pathway is all that is asked of the engine.
+# The engine computes only S for a pathway; no cell exceeds this threshold.
 _NO_CELLS = Counting(math.inf)
 
 
 class OnOffDLGMD(DLGMD):
-    """D-LGMD in which cells that brighten and cells that darken do not inhibit each other.
+    """D-LGMD in which brightening and darkening cells do not inhibit each other.
 
         P_on(t) = max(L(t) - L(t-1), 0),  P_off(t) = max(L(t-1) - L(t), 0)
         S_on(t), S_off(t)  from P_on and P_off, each by [Zhao2023] Eqs. (2) to (7)
         S(t) = S_on(t) + S_off(t)
 
-    Everything else is as in the D-LGMD: P = P_on + P_off, and G, its threshold and K follow from
-    S and P by Eqs. (8) to (13).
+    Everything else is as in the D-LGMD: P = P_on + P_off, and G, its threshold and K follow from S
+    and P by Eqs. (8) to (13).
 
     Parameters
     ----------
     params : OnOffParameters, optional
         The published defaults unless given.
-    engine : str
-        See `DLGMD`. It computes S_on and S_off; the grouping is OpenCV's.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
+    engine, tell
+        See `DLGMD`. The engine computes S_on and S_off; the grouping always uses OpenCV.
     """
 
     name = "dlgmd-onoff"
@@ -59,25 +57,25 @@ class OnOffDLGMD(DLGMD):
         self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
 
     def reset(self) -> None:
-        """Forget every frame seen so far; the next one may have another size."""
+        """Forget all earlier frames; the next one may have another size."""
         super().reset()
         for pathway in self._pathways:
             pathway.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Leave out some cells, see `Model.ignore`."""
+        """Ignore some cells, see `Model.ignore`."""
         super().ignore(hidden)
         for pathway in self._pathways:
             pathway.hide(hidden)
 
     def _take(self, luminance: Grey) -> None:
-        """Show the next frame to both pathways, too."""
+        """Pass the next frame to the photoreceptors and both pathways."""
         super()._take(luminance)
         for pathway in self._pathways:
             pathway.take(luminance)
 
     def _prepare(self, luminance: Grey) -> None:
-        """Make room for S, G and two images more."""
+        """Allocate S, G and two more images."""
         super()._prepare(luminance)
         self._images = [aligned(luminance.shape) for _ in range(4)]
 
@@ -104,10 +102,10 @@ class Pathway(Photoreceptors):
         self._is_on = is_on
         super().__init__(depth)
 
-    def _see(self, out: Grey) -> float:
-        """Write P_on or P_off of the newest frame into `out`, and its sum."""
+    def _compute_p(self, out: Grey) -> float:
+        """Write P_on or P_off of the newest frame to `out`; returns its sum."""
         pair = (self.current, self.previous) if self._is_on else (self.previous, self.current)
-        cv2.subtract(*pair, dst=out)  # of grey levels, it stops at 0
+        cv2.subtract(*pair, dst=out)  # saturates at 0 for uint8
         if out.dtype == np.float32:
             cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
         return float(cv2.sumElems(out)[0])

@@ -36,7 +36,7 @@ from dlgmd_cli.reproduce.plan import (
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.runs.sweep import Sweep, cubes
+from dlgmd_cli.runs.sweep import Sweep, cube_input
 
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05
@@ -420,7 +420,7 @@ def _fig11_jobs(plan: Plan) -> list[Job]:
 def sweep_cubes(formulation: str, grid: Grid, quick: bool) -> SweepResult:
     """The attenuation of cubes at 1 to 4 px/frame for every point of a grid."""
     params = model("set1", formulation, **_FIG_11)
-    subject = cubes(_SPEEDS, _SIDE_PX, 21 if quick else None, _SIZE_WH, int(_FIG_11["r"]))
+    subject = cube_input(_SPEEDS, _SIDE_PX, 21 if quick else None, _SIZE_WH, int(_FIG_11["r"]))
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         sweep = Sweep(Path(folder), subject, grid, Setup(params, "fig11", "opencv"))
         sweep.compute()

@@ -1,7 +1,7 @@
-"""The columns of every CSV, in one place, and how they are written and read.
+"""The columns of every CSV, and functions to write and read them.
 
-A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or ``@`` as a formula, and a formula
-can start programs and send data away. Text from outside is guarded; numbers are not touched.
+Spreadsheets interpret a cell that begins with ``=``, ``+``, ``-`` or ``@`` as a formula, which can
+start programs and send data away. Text from outside is escaped; numbers are not changed.
 """
 
 import csv
@@ -18,39 +18,39 @@ from dlgmd_cli.errors import ResultError, printable
 
 Series = npt.NDArray[np.float64]
 
-# Of one result. A result's attributes have these names; flags are in the plural there.
+# The tables of a result. Attributes of `Result` have these names, but plural for flags.
 TABLES = {
     "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y"),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }
-# Of several: compare.csv, in long form.
+# The columns of compare.csv, in long form.
 COMPARISON = ("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db")
 
-# Some spreadsheets take wide and small forms, and the minus of mathematics, for the plain ones.
+# Some spreadsheets accept full-width and small forms and the mathematical minus sign, too.
 _STARTS_FORMULA = re.escape("=+-@＝＋－＠﹦﹢﹣﹫−")
-# What a spreadsheet may drop before it looks at the first letter.
+# Characters that a spreadsheet may strip before it looks at the first one.
 _DROPPED = r"[\s\"']*"
 _AT_START = re.compile(f"(?={_DROPPED}[{_STARTS_FORMULA}])")
 _BEHIND_SEPARATOR = re.compile(f"(;{_DROPPED})([{_STARTS_FORMULA}])")
-# No line of a result is nearly as long.
+# Far longer than any line of a result.
 _MAX_LINE = 10_000
 _MAX_NUMBER = 1e30
 _REMAKE = "Run again with --overwrite."
 
 
 def cell(value: Any) -> str:
-    """A number as it stands in a CSV: reads back exactly as float32, empty where undefined."""
+    """A number as text that reads back exactly as float32; empty for NaN."""
     number = float(value)
     return "" if math.isnan(number) else f"{number:.9g}"
 
 
 def text_cell(text: str) -> str:
-    """Text from outside, such as a file's name, on one line and without effect in a spreadsheet.
+    """Text from outside, such as a file name, on one line and harmless in a spreadsheet.
 
-    What would start a formula gets ``./`` in front, so that a path still leads to the same file.
-    Behind a semicolon, where some programs split, the first letter of a formula becomes an escape.
-    Applied twice, it changes nothing more.
+    Text that would start a formula is prefixed with ``./``, so that a path still refers to the same
+    file. After a semicolon, where some programs split cells, the first character of a formula is
+    escaped. The function is idempotent.
     """
 
     def escaped(found: re.Match[str]) -> str:
@@ -70,13 +70,13 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
 
 
 def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
-    """Write arrays of shape (n,), each a column; OSError passes through."""
+    """Write arrays of shape (n,) as columns; OSError passes through."""
     cells = (map(cell, values.tolist()) for values in columns.values())
     write_rows(path, list(columns), zip(*cells, strict=True))
 
 
 def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:
-    """Write compare.csv, label by label, given its columns by label; OSError passes through."""
+    """Write compare.csv from its columns by label; OSError passes through."""
 
     def rows() -> Iterator[list[str]]:
         for label, found in columns.items():
@@ -87,18 +87,18 @@ def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]
 
 
 def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
-    """The columns of a CSV of numbers, shape (n,) with n of at least 1, NaN where empty.
+    """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
 
     Raises
     ------
     ResultError
-        If cannot be read, has another header, or holds something else than frames in order.
+        If the file cannot be read, has another header, or does not contain frames in order.
     """
     return _checked(path, header, [row for _, row in _rows(path, header)])
 
 
 def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
-    """The columns of every label of a compare.csv, in its order; raises ResultError."""
+    """Read the columns of a compare.csv by label, in its order; raises ResultError."""
     by_label: dict[str, list[list[str]]] = {}
     for _, row in _rows(path, COMPARISON):
         by_label.setdefault(row[0], []).append(row[1:])
@@ -123,13 +123,13 @@ def _rows(path: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]
                 yield rows.line_num, row
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing", _REMAKE) from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are no text
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
         reason = getattr(error, "strerror", None) or "not a CSV file"
         raise ResultError(str(path), f"cannot be read ({reason})", _REMAKE) from None
 
 
 def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:
-    """The rows as columns, after a look at what figures and sums rely on."""
+    """The rows as columns; raises ResultError unless frames and times are in order."""
     try:
         numbers = [[float(text or "nan") for text in row] for row in rows]
     except ValueError as error:

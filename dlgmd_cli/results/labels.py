@@ -1,4 +1,4 @@
-"""Which videos show a collision, and when: a table that is made or read as a whole."""
+"""Labels: which videos show a collision, and at which frame."""
 
 import csv
 from collections.abc import Iterable
@@ -10,22 +10,22 @@ from dlgmd_cli.results.csv import text_cell, write_rows
 
 LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target")
-# What a table must have; the others may be missing, and there may be more.
+# The required columns.
 _NEEDED = COLUMNS[:2]
 
 
 @dataclass(frozen=True)
 class Label:
-    """What is known of a video; one with several collisions has a label for each.
+    """The label of a video; a video with several collisions has one label for each.
 
     Attributes
     ----------
     video : str
-        Its path, relative to the table; a folder of pictures is one, too.
+        Path of the video or folder of pictures, relative to the table.
     collision_frame : int or None
         The first frame at or after the collision; None if there is none.
     target : str
-        What is hit, or nearly; empty if it is not said.
+        The object that is hit or approached; empty if unknown.
     """
 
     video: str
@@ -47,15 +47,15 @@ def write_labels(path: Path, labels: Iterable[Label]) -> None:
 
 
 def read_labels(path: Path) -> list[Label]:
-    """The labels in a CSV, in its order; columns of other names are left alone.
+    """Read the labels from a CSV, in its order; further columns are ignored.
 
     Raises
     ------
     ResultError
-        If cannot be read, or holds something else.
+        If the file cannot be read, or is not a table of labels.
     """
     try:
-        # Spreadsheets may begin a file with a byte order mark.
+        # Spreadsheets may write a byte order mark.
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
     except (OSError, ValueError, csv.Error) as error:
@@ -74,7 +74,7 @@ def read_labels(path: Path) -> list[Label]:
 
 
 def _label(path: Path, number: int, row: dict[str, str]) -> Label:
-    """What line `number` of a CSV says."""
+    """The label in line `number` of a CSV; raises ResultError."""
     video, frame = row.get("video", ""), row.get("collision_frame")
     if video and frame is not None:
         target = row.get("target", "").strip()

@@ -1,4 +1,4 @@
-"""The layers of a model at chosen frames: what a contact sheet shows and what NumPy reads."""
+"""The layers of a model at selected frames, for figures and for NumPy."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +13,10 @@ FloatImage = npt.NDArray[np.float32]
 class LayerSheet:
     """The layers of one model at n frames of one input.
 
-    `frame` are the frames' numbers in the input, from 0, and `time_s` their times. `luminance`,
-    `p`, `s` and `g` have shape (n, H, W): the frames as the model took them, 0 to 1, and its
-    layers in its `units`, in words; NaN throughout a frame where one is not defined yet. `label`
-    is what the figure says of its origin.
+    `frame` holds the frames' numbers in the input, from 0, and `time_s` their times. `luminance`,
+    `p`, `s` and `g` have shape (n, H, W): the processed frames, 0 to 1, and the model's layers in
+    its `units`. A layer that is not defined yet is all NaN. `label` names the input and the model
+    in the figure.
     """
 
     frame: npt.NDArray[np.int64]
@@ -32,6 +32,6 @@ class LayerSheet:
 def write_npz(path: Path, sheet: LayerSheet) -> None:
     """Write the arrays of `sheet` under their own names; an OSError passes through."""
     arrays = {name: getattr(sheet, name) for name in ("frame", "time_s", "luminance", *"psg")}
-    # Not by name: NumPy would add .npz to that of a temporary file.
+    # Given a name instead of a file, NumPy would append .npz to the name of a temporary file.
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays, units=np.array(sheet.units))

@@ -1,4 +1,4 @@
-"""run.yaml and its kin: everything that it takes to repeat a run, and what came of it."""
+"""Records such as run.yaml: everything needed to repeat a run, and its summary."""
 
 import base64
 import platform
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
     from upath import UPath
 
-# Raised when a key of the records changes its meaning.
+# Incremented when a key of the records changes its meaning.
 SCHEMA = 1
 _HEADER = "# Written by dlgmd.\n"
-# Far more than any record has.
+# Far more than any record needs.
 _MAX_BYTES = 1_000_000
-# The fast loader refuses bytes of a file's name that are not UTF-8; this is how they are written.
+# Escapes for bytes of a file name that are not UTF-8; PyYAML's fast loader refuses them.
 _UNDECODABLE = re.compile(rb"\\u[dD][89a-fA-F]")
-# Packages that numbers depend on, by the decoder or engine that made them.
+# Packages that affect the numbers, by the decoder or engine that uses them.
 _PACKAGES = {"pyav": "av", "numba": "numba"}
 
 
 def versions(*used: str) -> dict[str, str]:
-    """Versions of what the numbers depend on, given the decoder and the engines."""
+    """Versions of everything the numbers depend on, for the decoder and the engines in use."""
     import cv2
 
     found = {
@@ -46,13 +46,13 @@ def versions(*used: str) -> dict[str, str]:
 
 
 def packed_flags(flags: bytes | bytearray) -> str:
-    """Flags, one a byte, as a short text: bits, compressed by zlib, in base64."""
+    """Flags, one per byte, as short text: packed to bits, compressed by zlib, in base64."""
     bits = np.packbits(np.frombuffer(flags, np.bool_))
     return base64.b64encode(zlib.compress(bits.tobytes(), 9)).decode("ascii")
 
 
 def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
-    """What `packed_flags` has packed, shape (n_flags,); ValueError if it is something else."""
+    """The inverse of `packed_flags`, shape (n_flags,); raises ValueError for any other text."""
     reader = zlib.decompressobj()
     try:
         data = reader.decompress(base64.b64decode(text, validate=True), n_flags // 8 + 1)
@@ -65,7 +65,7 @@ def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
 
 
 def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:
-    """A document as YAML in its own order, all in ASCII if a terminal would act on a letter."""
+    """A document as YAML in its own order; pure ASCII if it contains control characters."""
 
     def dump(allow_unicode: bool) -> str:
         return str(
@@ -81,14 +81,14 @@ def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -
 
 
 def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str = _HEADER) -> str:
-    """A record with the schema's number and the versions, as YAML."""
+    """A record with the schema number and the versions, as YAML."""
     known = {key: value for key, value in record.items() if key not in ("schema", "versions")}
     used = versions(str(known.get("input", {}).get("decoder")), *engines)
     return yaml_text({"schema": SCHEMA, **known, "versions": used}, header)
 
 
 def read_record(path: "Path | UPath") -> dict[str, Any]:
-    """The record in a file, or nothing if cannot be read or is none; never raises."""
+    """The record in a file; empty if the file is not a readable record. Never raises."""
     try:
         with path.open("rb") as file:
             text = file.read(_MAX_BYTES + 1)

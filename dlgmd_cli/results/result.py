@@ -1,4 +1,4 @@
-"""`Result`: what a model said about a video, and everything that follows from it."""
+"""`Result`: the response of a model to a video, and everything derived from it."""
 
 import math
 import os
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-# Frames on either side of a peak or a false positive that distinguishability looks at.
+# Distinguishability averages this many frames on either side of a peak or a false positive.
 NEAR_FRAMES = 5
-# Every model answers from the frame of this number on; sharpness averages no earlier ones.
+# The first frame at which all of the paper's sets are valid; sharpness starts there.
 FIRST_COMMON_ROW = 3
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
@@ -33,7 +33,7 @@ _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a model said about a video; arrays of shape (n,), one entry a processed frame.
+    """The response of a model to a video; arrays of shape (n,), one entry per processed frame.
 
     Attributes
     ----------
@@ -42,22 +42,22 @@ class Result:
     time_s : array
         Time of the frame, in seconds.
     mp : array
-        Raw membrane potential K, [Zhao2023] Eq. (13); NaN where undefined, in the first frames.
+        Raw membrane potential K, [Zhao2023] Eq. (13); NaN in the first frames, where undefined.
     p_sum, s_sum : array
         Sums of the photoreceptor and the summation layer, in the model's own units.
     attenuation_db : array
-        10 lg(ΣS/ΣP) in dB; -inf where nothing passes, NaN where undefined.
+        10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN where undefined.
     g_x, g_y : array
         Centroid of the active cells, from -1 (left, top) to 1; NaN where none is active.
     params : Parameters
-        The model's.
+        Parameters of the model.
     record : dict
-        What `run.yaml` holds, less the summary and the versions.
+        Contents of `run.yaml` without the summary and the versions.
 
     Notes
     -----
-    Where the record has a `collision_frame`, the peak, `mp_seq`, `sharpness` and
-    `distinguishability` are those of the frames up to it: what follows is the recoil.
+    If the record has a `collision_frame`, the peak, `mp_seq`, `sharpness` and `distinguishability`
+    use only the frames up to it: later frames show the recoil.
     """
 
     frame: npt.NDArray[np.int64]
@@ -76,12 +76,12 @@ class Result:
 
     @property
     def name(self) -> str:
-        """What the input is called."""
+        """Name of the input."""
         return Path(str(self.record.get("input", {}).get("path", ""))).stem
 
     @property
     def warnings(self) -> list[str]:
-        """What is doubtful about the result, a line each."""
+        """Warnings about the result, one line each."""
         found: list[str] = self.record.setdefault("warnings", [])
         return found
 
@@ -92,23 +92,23 @@ class Result:
 
     @property
     def n_cells(self) -> int:
-        """Pixels of a processed frame less those that a mask leaves out: what K sums over."""
+        """Number of cells that K sums over: the pixels of a frame that no mask hides."""
         processed = self.record["processed"]
         return int(processed.get("cells", processed["width"] * processed["height"]))
 
     @property
     def n_valid(self) -> int:
-        """Frames to which the model could answer."""
+        """Number of frames with a defined membrane potential."""
         return int(np.count_nonzero(~np.isnan(self.mp)))
 
     @property
     def collision_frame(self) -> int | None:
-        """Where the camera collides, as far as it is known."""
+        """Frame of the camera's collision, None if unknown."""
         frame = self.record.get("collision_frame")
         return frame if isinstance(frame, int) else None
 
     def until(self, collision_frame: int | None) -> "Result":
-        """The same result, of a camera that collides at a frame; None if it does not."""
+        """The result with the collision of the camera set to a frame, None for no change."""
         if collision_frame is None:
             return self
         return replace(self, record={**self.record, "collision_frame": collision_frame})
@@ -145,13 +145,13 @@ class Result:
 
     @cached_property
     def repeated(self) -> Flags:
-        """Rows of frames that repeat the one before: no model saw them, they hold its numbers."""
+        """Rows of repeats, which the model did not see; they copy the numbers of the row before."""
         text = self.record.get("input", {}).get("repeated_rows")
         return np.zeros(len(self), np.bool_) if text is None else unpacked_flags(text, len(self))
 
     @cached_property
     def _detected(self) -> tuple[Flags, Flags]:
-        """Spikes and alarms over the frames that the model saw; repeats hold those before."""
+        """Spikes and alarms over the frames that the model saw, held during repeats."""
         seen = ~self.repeated
         seen[:1] = True
         flags = detect(self.level[seen], self.params.t_mp, self.params.n_sp)
@@ -165,22 +165,22 @@ class Result:
 
     @property
     def alarms(self) -> Flags:
-        """Where the alarm is on: at least n_sp spikes in a row end there, Eq. (15)."""
+        """Where the alarm is on: the last n_sp or more frames were spikes, Eq. (15)."""
         return self._detected[1]
 
     @property
     def alarm_onsets(self) -> npt.NDArray[np.intp]:
-        """Rows at which an alarm is raised; pauses of less than 0.3 s do not count."""
+        """Rows at which an alarm is raised; pauses shorter than 0.3 s do not end an alarm."""
         return onsets(self.alarms, self.time_s)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The few numbers that a result comes down to; None where there is none.
+        """The main numbers of the result; None where undefined.
 
         `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
-        `spikes` (spiking frames), `first_spike_time_s`, `alarms` (runs of alarm frames; those less
-        than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`, and
-        `mean_attenuation_db` over the frames where something passes.
+        `spikes` (number of spiking frames), `first_spike_time_s`, `alarms` (number of alarms; those
+        less than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`, and
+        `mean_attenuation_db` over the frames where it is finite.
         """
         peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.repeated]
@@ -199,11 +199,11 @@ class Result:
 
     @property
     def sharpness(self) -> float:
-        """How broad the response is: the mean of K/max K over the valid frames, lower is sharper.
+        """Breadth of the response: the mean of K/max K over the valid frames. Lower is sharper.
 
-        It begins with the fourth frame, the first that is valid in all of the paper's sets, so
-        that every model's is of the same frames. NaN where none is valid, or the membrane
-        potential is nothing but rounding, see `detection.LEAST_PEAK`.
+        It starts at the fourth frame, which is valid in all of the paper's sets, so that all models
+        are compared on the same frames. NaN if no frame is valid, or if the membrane potential is
+        only rounding, see `detection.LEAST_PEAK`.
         """
         common = self._mp_before[~self.repeated][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
@@ -211,11 +211,11 @@ class Result:
         return float((valid / peak).mean()) if peak >= LEAST_PEAK else math.nan
 
     def distinguishability(self, false_positive_frame: int) -> float:
-        """DA: the mean K near its peak over the mean K near a false positive.
+        """Distinguishability DA: the mean K near the peak over the mean K near a false positive.
 
-        Each mean is over the valid frames that lie no more than 5 frame numbers away. Infinite
-        where the model is silent near the false positive alone; NaN where its peak is nothing but
-        rounding, or one of them has no valid frame.
+        Each mean is over the valid frames at most 5 frame numbers away. Infinite if only the mean
+        near the false positive is 0; NaN if the peak is only rounding, or if there are no valid
+        frames near one of them.
         """
         if self._peak_row is None or self.mp[self._peak_row] < LEAST_PEAK:
             return math.nan
@@ -226,7 +226,7 @@ class Result:
         return response / mistake
 
     def doubts(self) -> list[str]:
-        """What looks wrong, a line each."""
+        """Warnings about an implausible result, one line each."""
         lines = []
         if len(self) > 1 and not (self.p_sum > 0.0).any():
             line = "no frame differs from the one before it: a still scene"
@@ -249,7 +249,7 @@ class Result:
         return {name: np.broadcast_to(values, len(self)) for name, values in found.items()}
 
     def files(self, formats: Iterable[str] = (), dpi: int | None = None) -> dict[str, store.Write]:
-        """What writes each file of the result, by its name; see `store.commit`."""
+        """File name -> function that writes the file, for all files of the result."""
         found: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
             for name, header in csv.TABLES.items()
@@ -266,7 +266,7 @@ class Result:
         return found
 
     def save(self, folder: str | Path, formats: Iterable[str] = (), dpi: int | None = None) -> None:
-        """Write the CSVs, plots in `formats` and `run.yaml`, in place of an earlier result.
+        """Write the CSVs, plots in `formats`, and `run.yaml`; replaces an earlier result.
 
         `dpi` is the resolution of PNG; 200 unless given.
 
@@ -307,12 +307,12 @@ class Result:
 
 
 def read_result(folder: str | Path) -> Result:
-    """What `Result.save` or `dlgmd run` wrote into a folder; numbers to nine digits.
+    """Read a result that `Result.save` or `dlgmd run` wrote; numbers have nine digits.
 
     Raises
     ------
     ResultError
-        If there is no result, or one of its files is not as it was written.
+        If there is no result, or one of its files is missing or damaged.
     """
     folder = _existing(folder)
     record = read_record(folder / store.RUN)
@@ -330,14 +330,14 @@ def read_result(folder: str | Path) -> Result:
 
 
 def read_comparison(folder: str | Path) -> dict[str, Result]:
-    """Every result of a folder that `dlgmd compare` wrote, by label, in its order.
+    """Read the results that `dlgmd compare` wrote, by label, in its order.
 
-    A comparison holds neither sums nor centroids: `p_sum`, `s_sum`, `g_x` and `g_y` are NaN.
+    A comparison stores neither sums nor centroids: `p_sum`, `s_sum`, `g_x` and `g_y` are NaN.
 
     Raises
     ------
     ResultError
-        If there is no comparison, or one of its files is not as it was written.
+        If there is no comparison, or one of its files is missing or damaged.
     """
     folder = _existing(folder)
     record = read_record(folder / store.COMPARISON)
@@ -366,7 +366,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
 
 
 def _existing(folder: str | Path) -> Path:
-    """The folder, which must be there."""
+    """The folder as a path; raises ResultError if it does not exist."""
     if not isinstance(folder, str | os.PathLike):
         why = f"expected the folder of a result, not {type(folder).__name__}"
         raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
@@ -386,7 +386,7 @@ def _existing(folder: str | Path) -> Path:
 def _result(
     path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
 ) -> Result:
-    """A result of stored columns and their record; `own` holds the model and its parameters."""
+    """A result from stored columns and a record; `own` holds the model and its parameters."""
     model = MODELS.get(str(own.get("model")))
     processed = record.get("processed")
     try:
@@ -414,7 +414,7 @@ def _result(
         record,
     )
     try:
-        result.repeated  # noqa: B018, a damaged text shows here
+        result.repeated  # noqa: B018, raises if the text is damaged
     except (AttributeError, TypeError, ValueError):
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
     return result

@@ -1,8 +1,8 @@
-"""Where results lie, and the one commit rule: a result is whole if and only if its record is there.
+"""Result folders and the commit rule: a result is complete if and only if its record exists.
 
-Writing a result removes its old record first, then writes each file under a temporary name and
-renames it, the record last. What a killed process leaves has no record, and the next one replaces
-it. In a bucket the same files are uploaded in the same order.
+Writing a result removes the old record first, then writes each file under a temporary name and
+renames it, the record last. A killed process leaves no record, and the next run replaces its files.
+In a bucket, the same files are uploaded in the same order.
 """
 
 import errno
@@ -29,7 +29,7 @@ Write = Callable[[Path], object]
 
 PLOT_FORMATS = ("png", "pdf", "svg")
 RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
-# Every file that a command may write beside its record, and figures without their suffix.
+# The files that belong to each record: tables, and figures without their suffixes.
 _TABLES = {
     RUN: ("mp.csv", "attenuation.csv", "spikes.csv"),
     COMPARISON: ("compare.csv",),
@@ -43,25 +43,25 @@ FIGURES = {
 PREFIX = ".dlgmd-"
 _LOCK = f"{PREFIX}lock"
 _MAX_NAME_BYTES = 200
-# What file systems without locks say.
+# Errors of file systems without locks.
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
 def files_of(record: str) -> frozenset[str]:
-    """Names of all files that may belong to a record, itself among them."""
+    """Names of all files that may belong to a record, itself included."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
     return frozenset({record, *_TABLES[record], *figures})
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
-    """The folder that a user means: a path, or a URL of a bucket such as ``s3://bucket/results``.
+    """The folder for a path or a URL such as ``s3://bucket/results``.
 
     Raises
     ------
     ParameterError
-        If it is a URL of an unknown kind, or names no folder.
+        If the URL is of an unknown kind, or does not name a folder.
     MissingExtraError
-        If it is a URL, and what reads such is not installed.
+        If the packages for such URLs are not installed.
     """
     if not is_url(text):
         return Path(text)
@@ -78,7 +78,7 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     except ImportError as error:
         raise MissingExtraError(
             url,
-            f"such URLs cannot be used ({error})",
+            f"URLs of this kind cannot be used ({error})",
             "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL.",
         ) from None
     except ValueError:
@@ -87,12 +87,12 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
 
 
 def is_url(text: str | os.PathLike[str]) -> bool:
-    """Whether a name is a URL, such as ``s3://bucket/flights``."""
+    """Whether a name is a URL such as ``s3://bucket/flights``."""
     return "://" in os.fspath(text)
 
 
 def fitting(name: str) -> str:
-    """As much of the beginning of a file's name as file systems take, with a suffix to come."""
+    """A file name, shortened if necessary so that a suffix still fits on any file system."""
     encoded = os.fsencode(name)
     if len(encoded) <= _MAX_NAME_BYTES:
         return name
@@ -100,30 +100,30 @@ def fitting(name: str) -> str:
 
 
 def result_folder(out: Path, name: str) -> Path:
-    """The folder of the result of an input of that name."""
+    """The result folder of the input called `name`."""
     return out / (name if name.strip(".") else f"video{name}")
 
 
 def check(
     folder: "Path | UPath", record: str, identity: Mapping[str, Any], *, overwrite: bool
 ) -> bool:
-    """Whether the results in `folder` are of another input, and may be replaced.
+    """Check that a result may be written; returns whether results of another input are replaced.
 
     Parameters
     ----------
     folder : Path or UPath
-        It need not be there.
+        It need not exist.
     record : str
         `RUN`, `COMPARISON` or `LAYERS`.
     identity : mapping
-        What tells the input from others: `path`, and what `fingerprint` says.
+        Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
-        Whether results that stand there may be replaced.
+        Whether existing results may be replaced.
 
     Raises
     ------
     OutputExistsError
-        If a result stands there that may not be replaced, or files that are no result.
+        If the folder holds a result that may not be replaced, or files that are not a result.
     """
     with writing(folder):
         if not folder.exists():
@@ -158,9 +158,9 @@ def is_same_input(record: Mapping[str, Any], identity: Mapping[str, Any]) -> boo
 
 @contextmanager
 def locked(folder: "Path | UPath") -> Iterator[None]:
-    """Keep other processes from writing into a folder, which is made if need be.
+    """Lock a folder against other writing processes; it is created if necessary.
 
-    A folder in which nothing was written is removed again. Buckets have no locks.
+    A new folder that stays empty is removed again. Buckets are not locked.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise unwritable(folder, error) from None
-    except NotImplementedError:  # no locks in this file system
+    except NotImplementedError:  # the file system has no locks
         pass
     try:
         yield
@@ -199,7 +199,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
 
 
 def is_locked(folder: str | os.PathLike[str]) -> bool:
-    """Whether a folder can be seen from here, and some process writes there."""
+    """Whether a folder is visible from this machine and locked by some process."""
     return (Path(folder) / _LOCK).exists()
 
 
@@ -211,13 +211,13 @@ def commit(
     Parameters
     ----------
     folder : Path or UPath
-        Made if need be.
+        Created if necessary.
     record : str
-        `RUN`, `COMPARISON` or `LAYERS`; one of `files`, and written last.
+        `RUN`, `COMPARISON` or `LAYERS`; one of `files`, written last.
     files : mapping of str to callable
-        What writes each file, by its name; called with the path of a local file.
+        File name -> function that writes the file at a given local path.
     is_new_input : bool
-        Remove what other commands wrote there, too: it is of another input.
+        Also remove the files of other commands, which belong to another input.
 
     Raises
     ------
@@ -234,18 +234,18 @@ def commit(
 
 
 def remove(folder: "Path | UPath", names: Iterable[str]) -> None:
-    """Remove files, and what killed processes left; those that are not there do not matter."""
-    there = names_in(folder)
+    """Remove the named files that exist, and temporary files of killed processes."""
+    existing = names_in(folder)
     for name in dict.fromkeys(names):
-        if name in there:
+        if name in existing:
             (folder / name).unlink()
-    for name in there:
+    for name in existing:
         if name.startswith(PREFIX) and name != _LOCK:
             (folder / name).unlink()
 
 
 def names_in(folder: "Path | UPath") -> set[str]:
-    """What a folder holds now; nothing if a bucket has no such folder."""
+    """Names of the files in a folder; empty if a bucket has no such folder."""
     if not is_url(str(folder)):
         return {path.name for path in folder.iterdir()}
     bucket: Any = folder
@@ -257,9 +257,9 @@ def names_in(folder: "Path | UPath") -> set[str]:
 
 
 def write_file(path: "Path | UPath", write: Write) -> None:
-    """Let `write` make a file that appears whole, in place of an earlier one, or not at all.
+    """Write a file atomically: `write` gets a temporary name, which is then renamed.
 
-    Raises OSError if that is impossible; nothing is left of it then.
+    Raises OSError if that fails; an earlier file is then unchanged.
     """
     if not is_url(str(path)):
         temporary = Path(path).with_name(f"{PREFIX}{path.name}")
@@ -278,19 +278,19 @@ def write_file(path: "Path | UPath", write: Write) -> None:
 
 
 def write_text(path: "Path | UPath", text: str) -> None:
-    """Write a text file that appears whole; raises OutputError."""
+    """Write a text file atomically; raises OutputError."""
     with writing(path):
         write_file(path, lambda file: file.write_text(text, encoding="utf-8", newline=""))
 
 
 @contextmanager
 def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
-    """Temporary files to write instead of `paths`; renamed to them at the end, or removed.
+    """Yield temporary names for `paths`; the files are renamed at the end, or removed on failure.
 
     Raises
     ------
     OutputError
-        If they cannot be written; `option` is what the user can change.
+        If the files cannot be written; `option` is the option to change.
     """
     temporary = tuple(path.with_name(f"{PREFIX}{path.name}") for path in paths)
     try:
@@ -308,7 +308,7 @@ def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]
 
 
 def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
-    """Raise OutputExistsError if `path`, which `option` asks for, may not be written over."""
+    """Raise OutputExistsError if `path`, the value of `option`, may not be overwritten."""
     if path.is_dir():
         raise OutputExistsError(str(path), "is a folder", f"Choose another {option}.")
     if path.exists() and not overwrite:
@@ -317,7 +317,7 @@ def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> No
 
 @contextmanager
 def writing(path: "Path | UPath") -> Iterator[None]:
-    """Turn what goes wrong while `path` is written into OutputError."""
+    """Convert errors while `path` is written into OutputError."""
     try:
         yield
     except DlgmdError:
@@ -325,13 +325,13 @@ def writing(path: "Path | UPath") -> Iterator[None]:
     except OSError as error:
         raise unwritable(path, error) from None
     except Exception as error:
-        if not is_url(str(path)):  # where every kind has exceptions of its own
+        if not is_url(str(path)):  # every kind of URL has its own exceptions
             raise
         raise unwritable(path, error) from None
 
 
 def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") -> OutputError:
-    """The error for what cannot be written."""
+    """The error for a file or folder that cannot be written."""
     return OutputError(
         str(path),
         f"cannot be written ({failure_text(error)})",
@@ -340,7 +340,7 @@ def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") ->
 
 
 def failure_text(error: BaseException) -> str:
-    """Why a file or something behind a URL failed, on one line."""
+    """The reason of an error with a file or URL, on one line."""
     if isinstance(error, OSError) and error.strerror and error.errno is not None:
         return error.strerror
     text = " ".join(str(error).split()).rstrip(".")

@@ -1,4 +1,4 @@
-"""A sweep: two parameters with the values that they take, and what was measured at every pair."""
+"""The grid of a sweep over two parameters, and the measures at its points."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,16 +16,16 @@ from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.result import Flags, Series
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
-# A range ends at TO if a whole number of steps leads there but for this share of one.
+# TO belongs to a range if a whole number of steps reaches it within this share of a step.
 _SLACK = Decimal("1e-6")
 _HINT = "Write KEY=FROM:TO:STEP, such as sigma_e=0.2:2:0.1, or KEY=VALUE,VALUE."
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A parameter and its values: at least one, in the parameter's own type, numbers in order.
+    """A parameter and its values: at least one, of the parameter's type, numbers in order.
 
-    They may lie out of the parameter's range.
+    Values may be outside the parameter's range.
     """
 
     key: str
@@ -34,9 +34,9 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str, kind: type[Parameters]) -> "Axis":
-        """The axis that `text` describes, for parameters of that kind; raises ParameterError.
+        """Parse an axis for parameters of class `kind`; raises ParameterError.
 
-        `text` is ``KEY=FROM:TO:STEP``, TO included where the steps lead there, or
+        `text` is ``KEY=FROM:TO:STEP``, with TO included if the steps reach it, or
         ``KEY=VALUE,VALUE``.
         """
         key, equals, rest = (part.strip() for part in text.partition("="))
@@ -56,7 +56,7 @@ class Axis:
 
     @property
     def is_numeric(self) -> bool:
-        """Whether its values have an order and distances."""
+        """Whether the values are numbers."""
         return not isinstance(self.values[0], bool | str)
 
     def __len__(self) -> int:
@@ -65,7 +65,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """Every value of one parameter with every value of another, numbered along x, row after row.
+    """All combinations of the values of two parameters; points are numbered row by row along x.
 
     Raises ParameterError if both are the same parameter, or there are too many points.
     """
@@ -86,7 +86,7 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and columns, those of y and of x."""
+        """Number of rows (y) and columns (x)."""
         return len(self.y), len(self.x)
 
     def values(self, point: int) -> tuple[Any, Any]:
@@ -101,20 +101,20 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Measures at every point of a grid; filled as points are done.
+    """Measures at every point of a grid, filled in as points are computed.
 
     Attributes
     ----------
     grid : Grid
         The parameters.
     speeds_px : tuple of float
-        Of each clip, the speed of its cube in px/frame; empty for a video.
+        Speed of the cube in each clip, in px/frame; empty for a video.
     columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
-        What was measured; NaN where undefined or not done yet, infinite where it is.
+        The measures; NaN where undefined or not computed yet. Values may be infinite.
     is_possible : bool array, shape (n_y, n_x)
-        Where the values of x and y are valid parameters together.
+        Where the values of x and y are a valid combination.
     done : set of int
-        Numbers of the points that were computed.
+        Numbers of the computed points.
     """
 
     grid: Grid
@@ -127,7 +127,7 @@ class SweepResult:
     def empty(
         cls, grid: Grid, speeds_px: tuple[float, ...], names: Iterable[str], possible: Iterable[int]
     ) -> "SweepResult":
-        """A result without any point; `possible` are the numbers of those that can be computed."""
+        """A result without computed points; `possible` holds the numbers of the valid ones."""
         shape = (len(speeds_px) or 1, *grid.shape)
         is_possible = np.isin(np.arange(len(grid)), list(possible)).reshape(grid.shape)
         columns = {name: np.full(shape, np.nan) for name in names}
@@ -135,17 +135,17 @@ class SweepResult:
 
     @property
     def n_clips(self) -> int:
-        """How many clips the models see at every point."""
+        """Number of clips per point."""
         return len(self.speeds_px) or 1
 
     @property
     def header(self) -> list[str]:
-        """The columns of `sweep.csv`: x, y, the speed if there are several clips, measures."""
+        """The columns of `sweep.csv`: x, y, the speed of the cube if there is one, measures."""
         speed = ["speed_px"] if self.speeds_px else []
         return [self.grid.x.key, self.grid.y.key, *speed, *self.columns]
 
     def put(self, point: int, values: Sequence[Sequence[float]]) -> None:
-        """Take in a point; `values` are those of the columns, for each clip."""
+        """Store a point; `values` holds, for each clip, the values of the columns."""
         for column, numbers in zip(self.columns.values(), zip(*values, strict=True), strict=True):
             column.reshape(self.n_clips, -1)[:, point] = numbers
         self.done.add(point)
@@ -159,38 +159,37 @@ class SweepResult:
                 yield [*self._key(clip, point), *map(cell, values)]
 
     def read(self, path: Path) -> None:
-        """Take in the points of which all rows are in a file; what else is there does not count."""
+        """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
         try:
             text = path.read_text(encoding="utf-8", errors="replace")
         except OSError:
             return
-        # A process that was killed may have left half a line.
+        # A killed process may have left an incomplete line.
         rows = [line.split(",") for line in text[: text.rfind("\n") + 1].splitlines()]
         if rows[:1] != [self.header]:
             return
         n_keys = len(self.header) - len(self.columns)
         found = {tuple(row[:n_keys]): row[n_keys:] for row in rows if len(row) == len(rows[0])}
         for point in np.flatnonzero(self.is_possible).tolist():
-            with suppress(KeyError, ValueError):  # a row is missing, or not of numbers
+            with suppress(KeyError, ValueError):  # a row is missing or not numeric
                 clips = [found[self._key(clip, point)] for clip in range(self.n_clips)]
                 self.put(point, [[float(text or "nan") for text in cells] for cells in clips])
 
     def extremes(self) -> list[tuple[str, ...]]:
-        """The least and the greatest value of every measure, and where: rows of a table."""
+        """The least and the greatest value of each measure with their points, as table rows."""
         rows = []
-        for name, clips in self.columns.items():
-            for clip, values in enumerate(clips):
-                row = [f"{name}, {self.speeds_px[clip]:g} px/frame" if self.speeds_px else name]
-                if np.isnan(values).all():
-                    row += ["–", ""] * 2
-                else:
-                    row += self._at(values, int(np.nanargmin(values)))
-                    row += self._at(values, int(np.nanargmax(values)))
-                rows.append(tuple(row))
+        for one in self.facts():
+            speed = f", {one['speed_px']:g} px/frame" if "speed_px" in one else ""
+            row = [f"{one['measure']}{speed}"]
+            for word in ("least", "greatest"):
+                at = one[f"{word}_at"]
+                value = "–" if at is None else f"{float(one[word]):.6g}"
+                row += [value, ", ".join(f"{k} {_parameter(v)}" for k, v in (at or {}).items())]
+            rows.append(tuple(row))
         return rows
 
     def facts(self) -> list[dict[str, Any]]:
-        """The same as numbers by name, None where nothing is defined; infinity is a text."""
+        """The same as data for JSON: None where undefined, infinity as text."""
         found = []
         for name, clips in self.columns.items():
             for clip, values in enumerate(clips):
@@ -201,20 +200,12 @@ class SweepResult:
                     at = None if np.isnan(values).all() else int(find(values))
                     value = None if at is None else float(values.flat[at])
                     row[word] = value if value is None or math.isfinite(value) else str(value)
-                    axes = self.grid.x.key, self.grid.y.key
-                    row[f"{word}_at"] = (
-                        None if at is None else dict(zip(axes, self.grid.values(at), strict=True))
-                    )
+                    row[f"{word}_at"] = None if at is None else self.grid.overrides(at)
                 found.append(row)
         return found
 
-    def _at(self, values: Series, point: int) -> tuple[str, str]:
-        """A value, and the parameters of its point."""
-        x, y = map(_parameter, self.grid.values(point))
-        return f"{values.flat[point]:.6g}", f"{self.grid.x.key} {x}, {self.grid.y.key} {y}"
-
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
-        """The cells that say which point and clip a row is of."""
+        """The cells that identify the point and clip of a row."""
         speed = (_parameter(self.speeds_px[clip]),) if self.speeds_px else ()
         return (*map(_parameter, self.grid.values(point)), *speed)
 
@@ -230,7 +221,7 @@ def _parameter(value: Any) -> str:
 
 
 def _range(text: str) -> list[str]:
-    """The values from FROM to TO; decimals keep 0.3 from being 0.30000000000000004."""
+    """The values from FROM to TO; Decimal avoids values such as 0.30000000000000004."""
     try:
         start, end, step = map(Decimal, text.split(":"))
         if not all(number.is_finite() for number in (start, end, step)):
@@ -252,7 +243,7 @@ def _too_many(count: int) -> ParameterError:
 
 
 def _typed(key: str, word: str, default: Any, spec: Spec) -> Any:
-    """One value in the key's own type."""
+    """One value, converted to the type of the key."""
     if isinstance(default, bool | str):
         if word not in (spec.choices or ("true", "false")):
             why = f"{key} = {word[:40]!r} is not one of {spec.allowed}"

@@ -1,4 +1,4 @@
-"""Many videos: what is done already, what is left to do, one task a video, and summary.csv."""
+"""Batches: finding what is left to do, running one task per video, and writing summary.csv."""
 
 import time
 import warnings
@@ -14,7 +14,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
-from dlgmd_cli.runs.run import Setup, open_input, require_an_answer, run_models
+from dlgmd_cli.runs.run import Setup, open_input, require_response, run_models
 from dlgmd_cli.video.frames import InputOptions
 
 if TYPE_CHECKING:
@@ -33,32 +33,32 @@ OF_SUMMARY = (
     "mean_attenuation_db",
 )
 COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, "wall_s")
-# Rewriting a long table after every short video would take more time than the videos.
+# Share of the time for rewriting summary.csv: after every short video it would take too long.
 _SHARE_OF_TIME = 0.05
-# Records are read so many at a time, for each may be a journey to a bucket.
+# Threads that read records, since each may require a request to a bucket.
 _READERS = 8
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is the same for every video of a batch; can be pickled.
+    """Settings shared by all videos of a batch; picklable.
 
     Attributes
     ----------
     setups : tuple of Setup
         The models.
     places : tuple of str
-        Where the results of each go: an absolute path, or a URL.
+        Output folder of each model: an absolute path or a URL.
     options : InputOptions
-        How every video is read.
+        How the videos are read.
     formats : tuple of str
         Formats of the plots.
     dpi : int
         Resolution of PNG.
     overwrite : bool
-        Whether results of other parameters, or of another input, may be replaced.
+        Whether results with other parameters or of another input may be replaced.
     scratch : str or None
-        The folder for copies of videos from URLs, if not the system's.
+        Folder for copies of videos from URLs; the system's temporary folder unless given.
     """
 
     setups: tuple[Setup, ...]
@@ -72,7 +72,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Task:
-    """A video, and which of the job's models are to be run over it, by number."""
+    """A video, and the numbers of the job's models to run on it."""
 
     video: Input
     wanted: tuple[int, ...]
@@ -80,7 +80,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Row:
-    """How a video ended in one model.
+    """The outcome of one video with one model.
 
     Attributes
     ----------
@@ -89,9 +89,9 @@ class Row:
     error : str
         Why it is not done, on one line.
     record : dict
-        What run.yaml says, of one that is done.
+        Contents of run.yaml, if it is done.
     wall_s : float or None
-        How long it took, decoding included, in seconds; None where that is not known.
+        Wall time in seconds, decoding included; None if unknown.
     """
 
     status: str
@@ -101,7 +101,7 @@ class Row:
 
 
 class Summary:
-    """The rows of one summary.csv by the video's name, and the file, which is rewritten whole."""
+    """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
 
     def __init__(self, place: "Path | UPath") -> None:
         self.path = place / SUMMARY
@@ -111,7 +111,7 @@ class Summary:
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.
 
-        Without `at_once` it may be put off, so that writing takes a small share of the time.
+        Without `at_once`, writing may be postponed to keep its share of the time small.
         """
         began = time.monotonic()
         if not at_once and began < self._next_write_s:
@@ -125,16 +125,16 @@ class Summary:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is left of a batch.
+    """The remaining work of a batch.
 
     Attributes
     ----------
     tasks : list of Task
-        What is to be done.
+        The tasks to do.
     summaries : list of Summary
-        One a model; they hold what is done already.
+        One per model, with the rows that are already done.
     n_other_version : int
-        How many of the results that are kept come from another release.
+        Number of kept results that another version of dlgmd computed.
     """
 
     tasks: list[Task]
@@ -143,21 +143,21 @@ class Plan:
 
 
 def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
-    """Compare what is asked for with the results that are there.
+    """Compare the batch with existing results to find the work that is left.
 
     Parameters
     ----------
     videos : sequence of Input
-        All of the batch.
+        All videos of the batch.
     job : Job
-        How each is to be computed.
+        Settings of the batch.
     force : bool
-        Compute again what is done already.
+        Recompute existing results.
 
     Raises
     ------
     OutputExistsError
-        If there are results of other parameters or of another input, and `job.overwrite` is not
+        If there are results with other parameters or of another input, and `job.overwrite` is not
         set.
     """
     wanted: dict[str, list[int]] = {video.name: [] for video in videos}
@@ -183,9 +183,9 @@ def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
 
 
 def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -> dict[str, Any]:
-    """The record of a whole result of this very video and of these settings; else nothing.
+    """The record of a complete result of this video with these settings; empty if there is none.
 
-    Raises OutputExistsError if a result is there that may not be replaced.
+    Raises OutputExistsError if there is a result that may not be replaced.
     """
     record = read_record(folder / store.RUN)
     known, summary = record.get("input"), record.get("summary")
@@ -209,55 +209,55 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
 
 
 def _differing(record: Mapping[str, Any], setup: Setup, options: InputOptions) -> list[str]:
-    """Which settings of a result are not those that are asked for."""
+    """Names of the settings in which a result differs from the requested ones."""
     asked = setup.settings()
     if setup.engine != "auto":
         asked["engine"] = setup.engine
     wanted, found = options.to_record(), record.get("options")
     found = found if isinstance(found, dict) else {}
     differing = [key for key in {**wanted, **found} if wanted.get(key) != found.get(key)]
-    # The mask's file has changed, or there was another.
+    # A different hash means a different mask.
     named = dict.fromkeys(key.removesuffix("_sha256").replace("_", "-") for key in differing)
     return [key for key, value in asked.items() if record.get(key) != value] + [
         f"--{name}" for name in named
     ]
 
 
-def work_on(
+def record_outcomes(
     tasks: Plan, outcomes: Iterable[tuple[Task, Outcome]]
 ) -> Iterator[tuple[Task, dict[int, Row]]]:
-    """Take down how tasks ended, whoever works on them, and keep the summaries up to date.
+    """Enter the outcomes of tasks into the summaries, and keep the files up to date.
 
     Parameters
     ----------
     tasks : Plan
-        Its summaries are written while this runs, and whatever ends it.
+        Its summaries are written repeatedly, and at the end even after an error.
     outcomes : iterable of (Task, Outcome)
-        What a pool yields for `run_video`.
+        Results of a pool for `run_video`.
 
     Yields
     ------
     (Task, dict of int to Row)
-        A video, and its rows by the model's number.
+        A video, and its rows by the number of the model.
 
     Raises
     ------
     OutputError
         If a summary cannot be written at the beginning or at the end.
     """
-    for summary in tasks.summaries:  # before it takes the time to compute
+    for summary in tasks.summaries:  # fail before spending time on videos
         summary.write()
     try:
         for task, outcome in outcomes:
             rows = outcome.value
             if outcome.error is not None:
-                rows = dict.fromkeys(task.wanted, as_row(outcome.error, outcome.status))
+                rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
             for number, row in rows.items():
                 summary = tasks.summaries[number]
                 summary.rows[task.video.name] = row
                 try:
                     summary.write(at_once=False)
-                except OutputError:  # may be possible later; the end tells
+                except OutputError:  # it may work later; the last attempt raises
                     continue
             yield task, rows
     finally:
@@ -266,14 +266,14 @@ def work_on(
 
 
 def run_video(job: Job, task: Task) -> dict[int, Row]:
-    """Decode one video once, run every model that is wanted, and store the results.
+    """Decode a video once, run the models of the task on it, and store the results.
 
-    Whatever goes wrong becomes a row; what goes wrong in one model is only that one's.
+    Every error becomes a row. An error of one model does not affect the others.
     """
     began, rows = time.monotonic(), {}
     video = task.video
     try:
-        for number in task.wanted:  # before it takes the time to compute
+        for number in task.wanted:  # fail before spending time on the video
             _check(job, number, video)
         setups = [job.setups[number] for number in task.wanted]
         with (
@@ -284,38 +284,38 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
             results = run_models(opened, setups, job.options, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):
                 try:
-                    require_an_answer("", opened, [job.setups[number]], [result], job.options)
+                    require_response("", opened, [job.setups[number]], [result], job.options)
                     rows[number] = _save(job, number, video, result, began)
                 except Exception as error:
-                    rows[number] = as_row(error, began=began)
+                    rows[number] = error_row(error, began=began)
     except Exception as error:
-        rows |= dict.fromkeys(set(task.wanted) - rows.keys(), as_row(error, began=began))
+        rows |= dict.fromkeys(set(task.wanted) - rows.keys(), error_row(error, began=began))
     return rows
 
 
 def _check(job: Job, number: int, video: Input) -> bool:
-    """Whether what is in the folder is of another input; raises if it may not be replaced."""
+    """Whether the folder has results of another input; raises if they may not be replaced."""
     folder = store.place(job.places[number]) / video.folder
-    # `plan` has looked at an earlier result.
+    # `plan` has already checked an earlier result.
     may_replace = job.overwrite or (folder / store.RUN).exists()
     identity = {"path": video.path, **video.identity}
     return store.check(folder, store.RUN, identity, overwrite=may_replace)
 
 
 def _save(job: Job, number: int, video: Input, result: Result, began: float) -> Row:
-    """Write a result, and say so."""
+    """Write a result and return its row."""
     folder = store.place(job.places[number]) / video.folder
     wall_s = round(time.monotonic() - began, 3)
     result.record["wall_s"] = wall_s
     with store.locked(folder), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a font may lack letters of a title
+        warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
         is_new = _check(job, number, video)
         store.commit(folder, store.RUN, result.files(job.formats, job.dpi), is_new_input=is_new)
     return Row(DONE, record={**result.record, "summary": result.summary}, wall_s=wall_s)
 
 
-def as_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
-    """An error as a row: on one line, without the video's name."""
+def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
+    """The row for an error, on one line and without the video's name."""
     if isinstance(error, DlgmdError):
         text = f"{error.why}. {error.mend}".strip()
     elif isinstance(error, MemoryError):
@@ -328,13 +328,13 @@ def as_row(error: Exception, status: str = FAILED, began: float | None = None) -
 
 
 def warnings_of(row: Row) -> list[str]:
-    """What is doubtful about a result, a line each."""
+    """The warnings of a result, one line each."""
     found = row.record.get("warnings")
     return found if isinstance(found, list) else []
 
 
 def _cells(video: str, row: Row) -> list[str]:
-    """The cells of one video; empty where there is nothing to say."""
+    """The cells of one video."""
     warnings = "; ".join(map(str, warnings_of(row)))
     cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
@@ -344,5 +344,5 @@ def _cells(video: str, row: Row) -> list[str]:
 
 
 def _number(value: Any) -> float | None:
-    """A number of a record, None for what is none."""
+    """`value` if it is a number, else None."""
     return value if isinstance(value, int | float) else None

@@ -1,4 +1,4 @@
-"""The paper's Table IV, how long the model takes, on this machine."""
+"""Speed of the model on this machine, in the form of the paper's Table IV."""
 
 import tempfile
 import time
@@ -44,13 +44,13 @@ PAPER_S, PAPER_DA = (
     {(r, x): value for r, values in table.items() for x, value in zip(SCALES, values, strict=True)}
     for table in (_PAPER_S, _PAPER_DA)
 )
-# The core is timed on frames that were decoded before; more of them would only take memory.
+# The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
 MAX_KEPT, N_WARM = 24, 4
 
 
 @contextmanager
 def rendered_pan(n_frames: int) -> Iterator[str]:
-    """A temporary video of a panning camera, of the paper's size; raises OutputError."""
+    """A temporary video of a panning camera, in the paper's frame size; raises OutputError."""
     height, width = PAPER_SIZE_WH[::-1]
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
         path = Path(folder) / "pan.mp4"
@@ -69,21 +69,21 @@ def measure(
     on_step: Callable[[int], None],
     tell: Tell,
 ) -> dict[str, Any]:
-    """Time runs of the model and their parts in turn, so that a slow moment hits all alike.
+    """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 
-    `open_at` opens the input at a linear scale; the radius of `params` is replaced. Medians are
-    taken of `repeats` measurements; `on_step` is called with the number of combinations that were
-    measured, repeats counted. SourceError if the input has too few frames.
+    `open_at` opens the input at a linear scale; the radius of `params` is replaced. All times are
+    medians of `repeats` measurements. `on_step` is called with the number of measurements done.
+    Raises SourceError if the input has too few frames.
 
     Returns
     -------
     dict
-        `frames`, `decoder`, `decoding_alone_ms` (a frame, neither turned grey nor resized),
+        `frames`, `decoder`, `decoding_alone_ms` (per frame, without conversion and resizing),
         `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `_row`.
     """
     with ExitStack() as opened, opencv_threads(1):
         videos = {scale: opened.enter_context(open_at(scale)) for scale in scales}
-        first, every = videos[scales[0]], list(product(radii, scales))
+        first, combinations = videos[scales[0]], list(product(radii, scales))
         alone_ms: list[float] = []
         times_ms = defaultdict(list)
         engines = {}
@@ -93,14 +93,15 @@ def measure(
                 scale: _ms_per_frame(video, partial(_exhaust, video))
                 for scale, video in videos.items()
             }
-            for n_done, (radius, scale) in enumerate(every, start=1 + repeat * len(every)):
+            n_before = repeat * len(combinations)
+            for n_done, (radius, scale) in enumerate(combinations, start=n_before + 1):
                 changed, video = replace(params, r=radius), videos[scale]
                 core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine, tell)
                 times_ms[radius, scale].append((core_ms, decode_ms[scale], whole_ms))
                 cancel.check()
                 on_step(n_done)
         rows = []
-        for radius, scale in every:
+        for radius, scale in combinations:
             ms = map(median, zip(*times_ms[radius, scale], strict=True))
             rows.append(_row(radius, scale, videos[scale], engines[radius, scale], *ms))
         return {
@@ -122,12 +123,12 @@ def _row(
     decode_ms: float,
     whole_ms: float,
 ) -> dict[str, Any]:
-    """A row of the table: medians a frame, and what the paper reports, None where not known.
+    """A row of the table: median times per frame, and the paper's values, None where not given.
 
-    `core_ms` is of the model alone on decoded frames, `decode_ms` of decoding with grey and
-    resizing, `whole_ms` of a run as `dlgmd run` does it; `whole_s` is that for 120 frames, and
-    `ratio` says how many times as fast as the paper this is. `paper_da` is the distinguishability
-    that the paper reports, 10000 for "more than 10000".
+    `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion and
+    resizing, and `whole_ms` a complete run as by `dlgmd run`. `whole_s` is a complete run of 120
+    frames, and `ratio` the speed relative to the paper. `paper_da` is the paper's
+    distinguishability, 10000 for "more than 10000".
     """
     whole_s = whole_ms * N_FRAMES / 1000.0
     is_paper_s = (video.info.width, video.info.height) == PAPER_SIZE_WH
@@ -153,7 +154,7 @@ def _row(
 def _model_ms(
     video: Video, params: DlgmdParameters, engine: str, tell: Tell
 ) -> tuple[float, float, str]:
-    """How long the model alone and a whole run take for a frame, and what computes it."""
+    """Time per frame of the model alone and of a complete run, in ms, and the engine's name."""
     model = create_model(params, engine=engine, tell=tell)
     kept = [frame.grey for frame in islice(video, MAX_KEPT)]
     n_cold = model.first_valid_frame + N_WARM
@@ -171,7 +172,7 @@ def _model_ms(
 
 
 def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
-    """How long `act`, which goes through all of `video`, takes for a frame."""
+    """Time per frame, in ms, of `act`, which reads all of `video`."""
     start = time.perf_counter()
     act()
     elapsed = time.perf_counter() - start
@@ -179,6 +180,6 @@ def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
 
 
 def _exhaust(items: Iterable[object]) -> None:
-    """Go through all items."""
+    """Iterate to the end."""
     for _ in items:
         cancel.check()

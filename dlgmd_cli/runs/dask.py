@@ -1,7 +1,7 @@
-"""A pool on a Dask cluster, in place of the one on this machine.
+"""A pool on a Dask cluster instead of this machine.
 
-Start the workers as processes of one thread each, ``dask worker --nworkers N --nthreads 1``: a
-video whose decoder crashes then takes one worker with it, which Dask's nanny starts again.
+Start the workers as single-threaded processes, ``dask worker --nworkers N --nthreads 1``. A video
+whose decoder crashes then costs one worker only, and Dask's nanny restarts it.
 """
 
 import json
@@ -24,8 +24,8 @@ from dlgmd_cli.threads import limit_threads
 TaskT = TypeVar("TaskT")
 
 CONNECT_S, _CLOSE_S = 10.0, 5.0
-# How often the stop flag is looked at, and how often the scheduler.
-_TICK_S, _TICKS_A_LOOK = 0.1, 10
+# Interval between checks of the stop flag; the scheduler is checked at every 10th.
+_TICK_S, _TICKS_PER_CHECK = 0.1, 10
 _LOGGERS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^\s/:]+:[0-9]{1,5}|[a-z]+://\[[^\s/]+\]:[0-9]+")
 _OPTION = "--scheduler"
@@ -41,38 +41,36 @@ def run_tasks(
 ) -> Iterator[tuple[TaskT, Outcome]]:
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
-    A task whose worker is lost is tried again on others, a few times; and then, since another task
-    may be to blame, again while nothing else is worked on.
+    A task whose worker is lost is tried again on other workers, a few times. If that fails, another
+    task may be to blame, and the task is tried once more on its own.
 
     Parameters
     ----------
-    function : callable
-        Takes one task. It, the tasks and what it returns or raises can be pickled.
-    tasks : iterable
-        All are sent at once.
+    function, tasks
+        See `pool.run_tasks`; all tasks are submitted at once.
     scheduler : str
         Address of the Dask scheduler, or the name of its scheduler file.
     folders : sequence of Path
-        Folders of results that are locked, see `store.locked`, which every worker must see.
+        Locked result folders, see `store.locked`, which every worker must see.
     tell : callable
-        Called with a message when there is something to wait for.
+        Called with a message before a wait.
 
     Yields
     ------
     (task, Outcome)
-        As the tasks end.
+        In the order in which the tasks end.
 
     Raises
     ------
     ParameterError
-        If the scheduler's address is none.
+        If the scheduler's address is not valid.
     MissingExtraError
         If Dask is not installed.
     WorkerError
-        If the scheduler does not answer, or no longer; if dlgmd is missing on the cluster, or of
-        another version, or does not see the results' folder.
+        If the scheduler does not answer or is lost; if the cluster lacks dlgmd, has another
+        version, or does not see the result folders.
     Interrupted
-        If the user asks to stop. Tasks that have begun come to their end on the workers.
+        If the user asks to stop. Tasks that have begun run to their end on the workers.
     """
     tasks = list(tasks)
     if not tasks:
@@ -86,7 +84,7 @@ def run_tasks(
         for task in suspects:
             yield from _work(client, scheduler, function, [task], None)
     finally:
-        # The scheduler drops the tasks of a client that leaves.
+        # The scheduler drops the tasks of a closed client.
         with suppress(Exception):
             client.close(timeout=_CLOSE_S)
 
@@ -114,7 +112,7 @@ def _work(
             future = ended.get(timeout=_TICK_S)
         except Empty:
             n_ticks += 1
-            if n_ticks % _TICKS_A_LOOK == 0:
+            if n_ticks % _TICKS_PER_CHECK == 0:
                 _asked(scheduler, client.nthreads)
             continue
         task = running.pop(future)
@@ -139,7 +137,7 @@ def _work(
 
 
 def _call(function: Callable[[TaskT], Any], task: TaskT) -> Outcome:
-    """How one task ended, in a worker that shares its machine with others."""
+    """Run one task with a single thread, since other workers share the machine."""
     limit_threads(1)
     try:
         return Outcome(DONE, function(task))
@@ -148,14 +146,14 @@ def _call(function: Callable[[TaskT], Any], task: TaskT) -> Outcome:
 
 
 def _connect(scheduler: str) -> Any:
-    """A Dask client of a scheduler, by its address or scheduler file; raises as `run_tasks`."""
+    """A Dask client for a scheduler address or scheduler file; raises as `run_tasks` does."""
     address = address_of(scheduler)
     try:
         from distributed import Client
     except ImportError:
         why, mend = "Dask is not installed", "Run: pip install 'dlgmd[cluster]'."
         raise MissingExtraError(_OPTION, why, mend) from None
-    for name in _LOGGERS:  # what matters of it is raised
+    for name in _LOGGERS:  # errors that matter are raised
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     warnings.filterwarnings("ignore", module="distributed")
     try:
@@ -172,7 +170,7 @@ def _connect(scheduler: str) -> Any:
 
 
 def address_of(scheduler: str) -> str:
-    """The address in a scheduler file, or the address itself; raises as `run_tasks`."""
+    """The address in a scheduler file, or the address itself; raises as `run_tasks` does."""
     path = Path(scheduler)
     if not path.is_file() and not scheduler.endswith(".json"):
         if _ADDRESS.fullmatch(scheduler):
@@ -199,7 +197,7 @@ def _wait_for_workers(client: Any, scheduler: str, tell: Callable[[str], None]) 
     while not _asked(scheduler, client.nthreads):
         cancel.check()
         with suppress(TimeoutError):
-            _asked(scheduler, client.wait_for_workers, 1, timeout=_TICKS_A_LOOK * _TICK_S)
+            _asked(scheduler, client.wait_for_workers, 1, timeout=_TICKS_PER_CHECK * _TICK_S)
 
 
 def _check_workers(client: Any, folders: list[str]) -> None:
@@ -227,14 +225,14 @@ def _check_workers(client: Any, folders: list[str]) -> None:
 
 
 def _report(folders: list[str]) -> tuple[str, str, str]:
-    """The version of this machine, its name, and the first folder that it does not see."""
+    """Version of dlgmd on this machine, its name, and the first folder that it does not see."""
     from dlgmd_cli.results.store import is_locked
 
     return __version__, platform.node(), next((one for one in folders if not is_locked(one)), "")
 
 
 def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any) -> Any:
-    """What the scheduler answers; WorkerError if it is lost."""
+    """Call a method of the client; raises WorkerError if the scheduler is lost."""
     try:
         return ask(*given, **options)
     except TimeoutError:
@@ -244,7 +242,7 @@ def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any)
 
 
 def _lost(scheduler: str) -> WorkerError:
-    """The error for a scheduler that went away."""
+    """The error for a lost scheduler."""
     return WorkerError(
         scheduler,
         "the scheduler was lost, or dropped the work",

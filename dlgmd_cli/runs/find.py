@@ -1,4 +1,4 @@
-"""The videos below folders and URLs, pictures included, and the folders of their results."""
+"""Finding videos and picture folders below folders and URLs, and naming their result folders."""
 
 import os
 import posixpath
@@ -28,13 +28,13 @@ _ENDINGS = """
     mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
 """
 SUFFIXES = frozenset(f".{ending}" for ending in _ENDINGS.split())
-# What stores call that which changes with a file's content, the surest first.
+# Metadata keys of object stores that change with the content, the most reliable first.
 _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
-# So many pictures of one size are taken for the frames of a video; looked at are a few of them.
-LEAST_PICTURES, _LOOKED_AT = 8, 5
-# What Matplotlib writes near the beginning of a figure.
-_OF_FIGURES = b"Matplotlib"
-# Lies beside the results in the topmost folder.
+# Least number of pictures in a sequence, and how many of them are checked.
+MIN_PICTURES, _N_CHECKED = 8, 5
+# Metadata that Matplotlib writes near the beginning of a figure.
+_MATPLOTLIB = b"Matplotlib"
+# The table in the top folder of the results.
 SUMMARY = "summary.csv"
 
 
@@ -45,13 +45,13 @@ class Input:
     Attributes
     ----------
     name : str
-        What the summary calls it: its path below the folder that was given, with slashes.
+        Name in the summary: its path relative to the given folder, with slashes.
     path : str
-        Where it lies: an absolute path or a URL.
+        An absolute path or a URL.
     folder : str
-        The folder of its result below that of the batch, with slashes.
+        Its result folder, relative to that of the batch, with slashes.
     identity : dict
-        What changes with its content; empty where that cannot be told.
+        Values that change with its content; empty if they are unknown.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Found:
-    """The videos in the order of their names, what was left out on purpose, and what failed."""
+    """The videos in order of their names, remarks on what was left out, and failures."""
 
     videos: list[Input]
     remarks: list[str]
@@ -72,28 +72,28 @@ class Found:
 def find_videos(
     roots: Sequence[str], leave_out: Iterable[Path] = (), exclude: Iterable[str] = ()
 ) -> Found:
-    """Every video below folders, and those that are given themselves.
+    """Find all videos below the given folders, and videos that are given themselves.
 
-    A folder that holds pictures of one size only, eight or more, is a video too, unless they are
-    figures. Links are followed, but no folder is searched twice, and a real folder comes before a
-    link to it. Hidden files and folders are left out.
+    A folder that holds only pictures of the same size, at least eight, counts as a video, unless
+    they are figures. Links are followed, but no folder is searched twice, and a real folder takes
+    precedence over a link to it. Hidden files and folders are skipped.
 
     Parameters
     ----------
     roots : sequence of str
-        Folders, videos, and URLs of either. Of several, names begin with that of the root.
+        Folders, videos, and URLs of either. With several roots, names begin with the root's name.
     leave_out : iterable of Path
-        Folders that are not searched, such as that of the results, unless they are roots.
+        Folders to skip, such as the output folder, unless they are roots.
     exclude : iterable of str
-        Patterns, such as ``raw*``, of files and folders to leave out: each is compared with their
-        name, and with their path as `Input.name` has it.
+        Patterns of files and folders to skip, such as ``raw*``. They are matched against the name,
+        and against the path as in `Input.name`.
 
     Raises
     ------
     SourceError
-        If there is nothing at a root.
+        If a root does not exist or is an empty URL.
     MissingExtraError
-        If a root is a URL, and what reads such is not installed.
+        If the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out, exclude)
@@ -118,12 +118,12 @@ def find_videos(
 
 
 def is_video(name: str) -> bool:
-    """Whether a file's name ends like that of a video."""
+    """Whether a file name has the suffix of a video."""
     return PurePosixPath(name).suffix.lower() in SUFFIXES
 
 
 class _Search:
-    """Walks through folders and remembers what it met."""
+    """A search through folders; collects videos, remarks and failures."""
 
     def __init__(self, leave_out: Iterable[Path], exclude: Iterable[str]) -> None:
         self.found: dict[str, tuple[str, dict[str, Any]]] = {}
@@ -136,11 +136,11 @@ class _Search:
         self._searched: set[tuple[int, int]] = set()
         self._left_out: set[tuple[int, int]] = set()
         for folder in leave_out:
-            with suppress(OSError):  # it may not be there yet
+            with suppress(OSError):  # it may not exist yet
                 self._left_out.add(_key_of(folder))
 
     def remarks(self) -> list[str]:
-        """What was left out on purpose."""
+        """Remarks on what was left out."""
         lines = [f"{path}: left out, already searched" for path in self._repeated]
         lines += self._no_sequences
         for pattern, n in self._n_excluded.items():
@@ -152,7 +152,7 @@ class _Search:
         return lines
 
     def add(self, prefix: str, root: str) -> None:
-        """Search a folder, or take a video."""
+        """Search a folder, or add a video."""
         absolute = os.path.abspath(root)
         try:
             is_folder = stat.S_ISDIR(Path(absolute).stat().st_mode)
@@ -166,7 +166,7 @@ class _Search:
             self._take(prefix or Path(root).name, absolute)
 
     def add_url(self, prefix: str, root: str, base: "UPath") -> None:
-        """Search all that lies behind a URL, or take the video there."""
+        """Search everything below a URL, or add the video there."""
         top = base.path.rstrip("/")
         try:
             base.fs.invalidate_cache()
@@ -189,13 +189,13 @@ class _Search:
                 self.found.setdefault(name, (base.fs.unstrip_protocol(path), known))
 
     def follow_links(self) -> None:
-        """Search what links lead to, after all that is real."""
+        """Search the targets of links, after all real folders."""
         while self._links:
             self._links.sort()
             self._walk(*self._links.pop(0))
 
     def _walk(self, prefix: str, root: str) -> None:
-        """Search a folder; links to folders are kept for later."""
+        """Search a folder; links to folders are queued."""
         waiting = [(prefix, root)]
         while waiting:
             prefix, folder = waiting.pop()
@@ -215,7 +215,7 @@ class _Search:
                     self._take(name, entry.path)
 
     def _is_excluded(self, name: str) -> bool:
-        """Whether a pattern leaves out this path or a folder above it; counts those it does."""
+        """Whether a pattern excludes this path or a parent folder; counts the exclusions."""
         parts = name.split("/")
         for pattern in self._n_excluded:
             for depth, part in enumerate(parts, start=1):
@@ -225,15 +225,15 @@ class _Search:
         return False
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
-        """Whether a folder holds the frames of a video; a remark if it only looks like it."""
+        """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
         seen = [entry for entry in entries if not entry.name.startswith(".")]
         names = [entry.name for entry in seen]
-        if len(seen) < LEAST_PICTURES or not all(map(_is_picture, names)):
+        if len(seen) < MIN_PICTURES or not all(map(_is_picture, names)):
             return False
         if any(map(_leads_to_folder, seen)):
             return False
         paths = [Path(entry.path) for entry in seen]
-        some = paths[:: max(1, len(paths) // _LOOKED_AT)]
+        some = paths[:: max(1, len(paths) // _N_CHECKED)]
         why = ""
         if any(_is_figure(path) for path in some):
             why = "its pictures are figures"
@@ -249,14 +249,14 @@ class _Search:
         return not why
 
     def _take(self, name: str, path: str) -> None:
-        """Take a video down."""
+        """Add a video."""
         identity: dict[str, Any] = {}
-        with suppress(OSError):  # a dangling link; opening it says so
+        with suppress(OSError):  # a dangling link, which opening will report
             identity = fingerprint(path)
         self.found.setdefault(name, (path, identity))
 
     def _entries(self, folder: str) -> list["os.DirEntry[str]"]:
-        """What lies in a folder; nothing if it was searched already or is left out."""
+        """Entries of a folder by name; none if it was already searched or is to be skipped."""
         try:
             key = _key_of(folder)
             if key in self._left_out:
@@ -273,14 +273,14 @@ class _Search:
 
 
 def _is_picture(name: str) -> bool:
-    """Whether a file's name ends like that of a picture."""
+    """Whether a file name has the suffix of a picture."""
     return PurePosixPath(name).suffix.lower() in PICTURES
 
 
 def _is_figure(path: Path) -> bool:
-    """Whether a picture was drawn by Matplotlib; one that cannot be read was not."""
+    """Whether a picture is a figure by Matplotlib."""
     with suppress(OSError), path.open("rb") as file:
-        return _OF_FIGURES in file.read(1000)
+        return _MATPLOTLIB in file.read(1000)
     return False
 
 
@@ -292,28 +292,28 @@ def _leads_to_folder(entry: "os.DirEntry[str]") -> bool:
 
 
 def _key_of(folder: str | Path) -> tuple[int, int]:
-    """What a folder has in common with every link to it; raises OSError."""
-    facts = Path(folder).stat()
-    return facts.st_dev, facts.st_ino
+    """Device and inode, which a folder shares with every link to it; raises OSError."""
+    status = Path(folder).stat()
+    return status.st_dev, status.st_ino
 
 
 @contextmanager
 def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
-    """A path on this machine: `path` itself, or of a copy in `scratch` of what a URL leads to.
+    """A local path: `path` itself, or for a URL that of a temporary copy in `scratch`.
 
     Raises
     ------
     SourceError
-        If it cannot be copied.
+        If the file cannot be copied.
     """
     if not is_url(path):
         yield path
         return
-    there = place(path)
+    remote = place(path)
     with tempfile.TemporaryDirectory(dir=scratch, prefix="dlgmd-") as folder:
-        copy = Path(folder) / f"video{there.suffix[:16]}"
+        copy = Path(folder) / f"video{remote.suffix[:16]}"
         try:
-            there.fs.get_file(there.path, str(copy))  # type: ignore[union-attr]
+            remote.fs.get_file(remote.path, str(copy))  # type: ignore[union-attr]
         except Exception as error:
             why = f"cannot be copied to this machine ({failure_text(error)})"
             raise SourceError(path, why, "Check the URL, or make room.") from None
@@ -321,10 +321,10 @@ def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
 
 
 def result_folders(videos: Iterable[str]) -> dict[str, str]:
-    """The folder of each video's result by the video's path, mirroring the tree.
+    """The result folder of each video by the video's path, mirroring the tree.
 
-    It is called after the file without its extension; with it where another video, or a folder with
-    videos, has the same name there, whether in capitals or not. None is within another.
+    A folder is named after the video without its extension. The extension is kept if another video,
+    or a folder with videos, has the same name there, ignoring case. Result folders are not nested.
     """
     parts = {video: [_safe(part) for part in video.split("/")] for video in sorted(videos)}
     stems = {
@@ -352,12 +352,12 @@ def result_folders(videos: Iterable[str]) -> dict[str, str]:
 
 
 def _folded(part: str) -> str:
-    """What names have in common that are one name on some file system."""
+    """A form that is equal for names that some file system treats as the same."""
     return unicodedata.normalize("NFC", part).casefold()
 
 
 def _safe(part: str) -> str:
-    """A part of a path that neither leads elsewhere nor hides; what is not so stays as it is."""
+    """A part of a path, changed if it would leave the folder or be hidden."""
     part = part.replace("\\", "_").replace("\0", "_")
     if part.startswith(".") or not part.strip(". "):
         return f"video{part}"

@@ -1,4 +1,4 @@
-"""One input through one model for the sake of its layers, at chosen frames or at all of them."""
+"""Running a model for its layers, at selected frames or at all frames."""
 
 import math
 from array import array
@@ -12,11 +12,11 @@ from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, Setup, gathered_result, numbers_of
+from dlgmd_cli.runs.run import OnFrame, Setup, build_result, numbers_of
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
-# So many frames are chosen, as far as possible from responses of at least this share of the peak.
+# Number of frames to choose, preferably with responses of at least this share of the peak.
 N_CHOSEN, _RESPONDING = 5, 0.01
 
 # Lowest and highest value of a layer.
@@ -35,12 +35,13 @@ def run_layers(
     identity: Mapping[str, Any],
     on_frame: OnFrame,
 ) -> tuple[Result, LayerSheet | None, dict[str, Range]]:
-    """Feed `video` to `model` until all of `frames` came, or, if `whole`, to its end.
+    """Run `model` on `video` until all of `frames` are processed or, if `whole`, to the end.
 
-    Returns the numbers of every frame that was processed, with the sheet's `frames` in the record,
-    which is `complete` if the stop flag left out none of them; the sheet of the frames wanted, as
-    far as they came, None if none did; and, if `whole`, the extremes of `s` and `g` over all
-    frames. Raises Interrupted if the stop flag ended it before there was a frame to keep.
+    Returns the result, the sheet and the ranges. The result covers all processed frames; its record
+    lists the `frames` of the sheet, and is `complete` unless the stop flag left out some of them.
+    The sheet holds the layers of the requested frames, None if there are none. The ranges are the
+    extremes of `s` and `g` over all frames if `whole`. Raises Interrupted if the stop flag ended
+    the run before the first requested frame.
     """
     rows: array[float] = array("d")
     kept: list[tuple[Frame, Response]] = []
@@ -48,7 +49,7 @@ def run_layers(
     repeated = bytearray()
     stops_early = False
     model.ignore(video.hidden())
-    # The decoder has threads of its own; OpenCV's would only be in its way.
+    # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(video) as ahead:
         for frame in ahead:
             is_kept = frame.index in frames and not frame.is_repeat
@@ -69,7 +70,7 @@ def run_layers(
                 break
     if cancel.requested() and not kept:
         raise cancel.Interrupted
-    result = gathered_result(
+    result = build_result(
         *(rows, repeated, video, video.size_wh, setup, model, options, identity),
         was_read=not stops_early,
         frames=[one.index for one, _ in kept],
@@ -80,10 +81,10 @@ def run_layers(
 
 
 def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...]:
-    """Numbers of the frames with the strongest responses, spread out, in their order.
+    """Numbers of the frames with the strongest responses, spread out, in order.
 
-    One after the other, the strongest that is not near one chosen before. Where nothing responds,
-    they are spread over the whole result.
+    Frames are chosen by decreasing response, skipping those near a chosen one. If there is no
+    response, they are spread over the whole result.
     """
     strength = np.where(result.repeated, 0.0, np.nan_to_num(result.mp))
     n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
@@ -101,7 +102,7 @@ def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...
 
 
 def shown_frames(video: Video) -> Iterator[tuple[Frame, BgrImage]]:
-    """Every frame as the model takes it, and as it is shown: full size, (H, W, 3) BGR."""
+    """Every frame as processed, and as a picture of full size, (H, W, 3) BGR."""
     for picture in video.pictures():
         image = picture.image
         if image.ndim == 2 or image.dtype != np.uint8:
@@ -109,11 +110,11 @@ def shown_frames(video: Video) -> Iterator[tuple[Frame, BgrImage]]:
             grey = np.rint(255.0 * full).astype(np.uint8)
             yield video.frame(picture), np.repeat(grey[:, :, None], 3, axis=2)
         else:
-            yield video.frame(picture), image.copy()  # it is valid until the next one
+            yield video.frame(picture), image.copy()  # the original is valid until the next one
 
 
 def absent(missing: list[int], video: Video, end_s: float | None) -> str:
-    """Why frames that were asked for are not there; empty if none is missing."""
+    """Why requested frames are missing; empty if none is."""
     last_s, fps, n_frames = video.progress.last_time_s, video.info.fps, video.progress.n_decoded
     is_read = end_s is None or last_s + 1.5 / fps < end_s
     beyond = [frame for frame in missing if is_read and frame >= n_frames]
@@ -133,7 +134,7 @@ def _named(frames: list[int]) -> str:
 
 
 def _widen(ranges: dict[str, Range], response: Response) -> None:
-    """Take in the extremes of one frame's layers."""
+    """Extend the ranges by the layers of one frame."""
     for name, (lowest, highest) in ranges.items():
         layer = getattr(response.layers, name)
         if layer is not None:
@@ -143,7 +144,7 @@ def _widen(ranges: dict[str, Range], response: Response) -> None:
 def _sheet(
     kept: list[tuple[Frame, Response]], units: tuple[str, str, str], label: str
 ) -> LayerSheet:
-    """The sheet of the frames kept, at least one."""
+    """The sheet of the kept frames, at least one."""
     undefined = np.full(kept[0][0].grey.shape, np.nan, dtype=np.float32)
 
     def stack(name: str) -> FloatImage:

@@ -1,4 +1,4 @@
-"""The one loop: a video is decoded once and steps every model; `run` is the library's entry."""
+"""The main loop: decode a video once and step every model. `run` is the library's entry point."""
 
 import math
 import os
@@ -16,14 +16,17 @@ from dlgmd_cli.models.base import Model, Response, create_model
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
+    ENGINES,
     MODELS,
     PRESETS,
+    Config,
     DlgmdParameters,
     Parameters,
     load_config,
     load_model_preset,
     load_preset,
     merge,
+    require_known,
 )
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
@@ -38,40 +41,38 @@ from dlgmd_cli.video.frames import (
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
-ENGINES = ("opencv", "numba")
 
 Tell = Callable[[str], None]
 OnFrame = Callable[[int], None]
-# frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y: 64 bytes a frame.
+# Columns of a row: frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y.
 _N_COLUMNS = 8
 
 
-def _nothing(*_: Any) -> None:
-    """For who does not want to be told."""
+def silent(*_: Any) -> None:
+    """The default callback."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """One model of a run: its parameters, and where they are from.
+    """One model of a run: its parameters and their origin.
 
     Attributes
     ----------
     params : Parameters
-        The model's.
+        Parameters of the model.
     label : str
-        What messages and figures call it: `set9`, `lgmd`, `flight`, or a file's stem.
+        Name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
     engine : str
         `opencv`, `numba` or `auto`.
     named : dict
-        What the record says of its origin: ``{"set": 9}`` or ``{"preset": "flight"}``, if such a
-        one was named.
+        Entry for the record: ``{"set": 9}`` or ``{"preset": "flight"}`` if one was named.
     origin : str
-        The file that the parameters are from, as errors name it.
+        File of the parameters, for error messages.
     options : InputOptions
-        Options of the run that wrote that file, if a run did.
+        Options of the run that wrote that file, if it is a `run.yaml`.
     width_px, model_fps : int, float
-        What the parameters are made for: the width of the processed frame in px, and frames a
-        second. Used where no option says otherwise.
+        Frame width in px and frame rate that the parameters are designed for; the defaults unless
+        an option is given.
     """
 
     params: Parameters
@@ -84,7 +85,7 @@ class Setup:
     model_fps: float = DEFAULT_MODEL_FPS
 
     def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
-        """Width and height in px at which it sees a video: as asked for, else its own."""
+        """Size of the processed frames, (width, height) in px: by option, else the model's own."""
         asked = self.options if options.scale is None and options.size is None else options
         return processed_size(
             *video.source_wh,
@@ -94,9 +95,9 @@ class Setup:
         )
 
     def settings(self) -> dict[str, Any]:
-        """What a record says of the model, less the engine and the options."""
-        made_for = {"width_px": self.width_px, "model_fps": self.model_fps}
-        return {"model": self.params.model, **made_for, **self.params.to_dict()}
+        """Entries of the model in a record, without the engine and the options."""
+        design = {"width_px": self.width_px, "model_fps": self.model_fps}
+        return {"model": self.params.model, **design, **self.params.to_dict()}
 
 
 def choose(
@@ -107,10 +108,10 @@ def choose(
     formulation: str | None = None,
     engine: str | None = None,
 ) -> Setup:
-    """The model that a set, a file or a name stands for, with single parameters overridden.
+    """The model given by a set, a file or a name, with single parameters overridden.
 
-    Parameters merge as defaults, set or file, `overrides` and `formulation`. If nothing is named,
-    the file is the preset `flight`; `dlgmd` alone is set 9.
+    `overrides` and `formulation` take precedence over the set or file, and that over the defaults.
+    Without any name, the preset `flight` is used; `dlgmd` alone means set 9.
 
     Raises
     ------
@@ -124,32 +125,11 @@ def choose(
             "", "--set works only with the D-LGMD model", f"Leave out --set or --model {model}."
         )
     is_default = set is None and config is None and model is None
-    if config is not None or is_default:
-        file = load_config(DEFAULT_PRESET if config is None else os.fspath(config))
-    elif model not in (DLGMD, None) and model in MODELS:
-        file = load_model_preset(str(model))
-    else:
-        try:
-            file = load_preset(DEFAULT_SET if set is None else set)
-        except ParameterError as error:
-            mend = f"{error.mend.rstrip('.')}, or give a file with --config."
-            raise ParameterError("Invalid value for '--set'", error.why, mend) from None
-    name = model or file.model or DLGMD
-    if name not in MODELS:
-        known = ", ".join(MODELS)
-        raise ParameterError(
-            file.name if model is None else "",
-            f"there is no model {name[:40]!r}",
-            f"Choose from {known}.",
-        )
-    chosen = engine or file.engine or "auto"
-    if chosen not in (*ENGINES, "auto"):
-        known = ", ".join(ENGINES)
-        raise ParameterError(
-            file.name if engine is None else "",
-            f"there is no engine {chosen[:40]!r}",
-            f"Choose from {known}.",
-        )
+    file, label = _named_config(set, DEFAULT_PRESET if is_default else config, model)
+    name, chosen = model or file.model or DLGMD, engine or file.engine
+    require_known("model", name, MODELS, file.name if model is None else "")
+    if chosen not in (None, "auto"):
+        require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
     kind = MODELS[name].parameters
     values = dict(overrides or {})
     if formulation is not None:
@@ -157,15 +137,10 @@ def choose(
             mend = "Add --set 9." if is_default else ""
             raise ParameterError("", "--formulation works only with the D-LGMD model", mend)
         values["formulation"] = formulation
-    if config is not None or is_default:
-        label = DEFAULT_PRESET if config is None else Path(config).stem
-    else:
-        number = str(DEFAULT_SET if set is None else set).removeprefix("set")
-        label = name if name != DLGMD else f"set{number}"
     return Setup(
         merge(kind, file, values),
         label,
-        chosen,
+        chosen or "auto",
         file.named if set is None else {"set": int(str(set).removeprefix("set"))},
         file.name,
         InputOptions.from_record(file.options, file.name),
@@ -174,8 +149,24 @@ def choose(
     )
 
 
+def _named_config(
+    set: str | int | None, config: str | os.PathLike[str] | None, model: str | None
+) -> tuple[Config, str]:
+    """The configuration that the arguments of `choose` name, and the model's label."""
+    if config is not None:
+        return load_config(os.fspath(config)), Path(config).stem
+    if model != DLGMD and model in MODELS:
+        return load_model_preset(model), model
+    number = str(DEFAULT_SET if set is None else set)
+    try:
+        return load_preset(number), f"set{number.removeprefix('set')}"
+    except ParameterError as error:
+        mend = f"{error.mend.rstrip('.')}, or give a file with --config."
+        raise ParameterError("Invalid value for '--set'", error.why, mend) from None
+
+
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
-    """The options given, and for the others those that the file of a setup has on record.
+    """The given options, supplemented by those in the file of the setup.
 
     Raises
     ------
@@ -209,7 +200,7 @@ def run(
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
-    on_frame: OnFrame = _nothing,
+    on_frame: OnFrame = silent,
     **options: Any,
 ) -> Result | list[Result]:
     """Run one model, or several, over a video that is decoded once.
@@ -219,26 +210,25 @@ def run(
     video : str or path
         A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``.
     models : sequence, optional
-        What to run: parameters, or names of sets (``9``), models (``"lgmd"``) and presets
-        (``"flight"``). Without it, one model is run, as `set`, `config` and `model` say; the preset
-        `flight` unless given.
+        The models: parameters, or names of sets (``9``), models (``"lgmd"``) and presets
+        (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
     set, config, model, formulation : optional
-        One of the paper's sets; a YAML file, or the name of a preset; the name of a model; how
-        delays that are not whole frames are rounded.
+        One of the paper's sets; a YAML file or the name of a preset; the name of a model; how
+        delays that are not whole frames are rounded. The default is the preset `flight`.
     param : mapping, optional
         Single parameters to override, such as ``{"r": 4}``.
     engine : str, optional
-        `opencv` or `numba`; by frame size unless given.
+        `opencv` or `numba`; chosen by frame size unless given.
     on_frame : callable, optional
-        Called after each frame with the number of frames of the input that are done.
+        Called after each frame with the number of input frames done.
     options
         `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds), `crop`,
-        `mask` and `normalise`, as `dlgmd run --help` explains them.
+        `mask` and `normalise`, see `dlgmd run --help`.
 
     Returns
     -------
     Result or list of Result
-        One, or one for each of `models`, in their order.
+        A single result, or one for each of `models` in their order.
 
     Raises
     ------
@@ -266,7 +256,7 @@ def run(
 
 
 def _setup(model: Parameters | str | int, engine: str | None) -> Setup:
-    """What an entry of `models` stands for."""
+    """The setup for an entry of `models`."""
     if isinstance(model, Parameters):
         return Setup(model, model.model, engine or "auto")
     if model in MODELS:
@@ -281,25 +271,25 @@ def run_input(
     setups: Sequence[Setup],
     options: InputOptions,
     *,
-    on_frame: OnFrame = _nothing,
-    tell: Tell = _nothing,
+    on_frame: OnFrame = silent,
+    tell: Tell = silent,
 ) -> list[Result]:
-    """Open an input, run every model over it and close it; raises what `run` raises."""
+    """Open an input, run every model on it and close it; raises what `run` raises."""
     with open_input(path, setups, options) as video:
         results = run_models(
             video, setups, options, identity=fingerprint(path), on_frame=on_frame, tell=tell
         )
-        require_an_answer(os.fspath(path), video, setups, results, options)
+        require_response(os.fspath(path), video, setups, results, options)
     return results
 
 
 def open_input(
     path: str | os.PathLike[str], setups: Sequence[Setup], options: InputOptions
 ) -> Video:
-    """Open an input for models; its own size is that of the first. Raises what `open_video` does.
+    """Open an input for models; raises what `open_video` raises.
 
-    What no option says, the models do: the frames a second are those of the fastest of them. If
-    one of them is the released code, every frame is taken, repeats too.
+    By default, the frame size is that of the first model and the frame rate that of the fastest. If
+    one of the models has the formulation `released`, every frame is read, repeats included.
     """
     is_released = any(one.params.to_dict().get("formulation") == "released" for one in setups)
     model_fps = None if is_released else max(one.model_fps for one in setups)
@@ -312,31 +302,31 @@ def run_models(
     options: InputOptions,
     *,
     identity: Mapping[str, Any],
-    on_frame: OnFrame = _nothing,
-    tell: Tell = _nothing,
+    on_frame: OnFrame = silent,
+    tell: Tell = silent,
 ) -> list[Result]:
-    """Decode `video` once and step every model; the loop that all commands share.
+    """Decode `video` once and step every model; the loop of all commands.
 
     Parameters
     ----------
     video : Video
-        Where the frames come from.
+        The source of the frames.
     setups : sequence of Setup
         At least one model.
     options : InputOptions
-        How the video was opened; for the records, and for the normalisation.
+        Options of the video, for the records and the normalisation.
     identity : mapping
-        What tells the input from another of its name, see `fingerprint`; for the records.
+        Identity of the input for the records, see `fingerprint`.
     on_frame : callable
-        Called after each frame with the number of frames of the input that are done.
+        Called after each frame with the number of input frames done.
     tell : callable
-        Called with a message before something that takes long.
+        Called with a message before slow steps.
 
     Returns
     -------
     list of Result
-        One a setup. Their record says ``complete: false`` if the stop flag ended the loop; they
-        hold the frames before it.
+        One per setup. If the stop flag ended the loop, the results hold the frames before it, and
+        their records say ``complete: false``.
 
     Raises
     ------
@@ -348,12 +338,12 @@ def run_models(
     for model, size_wh in zip(models, sizes, strict=True):
         model.ignore(video.hidden(size_wh))
     rows, repeated = [array("d") for _ in setups], bytearray()
-    complete = _feed(video, models, sizes, rows, repeated, on_frame)
+    complete = _step_models(video, models, sizes, rows, repeated, on_frame)
     if not complete and not rows[0]:
         raise cancel.Interrupted
     results = []
     for setup, model, size_wh, values in zip(setups, models, sizes, rows, strict=True):
-        result = gathered_result(
+        result = build_result(
             *(values, repeated, video, size_wh, setup, model, options, identity),
             was_read=complete,
             complete=complete,
@@ -363,7 +353,7 @@ def run_models(
     return results
 
 
-def gathered_result(
+def build_result(
     rows: "array[float]",
     repeated: bytearray,
     video: Video,
@@ -377,11 +367,11 @@ def gathered_result(
     complete: bool,
     **facts: Any,
 ) -> Result:
-    """The result of a model that saw `video`: `rows` holds eight numbers of each of its frames,
-    `repeated` whether it repeats the one before.
+    """Build the result of a model from the numbers of its frames.
 
-    `was_read` says whether that was all that is to be read of the video, `complete` and `facts`
-    stand in the record.
+    `rows` holds eight numbers per frame, `repeated` whether each frame repeats the previous one.
+    `was_read` tells whether the video was read to the requested end. `complete` and `facts` are
+    entries of the record.
     """
     columns = np.array(rows).reshape(-1, _N_COLUMNS).T.copy()
     frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y = columns
@@ -400,7 +390,7 @@ def gathered_result(
     return Result(frame.astype(np.int64), *numbers, setup.params, record)
 
 
-def _feed(
+def _step_models(
     video: Video,
     models: Sequence[Model],
     sizes: Sequence[tuple[int, int]],
@@ -408,10 +398,10 @@ def _feed(
     repeated: bytearray,
     on_frame: OnFrame,
 ) -> bool:
-    """Step every model with every frame and keep the numbers; False if the stop flag ended it.
+    """Step every model with every frame and store the numbers; False if the stop flag ended it.
 
-    The row of a repeat, which no model sees, holds the numbers of the row before. After a gap in
-    time the models begin anew.
+    Models do not see repeats: the row of a repeat is a copy of the previous row. After a gap in
+    time, the models are reset.
     """
     distinct = list(dict.fromkeys(sizes))
 
@@ -419,7 +409,7 @@ def _feed(
         for picture in video.pictures():
             yield {size: video.frame(picture, size) for size in distinct}
 
-    # The decoder has threads of its own; OpenCV's would only be in its way.
+    # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames()) as ahead:
         for by_size in ahead:
             for model, size_wh, values in zip(models, sizes, rows, strict=True):
@@ -438,10 +428,10 @@ def _feed(
     return True
 
 
-def numbers_of(answer: Response) -> tuple[float, ...]:
-    """What a row holds of an answer beside the frame and its time."""
-    sums = answer.p_sum, answer.s_sum, answer.attenuation_db
-    return *sums, answer.mp, answer.g_x, answer.g_y
+def numbers_of(response: Response) -> tuple[float, ...]:
+    """The columns of a row after the frame and its time."""
+    sums = response.p_sum, response.s_sum, response.attenuation_db
+    return *sums, response.mp, response.g_x, response.g_y
 
 
 def input_record(
@@ -452,11 +442,10 @@ def input_record(
     n_read: tuple[int, float] | None = None,
     repeated: bytes | bytearray = b"",
 ) -> dict[str, Any]:
-    """What a record says of the input and of what was made of it.
+    """The entries `input` and `processed` of a record.
 
-    `n_read` is the count of the frames read and the time of the last one, where the reading was
-    stopped: decoding may be ahead of it. `repeated` says of each frame processed whether it
-    repeats the one before.
+    If reading was stopped, `n_read` is the number of processed frames and the time of the last one,
+    since decoding may be ahead. `repeated` tells which processed frames repeat the previous one.
     """
     info, progress = video.info, video.progress
     frames, last_s = n_read or (progress.n_decoded, progress.last_time_s)
@@ -485,18 +474,18 @@ def input_record(
 
 
 def input_identity(info: VideoInfo, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What tells an input from others: where it lies, its size and its time of change."""
+    """Identity of an input: its path, size and modification time, see `fingerprint`."""
     return {"path": info.path, **fingerprint(path)}
 
 
-def require_an_answer(
+def require_response(
     name: str,
     video: Video,
     setups: Sequence[Setup],
     results: Sequence[Result],
     options: InputOptions,
 ) -> None:
-    """Raise SourceError if a whole input ended before any model could answer."""
+    """Raise SourceError if the input ended before any model had a full history."""
     if any(result.n_valid for result in results) or not results[0].record["complete"]:
         return
     needs = [create_model(one.params).first_valid_frame + 1 for one in setups]
@@ -507,7 +496,7 @@ def require_an_answer(
 def too_short(
     name: str, video: Video, label: str, n_needed: int, options: InputOptions
 ) -> SourceError:
-    """The error for an input of fewer than the `n_needed` frames that a model needs."""
+    """The error for an input with fewer frames than a model needs."""
     n_read, n_new = video.progress.n_decoded, video.progress.n_new
     if options.start or options.end is not None or options.fps not in (None, "all"):
         last_s = video.progress.last_time_s

@@ -1,7 +1,7 @@
-"""A model at every point of a grid of two parameters; what is done is kept, and not done again.
+"""Sweeps: a model at every point of a grid of two parameters. An interrupted sweep can be resumed.
 
-The folder of a sweep has `sweep.yaml`, which says what is swept, and `sweep.csv`, to which rows are
-appended as points are done. Both are written anew at the end, the record last.
+The folder of a sweep has `sweep.yaml` with its settings, and `sweep.csv`, to which rows are
+appended as points are computed. Both are rewritten at the end, the record last.
 """
 
 import csv
@@ -29,7 +29,7 @@ from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, too_short
+from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, silent, too_short
 from dlgmd_cli.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.video.frames import Frame, InputOptions, Video
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -41,26 +41,22 @@ RESPONSE_COLUMNS = (
     *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
     *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
 )
-# Cells that a task of a process steps through, some tenth of a second: shorter ones cost more.
+# Cells per task, a few tenths of a second of work; smaller tasks would add overhead.
 _CELLS_PER_TASK = 20_000_000
-# What is in a record that does not tell one sweep from another.
+# Keys of a record that do not identify a sweep.
 _OUTCOME = ("input", "processed", "warnings", "complete", "summary")
 
-# Number and parameters of a point; of each clip, the numbers of the columns that a sweep has.
+# A point: its number and its parameters. Its values: for each clip, one number per column.
 Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
-# A temporary file of frames, and what one of them is made of.
+# A temporary file of frames, and the data type of one frame.
 Clip = tuple[Path, np.dtype[np.void]]
-# Name, total (None if it is not known) and unit -> what is called with the number that is done.
+# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done.
 Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
-def _nothing(*_: Any) -> None:
-    """For who does not want to be told."""
-
-
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothing) -> Clip:
-    """Write frames of one size and type, at least one, into a file that any process can map.
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
+    """Write frames of one size and type, at least one, into a file for memory mapping.
 
     Repeats are left out.
     """
@@ -79,16 +75,16 @@ def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = _nothin
 
 
 def _mapped(clip: Clip) -> npt.NDArray[np.void]:
-    """Number, time and picture of every frame, read from the file as they are needed."""
+    """The memory-mapped frames of a clip: number, time, gap flag and picture of each."""
     return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
 
 
 @dataclass(frozen=True)
-class Subject:
-    """What the models of a sweep look at: a video, or cubes, one clip a speed.
+class SweepInput:
+    """The input of a sweep: a video, or translating cubes with one clip per speed.
 
-    `settings` is what it adds to the record. Of a video, which was opened as `asked`, the response
-    is measured; of cubes, only attenuation.
+    `settings` is added to the record. For a video, opened with the options `asked`, the response is
+    measured; for cubes, only the attenuation.
     """
 
     name: str
@@ -101,23 +97,25 @@ class Subject:
     asked: InputOptions = field(default_factory=InputOptions)
 
 
-def film(path: str, video: Video, asked: InputOptions, false_positive_frame: int | None) -> Subject:
-    """A video, or pictures; distinguishability needs a frame where a response is a mistake."""
+def video_input(
+    path: str, video: Video, asked: InputOptions, false_positive_frame: int | None
+) -> SweepInput:
+    """A video or pictures; distinguishability needs a frame with a false positive response."""
     settings = {"false_positive_frame": false_positive_frame}
     name, size_wh = video.info.name, video.size_wh
-    return Subject(name, size_wh, [video], settings, video=video, path=path, asked=asked)
+    return SweepInput(name, size_wh, [video], settings, video=video, path=path, asked=asked)
 
 
-def cubes(
+def cube_input(
     speeds_px: Sequence[float],
     side_px: float,
     n_frames: int | None,
     size_wh: tuple[int, int],
     reach_px: int,
-) -> Subject:
-    """Black cubes that cross a white picture, without rows farther than `reach_px` from them.
+) -> SweepInput:
+    """Black cubes that translate over white; rows farther than `reach_px` from them are cut off.
 
-    Without `n_frames`, all are in sight for as long as the fastest, 75 frames at most.
+    By default, all clips are as long as the fastest cube stays in the picture, 75 frames at most.
     """
     scene = Translation("translating-cubes", "", TranslationOptions())
     (width, height), speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
@@ -126,7 +124,7 @@ def cubes(
     each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
     if n_frames is None:
         n_frames = min(map(scene.n_frames, each))
-        # With an odd number, cubes at whole px/frame are at whole pixels.
+        # With an odd number, cubes with whole px/frame stay aligned to pixels.
         n_frames -= 1 - n_frames % 2
     above = max(0, int((height - side_px) / 2) - reach_px - 1)
 
@@ -137,12 +135,12 @@ def cubes(
     clips = [frames(replace(options, n_frames=n_frames)) for options in each]
     record = {"frames": n_frames, "width": width, "height": height}
     settings = {"cubes": {"speeds_px": list(speeds_px), "side_px": side_px, **record}}
-    return Subject(scene.name, size_wh, clips, settings, speeds_px)
+    return SweepInput(scene.name, size_wh, clips, settings, speeds_px)
 
 
 @dataclass(frozen=True)
 class _Probe:
-    """Computes points of a sweep, in any process."""
+    """Computes points of a sweep; picklable."""
 
     clips: list[Clip]
     engine: str
@@ -151,8 +149,8 @@ class _Probe:
     false_positive_frame: int | None
     hidden: npt.NDArray[np.bool_] | None = None
 
-    def __call__(self, batch: Sequence[Point], tell: Tell = _nothing) -> list[tuple[int, Values]]:
-        """The numbers of some points, and for each clip the values of the columns."""
+    def __call__(self, batch: Sequence[Point], tell: Tell = silent) -> list[tuple[int, Values]]:
+        """Compute some points: their numbers, and for each clip the values of the columns."""
         with opencv_threads(1):
             return [(point, self._values(params, tell)) for point, params in batch]
 
@@ -179,7 +177,7 @@ class _Probe:
     def _measured(
         self, frames: npt.NDArray[np.void], params: Parameters, rows: Series
     ) -> tuple[float, ...]:
-        """The values of the columns; NaN stands for what there is not."""
+        """The values of the columns; NaN where undefined."""
         mp, p_sum, s_sum, attenuation_db, g_x, g_y = rows
         attenuation = _mean_attenuation(attenuation_db)
         if self.columns == ATTENUATION_COLUMNS:
@@ -200,7 +198,7 @@ class _Probe:
 
 
 def _mean_attenuation(attenuation_db: Series) -> float:
-    """Mean over frames where something passes; -inf if nothing ever does, NaN if none is valid."""
+    """Mean over frames with S above zero; -inf if there are none, NaN if no frame is valid."""
     passing = attenuation_db[np.isfinite(attenuation_db)]
     if passing.size:
         return math.fsum(passing) / passing.size
@@ -210,9 +208,9 @@ def _mean_attenuation(attenuation_db: Series) -> float:
 def _computed(
     waiting: list[Point], probe: _Probe, jobs: int, tell: Tell
 ) -> Iterator[tuple[int, Values]]:
-    """Every point with its values, as they are done; the values do not depend on `jobs`."""
+    """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.engine == "numba" and jobs > 1:
-        # Compiled in this process first: the others find the code on disk.
+        # Compile in this process first: the others load the code from disk.
         yield from probe(waiting[:1], tell)
         waiting = waiting[1:]
     n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
@@ -229,7 +227,7 @@ def _computed(
 
 
 def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
-    """The engine that `run` would use on frames of that size; raises what `create_model` does."""
+    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
     model = create_model(params, engine=asked)
     if not isinstance(params, DistributedParameters):
         return model.engine_name
@@ -237,20 +235,20 @@ def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: T
 
 
 class Sweep:
-    """A sweep of a model, `setup`, over a grid, and the folder that it is kept in.
+    """A sweep of the model `setup` over a grid, stored in a folder.
 
-    `points` holds the parameters at all points that are possible, `fault` why the first of the
-    others is not, `result` what is done so far, and `warnings` what is doubtful about the input.
-    Raises ParameterError if no point is possible. `tell` is called before what takes long.
+    `points` holds the parameters of all valid points, and `fault` the error of the first invalid
+    one. `result` holds what is computed so far, `warnings` the doubts about the input. `tell` is
+    called before slow steps. Raises ParameterError if no point is valid.
     """
 
     def __init__(
         self,
         folder: Path,
-        subject: Subject,
+        subject: SweepInput,
         grid: Grid,
         setup: Setup,
-        tell: Tell = _nothing,
+        tell: Tell = silent,
     ) -> None:
         self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
         self.tell, self.engine = tell, engine_for(setup.params, setup.engine, subject.size_wh, tell)
@@ -273,7 +271,7 @@ class Sweep:
         self.warnings: list[str] = []
 
     def resume(self, *, overwrite: bool = False) -> None:
-        """Take in the points that the folder, which must be there, has of the same sweep.
+        """Load the points of the same sweep that the folder, which must exist, already has.
 
         Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
         """
@@ -302,12 +300,12 @@ class Sweep:
         self.result.read(self.folder / TABLE)
 
     def compute(
-        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(_nothing)
+        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(silent)
     ) -> None:
-        """Compute what is not there yet, and append it to the table.
+        """Compute the missing points and append them to the table.
 
-        Points that are done are kept, whatever is raised: SourceError or ParameterError if there
-        are too few frames, OutputError, WorkerError if a process dies, or Interrupted.
+        Computed points are kept after an error: SourceError or ParameterError if there are too few
+        frames, OutputError, WorkerError if a process dies, or Interrupted.
         """
         done, subject = self.result.done, self.subject
         missing = [one for one in self.points.items() if one[0] not in done]
@@ -343,7 +341,7 @@ class Sweep:
                 store.remove(self.folder, ())
 
     def finish(self, figures: Mapping[str, store.Write]) -> None:
-        """Write the table in order, `figures` by their files' names, and the record."""
+        """Write the table in order, the `figures` by file name, and the record."""
         with store.writing(self.folder):
             self._write_table(range(len(self.grid)))
             for name, write in figures.items():
@@ -351,7 +349,7 @@ class Sweep:
             self._write_record(complete=True)
 
     def _keep_frames(self, progress: Progress) -> list[Clip]:
-        """The frames of all clips in files; raises if they are too few for the model everywhere."""
+        """Write the frames of all clips to files; raises if no point has enough of them."""
         subject, video, clips = self.subject, self.subject.video, []
         total = None if video is None else subject.asked.n_expected(video.info)
         with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
@@ -385,17 +383,17 @@ class Sweep:
         return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 
     def _write_table(self, points: Iterable[int]) -> None:
-        """Write the rows of some points in place of the table."""
+        """Rewrite the table with the rows of some points."""
         rows = self.result.rows(points)
         write = partial(write_rows, header=self.result.header, rows=rows)
         store.write_file(self.folder / TABLE, write)
 
     def _write_record(self, *, complete: bool) -> None:
-        """Write what is swept, and how far."""
+        """Write the record."""
         store.write_text(self.folder / RECORD, self._text(complete=complete))
 
     def _text(self, *, complete: bool) -> str:
-        """What `sweep.yaml` says."""
+        """The text of `sweep.yaml`."""
         axes = {"x": self.grid.x, "y": self.grid.y}
         swept = [axis.key for axis in axes.values()]
         params = self.setup.params.to_dict().items()

@@ -1,4 +1,4 @@
-"""What every scene has: a name, checked options, frames, and their ground truth."""
+"""The base of all scenes: a name, checked options, frames, and their ground truth."""
 
 import math
 import numbers
@@ -21,7 +21,7 @@ MAX_FRAMES = 100_000
 
 @dataclass(frozen=True)
 class Limits:
-    """The flag that sets an option, and which values it takes."""
+    """The flag of an option, and its allowed values."""
 
     flag: str
     low: float
@@ -32,7 +32,7 @@ class Limits:
     is_switch: bool = False
 
     def checked(self, value: Any) -> Any:
-        """Return `value`, or raise the ParameterError that says what is wrong with it."""
+        """Return `value` as an int or a float; raises ParameterError if it is not allowed."""
         if self.is_switch:
             if isinstance(value, bool):
                 return value
@@ -53,27 +53,27 @@ class Limits:
 
 
 def option(default: Any, flag: str, low: float, high: float, **limits: Any) -> Any:
-    """A field of `ClipOptions`: its default, its flag, and the range of its number or numbers."""
+    """A numeric field of `ClipOptions`: its default, flag and range."""
     return field(default=default, metadata={"limits": Limits(flag, low, high, **limits)})
 
 
 def switch(default: bool | None, flag: str) -> Any:
-    """A field of `ClipOptions` that is true or false, or None to leave it open."""
+    """A boolean field of `ClipOptions`; None leaves the choice to the scene."""
     return field(default=default, metadata={"limits": Limits(flag, 0, 1, is_switch=True)})
 
 
 def invalid(flag: str, why: str, mend: str = "") -> ParameterError:
-    """The error that blames one option."""
+    """The error for the value of one option."""
     return ParameterError(f"Invalid value for '{flag}'", why, mend)
 
 
 @dataclass(frozen=True)
 class ClipOptions:
-    """What every clip has; checked on construction.
+    """Options of every clip, checked on construction.
 
-    `shape` is height and width, in px; `n_frames` None leaves the length to the scene; `fov_deg` is
-    the horizontal field of view of a pinhole camera with square pixels; `seed` is where all that is
-    random starts.
+    `shape` is (height, width) in px. `n_frames` is the length; None leaves it to the scene.
+    `fov_deg` is the horizontal field of view of a pinhole camera with square pixels. `seed`
+    determines everything random.
     """
 
     shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", whole=True)
@@ -99,7 +99,7 @@ class ClipOptions:
             raise invalid("--size", "it needs a height and a width")
 
     def to_dict(self) -> dict[str, Any]:
-        """Every option by its flag, without the dashes, as records have it."""
+        """Option -> value for records; options are named by their flags without the dashes."""
         values = {
             each.metadata["limits"].flag[2:]: getattr(self, each.name) for each in fields(self)
         }
@@ -121,14 +121,14 @@ class Scene(ABC, Generic[OptionsT]):
     Attributes
     ----------
     name, description : str
-        What it is called on the command line, also the stem of its files; and one line for a list.
+        Name on the command line, also the stem of its files; and a line for `--list`.
     defaults : ClipOptions
-        Its options, with their defaults.
+        The options with their defaults.
     truth_type : type
-        The dataclass of the ground truth of a frame; its fields are the columns of the CSV.
+        The dataclass of a frame's ground truth; its fields are the columns of the CSV.
     is_flight : bool
-        Flights have a `record`, and a video that most players show; the video of others is the
-        same everywhere.
+        Flights have a `record`, and a video that most players support. The videos of other scenes
+        are the same on every machine.
     """
 
     name: str
@@ -138,7 +138,7 @@ class Scene(ABC, Generic[OptionsT]):
     is_flight = False
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
-        """The defaults with some options replaced, by flag, such as ``--speed``.
+        """The defaults with some options replaced; `given` is keyed by flag, such as ``--speed``.
 
         Raises ParameterError if the scene has no such option, or cannot be rendered with these
         values.
@@ -155,16 +155,16 @@ class Scene(ABC, Generic[OptionsT]):
 
     @abstractmethod
     def n_frames(self, options: OptionsT) -> int:
-        """How many frames there are; raises ParameterError if the scene cannot be had so."""
+        """Number of frames; raises ParameterError if the scene cannot be rendered like that."""
 
     @abstractmethod
     def frames(self, options: OptionsT) -> Iterator[GreyImage]:
-        """The frames in order, (H, W) uint8; the same again at every call."""
+        """The frames in order, (H, W) uint8; every call gives the same."""
 
     @abstractmethod
     def truth(self, options: OptionsT) -> Iterator[Any]:
-        """The ground truth of each frame, as a `truth_type`; NaN where nothing is defined."""
+        """The ground truth of each frame, a `truth_type`; NaN where undefined."""
 
     def record(self, options: OptionsT) -> dict[str, Any]:
-        """Facts about the clip as a whole, as YAML can hold them."""
+        """Properties of the whole clip, as YAML data."""
         return {}

@@ -1,6 +1,6 @@
-"""A scene as a clip: its frames, a row of ground truth a frame, a record, and a contact sheet.
+"""Writing a scene as a clip: frames, one row of ground truth per frame, record, contact sheet.
 
-A clip that has a record is there if and only if its record is: the record of an earlier clip is
+A clip with a record is complete if and only if the record exists: the record of an earlier clip is
 removed first, and the new one is written last.
 """
 
@@ -26,25 +26,26 @@ from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
 
 N_STILLS = 12
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
-# The least number of digits in a name that counts.
+# Least number of digits in a numbered name.
 _N_DIGITS = 4
 _PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Form:
-    """How frames are kept: as "mpeg4", "h264", "ffv1" or "png".
+    """How frames are stored: as "mpeg4", "h264", "ffv1" or "png".
 
-    The last two keep every grey level; PNG is a folder of pictures.
+    The last two are lossless; PNG is a folder of pictures.
     """
 
     codec: str
 
     @classmethod
     def choose(cls, *, lossless: bool = False, png: bool = False, playable: bool = False) -> "Form":
-        """PNG if asked for, else FFV1 if asked for, else a video.
+        """PNG if `png`, else FFV1 if `lossless`, else a lossy video.
 
-        A `playable` one is H.264, which most players show, where it can be had; else MPEG-4.
+        A `playable` video is H.264 if an encoder is installed, since most players support it; any
+        other is MPEG-4.
         """
         if png or lossless:
             return cls("png" if png else "ffv1")
@@ -52,11 +53,11 @@ class Form:
 
     @property
     def is_video(self) -> bool:
-        """Whether it is a single file."""
+        """Whether the frames are in a single file."""
         return self.codec != "png"
 
     def check(self, options: ClipOptions) -> None:
-        """Raise ParameterError if a video would not keep the size or the frame rate as they are."""
+        """Raise ParameterError if a video cannot store the exact size or frame rate."""
         if not self.is_video:
             return
         height, width = options.shape
@@ -81,11 +82,10 @@ class Form:
 
 @dataclass(frozen=True)
 class ContactSheet:
-    """Some frames of a clip, and what the clip is.
+    """Selected frames of a clip, with its properties.
 
-    The images, (H, W) uint8, are those that were rendered, before any video smoothed them; `rows`
-    is the ground truth of each. `n_frames` is the length of the whole clip, `record` that of
-    `Scene`.
+    The images, (H, W) uint8, are as rendered, without losses by a video codec; `rows` holds the
+    ground truth of each. `n_frames` is the length of the whole clip, `record` is `Scene.record`.
     """
 
     name: str
@@ -97,14 +97,14 @@ class ContactSheet:
     rows: Sequence[Any]
 
 
-# Draws a contact sheet into a file whose name ends in .png.
+# Draws a contact sheet into a PNG file.
 DrawSheet = Callable[[ContactSheet, Path], object]
 
 
 def clip_paths(
     scene: Scene[Any], form: Form, folder: Path, name: str, *, sheet: bool = False
 ) -> tuple[Path, ...]:
-    """The files of a clip: frames, truth, the record if the scene has one, the sheet if asked."""
+    """The files of a clip: frames, truth, the record of a flight, and the sheet if wanted."""
     paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
     if scene.is_flight:
         paths.append(folder / f"{name}.yaml")
@@ -122,41 +122,43 @@ def write_clip(
     on_frame: Callable[[int], None] = lambda n_rendered: None,
     draw_sheet: DrawSheet | None = None,
 ) -> tuple[Path, ...]:
-    """Render a scene to ``folder/NAME.mp4``, its ground truth to ``folder/NAME.csv``.
+    """Render a scene to ``folder/NAME.mp4`` and its ground truth to ``folder/NAME.csv``.
 
-    Of a flight, ``folder/NAME.yaml`` says what it is, and when which phase and the collision come.
+    A flight also gets ``folder/NAME.yaml`` with its options, phases and collision.
 
     Parameters
     ----------
     form : Form, optional
-        What else than the scene's own kind of video: ``NAME.avi`` in FFV1, or ``NAME/0000.png`` and
-        so on.
+        Format other than the scene's default: ``NAME.avi`` in FFV1, or ``NAME/0000.png`` and so on.
     name : str, optional
-        The files' stem, if not the scene's name.
+        Stem of the files; the scene's name unless given.
     overwrite : bool
-        Replace earlier files. A folder that holds more than numbered pictures is never replaced.
+        Replace earlier files. A folder with files other than numbered pictures is never replaced.
     on_frame : callable, optional
-        Called after each frame with the number of frames that are rendered.
+        Called after each frame with the number of frames rendered.
     draw_sheet : callable, optional
-        Draws ``NAME-sheet.png``, a contact sheet; there is none without.
+        Draws the contact sheet ``NAME-sheet.png``; without it there is none.
 
     Returns
     -------
     tuple of Path
-        The video or folder, the truth, the record if there is one, and the sheet if asked for.
+        The video or folder, the truth, the record of a flight, and the sheet if there is one.
 
     Raises
     ------
-    ParameterError, OutputExistsError, OutputError, Interrupted
-        The scene or a video cannot be had so; a file may not be replaced, or cannot be written; the
-        user asks to stop. Nothing half made is left.
+    ParameterError
+        If the scene cannot be rendered, or a video cannot store it, with these options.
+    OutputExistsError, OutputError
+        If a file may not be replaced, or cannot be written.
+    Interrupted
+        If the user asks to stop. Incomplete files are removed.
     """
     form = form or Form.choose(playable=scene.is_flight)
     n_frames = scene.n_frames(options)
     form.check(options)
     name = name or scene.name
     paths = clip_paths(scene, form, folder, name, sheet=draw_sheet is not None)
-    refuse_standing(paths, form, overwrite=overwrite)
+    refuse_existing_clip(paths, form, overwrite=overwrite)
     temporary = [path.with_name(f"{PREFIX}{path.name}") for path in paths]
     facts = scene.record(options)
     stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
@@ -178,7 +180,7 @@ def write_clip(
         if draw_sheet is not None:
             sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
             draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
-        _put(temporary, paths)
+        _commit(temporary, paths)
     except OSError as error:
         raise unwritable(paths[0], error) from None
     finally:
@@ -190,7 +192,7 @@ def write_clip(
 
 
 def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str, Any]:
-    """All that the files of a clip depend on, known before it is rendered."""
+    """Everything that determines the files of a clip."""
     return {
         "scene": scene.name,
         "seed": options.seed,
@@ -200,8 +202,8 @@ def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str,
     }
 
 
-def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
-    """Raise OutputExistsError if a file of a clip exists already and may not be replaced."""
+def refuse_existing_clip(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
+    """Raise OutputExistsError if a file of a clip already exists and may not be replaced."""
     frames, *others = paths
     if form.is_video:
         others.insert(0, frames)
@@ -224,16 +226,16 @@ def refuse_standing(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> 
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what processes that were killed left in a folder where nobody is writing now."""
+    """Remove temporary files of killed processes; no other process may write into the folder."""
     for path in folder.glob(f"{PREFIX}*"):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-        elif path.suffix:  # the lock has none
+        elif path.suffix:  # the lock file has no suffix
             path.unlink(missing_ok=True)
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
-    """Write ground truth as CSV; the columns are a dataclass's fields, and NaN is an empty cell."""
+    """Write ground truth as CSV with the fields of a dataclass as columns; NaN is left empty."""
     names = [field.name for field in fields(columns)]
     values = ([getattr(row, name) for name in names] for row in rows)
     cells = ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values)
@@ -241,9 +243,9 @@ def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
 
 
 def chosen_frames(n_frames: int, collision_frame: int | None = None) -> tuple[int, ...]:
-    """Which frames a sheet shows: the first, the last, the collision, and others evenly between.
+    """Frames for a contact sheet: the first, the last, the collision, and others evenly between.
 
-    The steps before a collision and those after it differ by what it takes to meet it.
+    Spacing may differ before and after the collision, so that its frame is included.
     """
     if n_frames <= N_STILLS:
         return tuple(range(n_frames))
@@ -256,19 +258,19 @@ def chosen_frames(n_frames: int, collision_frame: int | None = None) -> tuple[in
 
 
 def n_digits(count: int) -> int:
-    """Digits in the names of `count` things, numbered from 0."""
+    """Number of digits to number `count` files from 0."""
     return max(_N_DIGITS, len(str(count - 1)))
 
 
 def _evenly(first: int, last: int, n_steps: int) -> list[int]:
-    """`first`, `last` and what lies between them, in steps that differ by 1 at most."""
+    """Numbers from `first` to `last`, both included, in steps that differ by 1 at most."""
     return [first + step * (last - first) // n_steps for step in range(n_steps + 1)]
 
 
 def _watched(
     frames: Iterable[GreyImage], stills: dict[int, Any], on_frame: Callable[[int], None]
 ) -> Iterator[GreyImage]:
-    """The frames, telling how many were taken; those whose numbers `stills` has are kept there."""
+    """Pass the frames on, report their number, and copy those numbered in `stills` into it."""
     for index, frame in enumerate(frames):
         cancel.check()
         if index in stills:
@@ -282,13 +284,13 @@ def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> N
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for index, frame in enumerate(frames):
-        # Not by OpenCV, which says nothing of a full disk.
+        # cv2.imwrite would not report a full disk.
         encoded = cv2.imencode(".png", frame)[1].tobytes()
         (folder / f"{index:0{digits}d}.png").write_bytes(encoded)
 
 
-def _put(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
-    """Rename files to where they are to be, an earlier record removed first, the new one last."""
+def _commit(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
+    """Rename the files: remove an earlier record first, rename the new one last."""
     in_order = sorted(zip(temporary, paths, strict=True), key=lambda p: p[1].suffix == ".yaml")
     if in_order[-1][1].suffix == ".yaml":
         in_order[-1][1].unlink(missing_ok=True)

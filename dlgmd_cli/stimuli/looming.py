@@ -1,4 +1,4 @@
-"""A cube or a ball that comes straight at the camera, or goes straight away from it."""
+"""A cube or a ball that approaches or recedes along the optical axis."""
 
 import math
 from collections.abc import Iterator
@@ -24,8 +24,8 @@ MIN_METRES, MAX_METRES = 0.001, 10_000
 class ApproachOptions(FlatOptions):
     """Options of a scene with one object on the optical axis.
 
-    The size is the side of the cube or the diameter of the ball; the distance is that from the
-    camera to its nearest point at frame 0.
+    The size is the side of the cube or the diameter of the ball. The distance is from the camera to
+    the nearest point of the object at frame 0.
     """
 
     object_size_m: float = option(0.5, "--object-size", MIN_METRES, MAX_METRES, unit="m")
@@ -34,10 +34,7 @@ class ApproachOptions(FlatOptions):
 
 
 class Approach(Scene[ApproachOptions]):
-    """A "cube" or a "ball" that moves along the optical axis at constant speed.
-
-    If it recedes, there is no contact.
-    """
+    """A "cube" or a "ball" that moves along the optical axis at constant speed."""
 
     truth_type = FlatTruth
 
@@ -54,10 +51,10 @@ class Approach(Scene[ApproachOptions]):
         self._solid, self._recedes = solid, recedes
 
     def n_frames(self, options: ApproachOptions) -> int:
-        """As many as asked for, else 75, or all those before contact."""
+        """Number of frames: as set, else all before contact, or 75 if the object recedes."""
         if self._recedes:
             return options.n_frames or DEFAULT_FRAMES
-        # Contact on a frame, but for rounding, is no longer before contact.
+        # With a margin for rounding: the frame of contact itself does not count.
         n_before = math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6)
         n_before = max(1, n_before)
         if options.n_frames is None and n_before > MAX_FRAMES:
@@ -83,7 +80,7 @@ class Approach(Scene[ApproachOptions]):
         )
 
     def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
-        """The ground truth of each frame, from the geometry alone."""
+        """The ground truth of each frame, computed from the geometry."""
         rate = options.speed_m_s if self._recedes else -options.speed_m_s
         for index in range(self.n_frames(options)):
             distance = self._distance(options, index)
@@ -102,34 +99,34 @@ class Approach(Scene[ApproachOptions]):
         return options.distance_m + (covered if self._recedes else -covered)
 
 
-def _sight_m(shape: Shape, size: float, distance: float) -> float:
-    """How far away the object's outline is, in m: what it spans in the picture is f s / that.
+def _outline_distance_m(shape: Shape, size: float, distance: float) -> float:
+    """Distance at which the outline is seen, in m: an object of size s spans f s / it in the image.
 
-    Of a cube seen face on, it is the distance d of its front face. Of a ball, whose centre lies at
-    D = d + s/2, it is where sight touches it: sqrt(D² - R²), without cancellation.
+    For a cube seen face on, this is the distance d of the front face. For a ball with its centre at
+    D = d + s/2, it is the length of the tangent sqrt(D² - R²), here computed without cancellation.
     """
     return distance if shape == "cube" else math.sqrt(distance * (distance + size))
 
 
 def _angle(shape: Shape, size: float, distance: float) -> float:
-    """Angular size in rad: 2 atan(s / 2d) of a cube, 2 asin(R / D) of a ball."""
-    return 2.0 * math.atan2(size, 2.0 * _sight_m(shape, size, distance))
+    """Angular size in rad: 2 atan(s / 2d) for a cube, 2 asin(R / D) for a ball."""
+    return 2.0 * math.atan2(size, 2.0 * _outline_distance_m(shape, size, distance))
 
 
 def _angle_slope(shape: Shape, size: float, distance: float) -> float:
-    """Its derivative with respect to the distance, in rad/m.
+    """Derivative of the angular size with respect to the distance, in rad/m.
 
-    It is -s / (d² + s²/4) of a cube, and -2 R / (D sqrt(D² - R²)) of a ball.
+    It is -s / (d² + s²/4) for a cube and -2 R / (D sqrt(D² - R²)) for a ball.
     """
     if shape == "cube":
         return -size / (distance**2 + size**2 / 4.0)
-    return -size / ((distance + size / 2.0) * _sight_m(shape, size, distance))
+    return -size / ((distance + size / 2.0) * _outline_distance_m(shape, size, distance))
 
 
 def _patch(shape: Shape, options: ApproachOptions, distance: float) -> Patch:
-    """Its projection on the picture: a square or a disc."""
+    """Projection of the object: a square or a disc."""
     size = options.object_size_m
-    span_px = options.focal_px * size / _sight_m(shape, size, distance)
+    span_px = options.focal_px * size / _outline_distance_m(shape, size, distance)
     height, width = options.shape
     middle = height / 2.0, width / 2.0
     if shape == "cube":

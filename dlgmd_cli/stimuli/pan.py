@@ -1,4 +1,4 @@
-"""What a panning camera sees: a textured scene that slides by, with a sensor's noise."""
+"""The view of a panning camera: a moving texture with sensor noise."""
 
 import math
 from collections.abc import Iterator
@@ -8,18 +8,19 @@ import numpy as np
 
 from dlgmd_cli.stimuli.base import GreyImage
 
-# Sides of the blotches that make up the texture, in px.
+# Grain sizes of the texture, in px.
 _GRAINS_PX = (4, 16, 64, 200)
+# Standard deviation of the noise, in grey levels.
 _NOISE_LEVELS = 4.0
-# The way of the camera: half its extent and its angular speed, across and down.
+# Motion of the camera across and down: amplitude, and angular frequency in rad/frame.
 _SWAY_PX = (150.0, 100.0)
 _SWAY_PER_FRAME = (1 / 18, 1 / 23)
 
 
 def pan_frames(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Iterator[GreyImage]:
-    """Frames of a camera that sways in front of a random texture, as hard to decode as a flight.
+    """Frames, (H, W) uint8, of a camera that sways in front of a random texture.
 
-    They are (H, W) uint8 each; the seed is that of the texture and of the noise.
+    They are as hard to decode as a flight. `seed` determines the texture and the noise.
     """
     height, width = shape
     rng = np.random.default_rng(seed)
@@ -32,7 +33,7 @@ def pan_frames(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Iterator
         texture += fine * math.sqrt(grain)
     darkest, brightest = texture.min(), texture.max()
     texture = 20.0 + (texture - darkest) * np.float32(215.0 / (brightest - darkest))
-    # One field of noise, looked at through another window in every frame.
+    # Every frame shows a different window of one noise field.
     noise = _NOISE_LEVELS * rng.standard_normal((height + 256, width + 256), np.float32)
     for t in range(n_frames):
         x, y = (

@@ -1,7 +1,4 @@
-"""What scenes of plain objects share: one luminance on a background of another, with exact edges.
-
-Each pixel knows what share of it an object covers.
-"""
+"""Rendering of plain objects on a plain background, antialiased by exact pixel coverage."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -18,11 +15,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FlatOptions(ClipOptions):
-    """What all flat scenes can be told.
+    """Options of all flat scenes.
 
-    `contrast` is Weber's, (object - background) / background; luminances are 0 to 1, which is grey
-    level 255, in proportion. `noise` is the standard deviation, in units of luminance, that every
-    pixel of every frame gets before frames are rounded to grey levels.
+    `contrast` is the Weber contrast (object - background) / background. Luminances range from 0 to
+    1, which is grey level 255. `noise` is the standard deviation of the luminance noise, added to
+    each pixel before rounding to grey levels.
     """
 
     contrast: float = option(-0.75, "--contrast", -1, 1000)
@@ -58,14 +55,14 @@ class FlatTruth:
 
 @dataclass(frozen=True)
 class Patch:
-    """A shape on a picture: `coverage` in 0..1 of the pixels at `rows` and `columns`."""
+    """A shape in a picture: `coverage`, 0..1, of the pixels in `rows` and `columns`."""
 
     rows: slice
     columns: slice
     coverage: FloatArray
 
     def paint(self, picture: FloatImage, luminance: float) -> None:
-        """Mix `luminance` into `picture`, (H, W), by the share that is covered; in place."""
+        """Blend `luminance` into `picture`, (H, W), by coverage, in place."""
         below = picture[self.rows, self.columns]
         below += self.coverage * (luminance - below)
 
@@ -73,7 +70,7 @@ class Patch:
 def render(
     options: FlatOptions, n_frames: int, patches: Callable[[int], Iterable[Patch]]
 ) -> Iterator[GreyImage]:
-    """Frames of objects that are all alike, `patches` of the frame's index, on the background."""
+    """Frames with the objects that `patches` gives for each frame index, on the background."""
     rng = np.random.default_rng(options.seed)
     for index in range(n_frames):
         picture: FloatImage = np.full(options.shape, options.background, np.float32)
@@ -87,9 +84,9 @@ def render(
 def rectangle(
     shape: tuple[int, int], center_yx: tuple[float, float], size_yx: tuple[float, float]
 ) -> Patch:
-    """Area coverage of an upright rectangle, exact; it may be far larger than the picture.
+    """Exact coverage of an upright rectangle, which may be far larger than the picture.
 
-    All is in px, y down; pixel (0, 0) reaches from 0 to 1.
+    Coordinates are in px with y down; pixel (0, 0) extends from 0 to 1.
     """
     rows, y = _pixel_edges(center_yx[0], size_yx[0] / 2, shape[0])
     columns, x = _pixel_edges(center_yx[1], size_yx[1] / 2, shape[1])
@@ -99,18 +96,18 @@ def rectangle(
 
 
 def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: float) -> Patch:
-    """Area coverage of a disc, exact but for rounding (1e-3 at a radius of a million px).
+    """Coverage of a disc, exact up to rounding (1e-3 at a radius of a million px).
 
-    It may be far larger than the picture; coordinates are those of `rectangle`.
+    It may be far larger than the picture; coordinates are as in `rectangle`.
     """
     rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
     columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])
     near_y, far_y = _squared_distances(y)
     near_x, far_x = _squared_distances(x)
-    square = radius_px * radius_px  # ** would raise an error if this overflows
+    square = radius_px * radius_px  # `**` would raise OverflowError
     covered = far_y[:, None] + far_x <= square
     coverage = covered.astype(np.float64)
-    # Only pixels that the circle passes through need its integral.
+    # Only pixels on the circle itself need the integral.
     i, j = np.nonzero(~covered & (near_y[:, None] + near_x < square))
     area = (
         _area_from_center(y[i + 1], x[j + 1], radius_px)
@@ -123,7 +120,7 @@ def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: floa
 
 
 def _pixel_edges(center: float, reach: float, n_pixels: int) -> tuple[slice, FloatArray]:
-    """The pixels between center ± reach, and where their edges lie as seen from the centre."""
+    """The pixels within center ± reach, and the positions of their edges relative to `center`."""
     low, high = (
         int(np.clip(edge, 0, n_pixels))
         for edge in (np.floor(center - reach), np.ceil(center + reach))
@@ -134,17 +131,17 @@ def _pixel_edges(center: float, reach: float, n_pixels: int) -> tuple[slice, Flo
 
 
 def _squared_distances(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squared distance from 0 to the nearest and to the farthest point between edges."""
+    """Squared distances from 0 to the nearest and the farthest point of each pixel."""
     low, high = edges[:-1], edges[1:]
     near = np.clip(0.0, low, high)
     return near**2, np.maximum(-low, high) ** 2
 
 
 def _area_from_center(y: FloatArray, x: FloatArray, radius: float) -> FloatArray:
-    """Signed area of the disc between its centre and the corner (y, x).
+    """Signed area of the part of the disc inside the rectangle from its centre to (y, x).
 
-    The corner's rectangle counts in full up to where the circle cuts its long side; beyond, the
-    area under the circle counts.
+    The rectangle counts in full up to its intersection with the circle. Beyond that, the area under
+    the circle counts.
     """
     height, width = np.minimum(np.abs(y), radius), np.minimum(np.abs(x), radius)
     cut = np.sqrt(radius * radius - width**2)

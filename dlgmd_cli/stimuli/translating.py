@@ -1,4 +1,4 @@
-"""Squares that cross the picture sideways, each in a row of its own."""
+"""Squares that translate horizontally, one per row."""
 
 import math
 from collections.abc import Iterator
@@ -17,10 +17,10 @@ from dlgmd_cli.stimuli.plain import (
 
 @dataclass(frozen=True)
 class TranslationOptions(FlatOptions):
-    """Options of a scene with squares that move sideways.
+    """Options of a scene with horizontally moving squares.
 
-    There is one speed a square, from top to bottom; negative is to the left. A size of None makes
-    them a ninth of the height.
+    Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
+    a ninth of the picture's height unless given.
     """
 
     object_size_px: float | None = option(
@@ -37,7 +37,7 @@ class TranslationOptions(FlatOptions):
 
 
 class Translation(Scene[TranslationOptions]):
-    """Squares that are in sight as a whole for the whole clip, and halfway in the middle."""
+    """Squares that stay fully visible, and are in the middle halfway through the clip."""
 
     truth_type = FlatTruth
 
@@ -45,7 +45,7 @@ class Translation(Scene[TranslationOptions]):
         self.name, self.description, self.defaults = name, description, defaults
 
     def n_frames(self, options: TranslationOptions) -> int:
-        """As many as asked for, else 75, or as many as the picture has room for."""
+        """Number of frames: as set, else as many as the picture has room for, 75 at most."""
         height, width = options.shape
         n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
         if n_squares == 0 or 0.0 in speeds:
@@ -54,11 +54,11 @@ class Translation(Scene[TranslationOptions]):
             squares = f"{n_squares} squares" if n_squares > 1 else "a square"
             raise invalid(
                 "--object-size",
-                f"{squares} of {side:g} px cannot stand in a picture of {width}x{height}",
+                f"{squares} of {side:g} px cannot fit into a picture of {width}x{height}",
                 f"Choose {math.floor(min(height / n_squares, width))} px or less.",
             )
         fastest = max(map(abs, speeds))
-        # The margin is for speeds such as 0.1, which have no exact binary form.
+        # The margin is for speeds such as 0.1 that floats cannot represent exactly.
         room = math.floor((width - side) / fastest + 1e-6) + 1
         if options.n_frames is not None and options.n_frames > room:
             raise invalid(
@@ -74,17 +74,14 @@ class Translation(Scene[TranslationOptions]):
         return render(options, n_frames, lambda index: _squares(options, index, n_frames))
 
     def truth(self, options: TranslationOptions) -> Iterator[FlatTruth]:
-        """The ground truth of each frame: nothing grows, and nothing comes closer.
-
-        The angular size is that of a square in the middle of the picture.
-        """
+        """The ground truth of each frame; the angular size is that of a square in the middle."""
         angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
         for index in range(self.n_frames(options)):
             yield FlatTruth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
 
 
 def _squares(options: TranslationOptions, index: int, n_frames: int) -> Iterator[Patch]:
-    """The squares at frame `index`; every one is in the middle halfway through the clip."""
+    """The squares at frame `index`."""
     height, width = options.shape
     row_height = height / len(options.speeds_px)
     for row, speed in enumerate(options.speeds_px):

@@ -1,4 +1,4 @@
-"""What all decoders share: limits, facts, names of files, and what FFmpeg may open."""
+"""Shared by all decoders: limits, stream properties, sizes as text, and the formats allowed."""
 
 import math
 import re
@@ -18,8 +18,8 @@ FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16
 
-# What FFmpeg may open: files that hold moving pictures themselves. Left out are lists of other
-# files and addresses: concat, hls, dash, sdp, vobsub, image2 and the like.
+# The only formats FFmpeg may open are files that contain video themselves. Playlists and the like
+# (concat, hls, dash, sdp, vobsub, image2) could make it read other files or the network.
 _FORMATS = (
     *("mov,mp4,m4a,3gp,3g2,mj2", "matroska,webm", "avi", "mpegts", "mpeg", "mpegvideo", "ogg"),
     *("flv", "live_flv", "asf", "mxf", "gxf", "lxf", "nut", "ivf", "dv", "rm", "wtv", "swf", "nsv"),
@@ -32,7 +32,7 @@ FFMPEG_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": ",".join(_FO
 
 
 class Crop(NamedTuple):
-    """A rectangle of a picture, in px; `x` and `y` are those of its upper left corner."""
+    """A rectangle of a picture, in px, with its top left corner at (`x`, `y`)."""
 
     width: int
     height: int
@@ -43,12 +43,12 @@ class Crop(NamedTuple):
         return f"{self.width}x{self.height}+{self.x}+{self.y}"
 
 
-class Facts(NamedTuple):
-    """What a decoder learns when it opens an input; None where the input states nothing.
+class StreamInfo(NamedTuple):
+    """Properties that an input states when it is opened; None for those it does not state.
 
-    `width` and `height` are those of its first frame as it is shown. `shown_s` is the length of
-    the part that is shown, in seconds, where an edit list may hide the rest; infinite otherwise.
-    `codec` is FFmpeg's name of it, or the four letters in the file where that is all there is.
+    `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
+    edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
+    or the FOURCC if only that is known.
     """
 
     width: int
@@ -60,13 +60,13 @@ class Facts(NamedTuple):
 
 
 class Unreadable(Exception):  # noqa: N818
-    """A file or a frame cannot be decoded; the message says why."""
+    """A file or a frame cannot be decoded; the message gives the reason."""
 
 
 def decoder_threads() -> int:
-    """How many threads a decoder gets: two frames more in flight than there are processors.
+    """Number of threads for a decoder: two more than processors, unless a limit is set.
 
-    They keep the processors busy while the last frame is converted. A limit of threads holds.
+    The two keep the processors busy while the latest frame is converted.
     """
     return thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
 
@@ -89,15 +89,15 @@ def parse_crop(text: str) -> Crop:
 
 
 def plausible_fps(fps: float) -> float | None:
-    """`fps` if it can be a frame rate, else None."""
+    """`fps` if it is a plausible frame rate, else None."""
     return fps if math.isfinite(fps) and 0.0 < fps <= MAX_PLAUSIBLE_FPS else None
 
 
 @contextmanager
 def openable(path: Path) -> Iterator[str]:
-    """A name for an absolute path that FFmpeg opens as it is: no pattern, and valid UTF-8.
+    """A file name that FFmpeg takes literally (no pattern, valid UTF-8) for an absolute path.
 
-    Only opening needs it; reading goes on without.
+    The name is needed to open the file, not to read on.
     """
     name = str(path)
     try:
@@ -109,10 +109,10 @@ def openable(path: Path) -> Iterator[str]:
         yield name
         return
     with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
-        # The suffix helps FFmpeg to recognise raw streams; an odd one may be part of the trouble.
+        # FFmpeg recognises raw streams by their suffix. An unusual one may itself be the problem.
         suffix = path.suffix if path.suffix[1:].isalnum() and path.suffix.isascii() else ""
         link = Path(folder) / f"video{suffix}"
-        with suppress(OSError):  # not every system lets its users make links
+        with suppress(OSError):  # some systems do not let users create links
             link.symlink_to(path)
             name = str(link)
         yield name

@@ -1,4 +1,4 @@
-"""From what a user typed to an open video: options, processed size, decoder, fingerprint."""
+"""Opening an input: options, processed size, choice of decoder, and fingerprint."""
 
 import hashlib
 import math
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, shown
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, require_known, shown
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -24,10 +24,10 @@ from dlgmd_cli.video.base import (
     parse_crop,
     parse_size,
 )
-from dlgmd_cli.video.images import ImageDecoder, name_of, pictures_at
+from dlgmd_cli.video.images import ImageDecoder, pictures_at, sequence_name
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
-from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo, least_gap
+from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo, sampling_step
 from dlgmd_cli.video.region import Region, read_mask
 
 __all__ = [
@@ -43,7 +43,7 @@ __all__ = [
 MAX_SIDE = 8192
 
 _ABOVE_0 = math.ulp(0.0)
-# Least and greatest value of the options that are numbers, in words.
+# Lowest and highest value of each numeric option, and the range in words.
 _RANGES = {
     "scale": (_ABOVE_0, 1.0, "above 0 and up to 1"),
     "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0, or all"),
@@ -56,28 +56,28 @@ _CHOICES = {
     "normalise": ("absolute", "sequence"),
     "repeats": REPEATS,
 }
-# What a default rate may be exceeded by: videos of 30 frames a second have up to 30.3.
-_SLACK = 1.1
-# What begins the name of a stream or of a file elsewhere.
+# How far a video may exceed the default rate: nominal 30 frames/s can be up to 30.3.
+_RATE_TOLERANCE = 1.1
+# The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _RECORD = "Record it to a file first, for example with 'ffmpeg -i SOURCE -c copy flight.mkv'."
-# FFmpeg is kept from reading lists of files anyway; this gives a better reason than "damaged".
-_LISTS = (b"#EXTM3U", b"ffconcat")
+# FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
+_PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
 
 @dataclass(frozen=True)
 class InputOptions:
-    """What is read of an input, and which normalised membrane potential is thresholded.
+    """Which part of an input is read, and which normalised membrane potential is thresholded.
 
-    None stands for the default everywhere. `scale`, `size` and so on are those of `open_video`;
-    `fps` may be `all`, `normalise` is `absolute` or `sequence`. A `crop` may be given as text; a
-    `mask` is held as an absolute path. `mask_sha256` is always that of the file, so that a record
-    tells whether the mask has changed.
+    None stands for the default. Most options are those of `open_video`; `fps` may also be `all`,
+    and `normalise` is `absolute` or `sequence`. `crop` may be given as text, and `mask` is stored
+    as an absolute path. `mask_sha256` is always computed from the file: stored in run.yaml, it
+    shows whether the mask has changed since.
 
     Raises
     ------
     ParameterError
-        If two of them exclude each other.
+        If an option is not valid, or two options exclude each other.
     """
 
     scale: float | None = None
@@ -104,10 +104,10 @@ class InputOptions:
             object.__setattr__(self, "mask", os.path.abspath(self.mask))
         object.__setattr__(self, "mask_sha256", _digest(self.mask))
         for name, value in vars(self).items():
-            why = "" if value is None else _why_wrong(name, value)
-            if why:
+            expected = "" if value is None else _expected(name, value)
+            if expected:
                 option = f"--{name.replace('_', '-')} {shown(value)}"
-                raise ParameterError("", f"{option} is not {why}")
+                raise ParameterError("", f"{option} is not {expected}")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
@@ -115,7 +115,7 @@ class InputOptions:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
-        """The options that a record holds; raises ParameterError, which names `origin`."""
+        """The options in a record; a ParameterError names `origin`."""
         known = {one.name for one in fields(cls)}
         for key in record:
             if key not in known:
@@ -126,13 +126,13 @@ class InputOptions:
             raise ParameterError(origin, f"options: {error.why}", error.mend) from None
 
     def n_expected(self, info: VideoInfo) -> int | None:
-        """The number of frames until the requested end, as far as the input states it."""
+        """Expected number of frames up to the requested end; None if the input states none."""
         if info.n_frames is None or self.end is None:
             return info.n_frames
         return min(info.n_frames, math.ceil(self.end * info.fps))
 
     def to_record(self) -> dict[str, Any]:
-        """The options that are not left to the default, as a record holds them."""
+        """The options that are set, as a record stores them."""
         values = {key: value for key, value in vars(self).items() if value is not None}
         if self.size is not None:
             values["size"] = "{}x{}".format(*self.size)
@@ -149,8 +149,8 @@ class InputOptions:
     ) -> Video:
         """Open an input with these options; raises what `open_video` raises.
 
-        `width_px` and `model_fps` stand for what no option says; without `model_fps` every frame
-        is taken then, repeats too.
+        `width_px` and `model_fps` apply where no option sets the size or the rate. Without
+        `model_fps` every frame is processed by default, repeats included.
         """
         return open_video(
             path,
@@ -170,15 +170,15 @@ class InputOptions:
 
 
 def _digest(mask: Any) -> str | None:
-    """The SHA-256 of a file; None if there is none, which is for `open_video` to say."""
+    """The SHA-256 of a file; None if it cannot be read, which `open_video` reports."""
     try:
         return hashlib.sha256(Path(mask).read_bytes()).hexdigest()
     except (OSError, TypeError, ValueError):
         return None
 
 
-def _why_wrong(name: str, value: Any) -> str:
-    """What the value of an option should be; empty if it is that."""
+def _expected(name: str, value: Any) -> str:
+    """The kind of value that an option takes, in words; empty if `value` is valid."""
     if name == "fps" and value == "all":
         return ""
     if name in _RANGES:
@@ -208,67 +208,99 @@ def open_video(
     crop: Crop | str | None = None,
     mask: str | os.PathLike[str] | None = None,
 ) -> Video:
-    """Frames of a video, a folder or a pattern, ready for a model.
+    """Open a video, a folder of pictures or a pattern, as a source of frames for a model.
 
     Parameters
     ----------
     path : str or path
         A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``. An existing
-        file or folder of this name comes before a pattern.
+        file or folder of this name takes precedence over a pattern.
     scale : float, optional
-        Linear scale of the frames; without it the width is reduced to `width_px` at most.
+        Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
         An exact size instead, in px.
     width_px : int
-        The greatest width without `scale` and `size_wh`; 480, a quarter of 1080p, is the paper's
-        best, and the preset `flight` is made for 240.
+        Greatest width without `scale` and `size_wh`. 480, a quarter of 1080p, is the best in the
+        paper; the preset `flight` is designed for 240.
     start_s, end_s : float
-        Span of time to read, in seconds, the end excluded.
+        Time span to read, in seconds, the end excluded.
     max_fps : float, optional
-        Frames a second at most: only every k-th is taken, and times stay true.
+        Maximum frame rate: only every k-th frame is read, and frames keep their true times.
     model_fps : float, optional
-        The same for videos if `max_fps` is None, where a tenth more is let pass.
+        Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
-        With `skip`, frames that repeat the one before are marked as such, and do not count as
-        frames for `max_fps`. None skips them in videos, not in pictures.
+        With `skip`, repeats of the previous frame are marked as such and do not count for
+        `max_fps`. None means `skip` for videos and `keep` for pictures.
     max_frames : int, optional
-        Frames in all at most.
+        Maximum number of frames in all.
     input_fps : float, optional
-        Frames per second of pictures, or of a video that does not state it; 30 unless given.
+        Frame rate of pictures, or of a video that states none; 30 unless given.
     decoder : {"opencv", "pyav"}
-        What decodes a video; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
+        Decoder for videos; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
     crop : str, optional
-        The rectangle of each picture that is read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and
-        `width_px` are relative to it.
+        The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
+        are relative to it.
     mask : path, optional
-        A picture whose black marks what models are to ignore, see `Video.hidden`; it covers the
-        rectangle, and is scaled if it has another size.
+        A picture whose black pixels models ignore, see `Video.hidden`; it covers the crop, and is
+        resized if necessary.
 
     Returns
     -------
     Video
-        Iterate it for `Frame`\\ s; a context manager.
+        A context manager and an iterable of `Frame`.
 
     Raises
     ------
     SourceError
-        If nothing can be decoded, or the crop reaches outside the picture.
+        If nothing can be decoded, or the crop extends beyond the picture.
     ParameterError
-        If an option is out of range, the path is that of a stream, or the mask is no picture or
-        leaves nothing.
+        If an option is out of range, the path is that of a stream, or the mask is not a picture or
+        hides everything.
     MissingExtraError
         If the decoder's package is not installed.
     """
     if isinstance(crop, str):
         crop = parse_crop(crop)
     masked = None if mask is None else read_mask(os.fspath(mask))
-    Selection(start_s, end_s)  # complains before the input is opened
+    Selection(start_s, end_s)  # raises before the input is opened
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
-    if decoder not in DECODERS:
-        raise ParameterError(
-            "", f"there is no decoder {decoder!r}", f"Choose from {', '.join(DECODERS)}."
-        )
+    require_known("decoder", decoder, DECODERS)
+    name, is_video, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
+    decoder = decoder if is_video else DEFAULT_DECODER
+    opened = reopen()
+    try:
+        width, height, fps, n_frames, *_ = opened.stream_info
+        fps = fps or input_fps or FALLBACK_FPS
+        if max_fps is None:
+            max_fps = _RATE_TOLERANCE * model_fps if model_fps and is_video else math.inf
+        every, min_interval_s = sampling_step(fps, max_fps)
+        info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
+        if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
+            why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
+            raise SourceError(str(path), why, "Choose a rectangle inside them.")
+        region = Region((width, height), crop, masked)
+        size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
+        region.hidden(size)  # raises if nothing is left
+    except BaseException:
+        opened.close()
+        raise
+    video = Video(
+        *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, min_interval_s)),
+        region=region,
+        rate_fps=fps / every,
+        skips_repeats=repeats == "skip" or (repeats is None and is_video),
+    )
+    if not is_video and input_fps is None:
+        line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
+        video.progress.warnings.append(line)
+    return video
+
+
+def _source(
+    path: str | os.PathLike[str], decoder: str, picture_fps: float
+) -> tuple[str, bool, Callable[[], Decoder]]:
+    """Name of an input, whether it is a video file, and a function that opens it."""
     if not isinstance(path, str | os.PathLike):
         raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
     file = Path(path)
@@ -277,45 +309,14 @@ def open_video(
         pictures = pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
-    reopen: Callable[[], Decoder]
-    if pictures is None:
-        _check_readable(file)
-        name, reopen = file.stem or file.name, partial(_open_file, file, decoder)
-    else:
-        name, reopen = name_of(file), partial(ImageDecoder, pictures, input_fps or FALLBACK_FPS)
-        decoder = DEFAULT_DECODER
-    opened = reopen()
-    try:
-        width, height, fps, n_frames, *_ = opened.facts
-        fps = fps or input_fps or FALLBACK_FPS
-        if max_fps is None:
-            is_capped = model_fps is not None and pictures is None
-            max_fps = _SLACK * model_fps if is_capped else math.inf  # type: ignore[operator]
-        every, least_gap_s = least_gap(fps, max_fps)
-        info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
-        if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
-            why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
-            raise SourceError(str(path), why, "Choose a rectangle inside them.")
-        region = Region((width, height), crop, masked)
-        size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
-        region.hidden(size)  # complains if nothing is left
-    except BaseException:
-        opened.close()
-        raise
-    video = Video(
-        *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, least_gap_s)),
-        region=region,
-        rate_fps=fps / every,
-        skips_repeats=repeats == "skip" or (repeats is None and pictures is None),
-    )
-    if pictures is not None and input_fps is None:
-        line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
-        video.progress.warnings.append(line)
-    return video
+    if pictures is not None:
+        return sequence_name(file), False, partial(ImageDecoder, pictures, picture_fps)
+    _check_readable(file)
+    return file.stem or file.name, True, partial(_open_file, file, decoder)
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder at the start of a video file."""
+    """A decoder for a video file; raises SourceError if no frame can be decoded."""
     try:
         with openable(path.absolute()) as name:
             return PyAVDecoder(name) if decoder == "pyav" else OpenCVDecoder(name)
@@ -328,9 +329,9 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 
 def _refuse_streams(name: str) -> None:
-    """Raise ParameterError if a name is that of a stream, of standard input or of a file elsewhere.
+    """Raise ParameterError for a stream, standard input or a URL.
 
-    A file or a folder of this name, or one that its pattern leads through, is taken as such.
+    A local file or folder of that name, or one that a pattern starts with, takes precedence.
     """
     if name == "-" and not Path(name).exists():
         raise ParameterError("-", "standard input is not read; only files are", _RECORD)
@@ -343,7 +344,7 @@ def _refuse_streams(name: str) -> None:
 
 
 def _check_readable(path: Path) -> None:
-    """Raise SourceError with the reason why a file cannot be opened, which FFmpeg does not give."""
+    """Raise SourceError with the reason if a file cannot be opened; FFmpeg gives no reason."""
     name = str(path)
     if not path.exists():
         raise SourceError(name, "there is no such file or folder", "Check the path.")
@@ -360,7 +361,7 @@ def _check_readable(path: Path) -> None:
         raise SourceError(name, f"cannot be read ({error.strerror})") from None
     if not start:
         raise SourceError(name, "the file is empty", "Copy or record it again.")
-    if start.startswith(_LISTS):
+    if start.startswith(_PLAYLISTS):
         raise SourceError(
             name, "is a list of other files, not a video", "Give one of the videos it names."
         )
@@ -376,8 +377,8 @@ def processed_size(
 ) -> tuple[int, int]:
     """Width and height in px at which an input is processed; raises ParameterError.
 
-    Without `scale`, 0 < scale <= 1, and an exact `size_wh` in px the width is reduced to
-    `width_px`, and never enlarged.
+    `scale` is above 0 and up to 1, `size_wh` an exact size in px. Without both, a width above
+    `width_px` is reduced to it; a smaller one is kept.
     """
     if size_wh is not None:
         if scale is not None:
@@ -395,18 +396,18 @@ def processed_size(
 
 
 def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What tells an input from another of the same name, without decoding it.
+    """Identify the content of an input without decoding it.
 
-    Of a file ``bytes`` and ``mtime_ns``; of pictures their number and a digest of the names, sizes
-    and times of change of all. Raises SourceError if there are no pictures, and OSError.
+    For a file: ``bytes`` and ``mtime_ns``. For pictures: their number, and a SHA-256 of their
+    names, sizes and modification times. Raises SourceError if there are no pictures, and OSError.
     """
     pictures = pictures_at(Path(path))
     if pictures is None:
-        facts = Path(path).stat()
-        return {"bytes": facts.st_size, "mtime_ns": facts.st_mtime_ns}
+        status = Path(path).stat()
+        return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns}
     digest = hashlib.sha256()
     for picture in pictures:
-        facts = picture.stat()
-        line = f"{picture.name}\0{facts.st_size}\0{facts.st_mtime_ns}\n"
+        status = picture.stat()
+        line = f"{picture.name}\0{status.st_size}\0{status.st_mtime_ns}\n"
         digest.update(line.encode(errors="replace"))
     return {"pictures": len(pictures), "sha256": digest.hexdigest()}

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.video.base import Facts, Unreadable
+from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
 
 SUFFIXES = (
@@ -20,7 +20,7 @@ _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
 class ImageDecoder:
-    """Pictures from files, at least one, in the order and at the frames per second given.
+    """Decodes a sequence of picture files, at least one, at a given frame rate.
 
     Raises
     ------
@@ -40,33 +40,33 @@ class ImageDecoder:
                 "Remove it from the sequence or convert it to PNG.",
             )
         kind = self._path.suffix[1:].lower()
-        self.facts = Facts(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
+        self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
 
     def stamps(self) -> Iterator[float]:
-        """The time of every picture in seconds."""
+        """The time of each picture in seconds."""
         for index, path in enumerate(self._paths):
             self._path = path
             yield index / self._fps
 
     def picture(self) -> tuple[Image, None]:
-        """The picture at the last time; raises Unreadable."""
+        """The picture of the latest timestamp; raises Unreadable."""
         image = read_image(self._path)
         if image is None:
             raise Unreadable(f"{self._path.name} cannot be read as a picture")
         height, width = image.shape[:2]
-        if (width, height) != self.facts[:2]:
-            expected = f"{self.facts.width}x{self.facts.height}"
+        if (width, height) != self.stream_info[:2]:
+            expected = f"{self.stream_info.width}x{self.stream_info.height}"
             raise Unreadable(f"{self._path.name} is {width}x{height}, not {expected}")
         return image, None
 
     def close(self) -> None:
-        """Do nothing: no file stays open between pictures."""
+        """Do nothing: no file is kept open."""
 
 
 def read_image(path: Path) -> Image | None:
-    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if cannot be read."""
+    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
     try:
-        # Not imread: it cannot open every file name.
+        # imread cannot open every file name.
         data = np.frombuffer(path.read_bytes(), np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except (OSError, cv2.error):
@@ -75,12 +75,12 @@ def read_image(path: Path) -> Image | None:
 
 
 def pictures_at(path: Path) -> list[Path] | None:
-    """The pictures in a folder or of a pattern, at least one, in order; None for a file.
+    """The pictures of a folder or a pattern in natural order, at least one; None for a file.
 
     Raises
     ------
     SourceError
-        If there is none, or the folder cannot be read.
+        If there are none, or the folder cannot be read.
     """
     if path.is_dir():
         try:
@@ -103,8 +103,8 @@ def pictures_at(path: Path) -> list[Path] | None:
     return sorted(found, key=_natural_key)
 
 
-def name_of(path: Path) -> str:
-    """What the results of a folder or a pattern are called: the folder's name."""
+def sequence_name(path: Path) -> str:
+    """Name for the results of a folder or a pattern: the folder's name."""
     folder = path.absolute()
     while not folder.is_dir() and _is_pattern(folder.name):
         folder = folder.parent
@@ -112,18 +112,18 @@ def name_of(path: Path) -> str:
 
 
 def _is_pattern(text: str) -> bool:
-    """Whether `text` names several files: a glob, or a printf pattern with one %d."""
+    """Whether `text` is a glob or a printf pattern with one %d."""
     return glob.has_magic(text) or _PRINTF.search(Path(text).name) is not None
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:
-    """Sorts frame2 before frame10."""
+    """Sort key that puts frame2 before frame10."""
     parts = re.split(r"(\d+)", str(path))
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _printf_matches(pattern: Path) -> list[Path]:
-    """Files in the pattern's folder whose names its one %d (or %04d) could have printed."""
+    """Files in the pattern's folder whose names match its one %d (or %04d)."""
     match = _PRINTF.search(pattern.name)
     if match is None or not pattern.parent.is_dir():
         return []

@@ -1,4 +1,4 @@
-"""From a decoded picture to the grey levels a model takes: luma plane, reduction, full range."""
+"""Conversion of a decoded picture to grey levels: luma plane, resizing, full range."""
 
 import re
 import sys
@@ -10,24 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 Image = npt.NDArray[Any]
-# The levels of black and white; None for the least and the greatest that the type holds.
+# The levels of black and white; None for the full range of the data type.
 Levels = tuple[int, int] | None
 
-# Formats whose first plane is the luma, one sample after the other. All others have to be
-# converted: packed, RGB, floating point or of the other byte order.
+# Formats whose first plane is the luma with contiguous samples. All others must be converted:
+# packed, RGB, floating-point formats and those of the other byte order.
 _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
-# From this factor on, a reduction begins with a halving.
+# A reduction by this factor or more begins with a halving.
 _FAR = 16
 _LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
 
 
 @lru_cache(maxsize=64)
 def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | None:
-    """The type and the levels of a format's first plane, if that is the luma.
+    """Data type and levels of the luma plane; None if the first plane is not the luma.
 
-    Both arguments are as FFmpeg has them: a name such as yuv420p, and 0, 1 or 2.
+    The arguments are FFmpeg's: a name such as yuv420p, and a colour range of 0, 1 or 2.
     """
     planar, semiplanar = _PLANAR.fullmatch(pixel_format), _SEMIPLANAR.fullmatch(pixel_format)
     found = planar or semiplanar
@@ -46,7 +46,7 @@ def luma_plane(pixel_format: str, colour_range: int) -> tuple[type, Levels] | No
 
 
 def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
-    """Grey levels (BT.601) of a picture, clipped to its levels, at the size given.
+    """Grey levels (BT.601) of a picture, clipped to its range and resized.
 
     Parameters
     ----------
@@ -71,18 +71,19 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
     if levels is not None:
         black, white = levels
         gain = 255.0 / (white - black)
-        # Rounds to the nearest level and clips, at twice the speed of a table.
+        # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
     return grey.copy() if np.may_share_memory(grey, image) else grey
 
 
 def resized(image: Image, size_wh: tuple[int, int]) -> Image:
-    """A grey picture (H, W) at another size: averages of areas if it shrinks, else interpolated.
+    """Resize a grey picture (H, W): area averages if it shrinks, else linear interpolation.
 
-    OpenCV halves a picture seven times as fast as it divides its sides by 4, or by what is no
-    whole number. An even whole factor therefore begins with a halving, and so does one of 16 or
-    more, where pairs of pixels at the edges of an area hardly count. Both steps round to whole
-    levels: the result is within 1 of the exact mean, or 1.25 of noise with a factor of 16.
+    OpenCV halves a picture seven times as fast as it divides the sides by 4 or by a fraction.
+    Reduction by an even whole factor therefore begins with a halving. So does reduction by a factor
+    of 16 or more, where the pixel pairs at the edges of an area hardly matter. Both steps round to
+    whole levels: the result is within 1 of the exact mean, or within 1.25 for noise and a factor
+    of 16.
     """
     width, height = size_wh
     sides = tuple(zip(image.shape, (height, width), strict=True))

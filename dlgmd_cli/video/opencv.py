@@ -1,4 +1,4 @@
-"""Video files decoded by OpenCV's FFmpeg backend, as BGR pictures."""
+"""Decoding of video files by OpenCV's FFmpeg backend, as BGR pictures."""
 
 import math
 import os
@@ -11,7 +11,7 @@ import cv2
 
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
-    Facts,
+    StreamInfo,
     Unreadable,
     decoder_threads,
     openable,
@@ -19,27 +19,27 @@ from dlgmd_cli.video.base import (
 )
 from dlgmd_cli.video.luma import Image
 
-# A damaged packet makes one read fail; at the end of the stream all further reads fail. Pictures
-# from before the damage may still be inside the decoder's threads.
+# A damaged packet makes one read fail, the end of the stream all further ones. The decoder's
+# threads may still hold pictures from before the damage.
 _READS_PAST_DAMAGE = 32
 _VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _lock = threading.Lock()
 
 
 class OpenCVDecoder:
-    """The frames of a file as BGR pictures, from the first to the last, once.
+    """Decodes the frames of a file as BGR pictures, once from first to last.
 
-    OpenCV scales every frame to the size of the first one, and does not tell when the size changes.
+    OpenCV scales every frame to the size of the first one and does not report a change of size.
 
     Parameters
     ----------
     name : str
-        The file; valid UTF-8 and no pattern.
+        The file's name, valid UTF-8 and not a pattern.
 
     Raises
     ------
     Unreadable
-        If there is no frame.
+        If no frame can be decoded.
     """
 
     def __init__(self, name: str) -> None:
@@ -50,7 +50,7 @@ class OpenCVDecoder:
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
         height, width = self._first().shape[:2]
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self.facts = Facts(
+        self.stream_info = StreamInfo(
             width,
             height,
             plausible_fps(capture.get(cv2.CAP_PROP_FPS)),
@@ -60,7 +60,7 @@ class OpenCVDecoder:
         )
 
     def _first(self) -> Image:
-        """The first frame that can be decoded; `stamps` begins with it."""
+        """The first decodable frame, with which `stamps` begins."""
         for _ in range(_READS_PAST_DAMAGE):
             if self._capture.grab():
                 try:
@@ -70,7 +70,7 @@ class OpenCVDecoder:
         raise Unreadable
 
     def stamps(self) -> Iterator[float]:
-        """The timestamp of every frame in seconds, NaN for none."""
+        """The timestamp of each frame in seconds, NaN where there is none."""
         capture = self._capture
         yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         while True:
@@ -78,18 +78,18 @@ class OpenCVDecoder:
                 if not any(capture.grab() for _ in range(_READS_PAST_DAMAGE)):
                     return
                 self.is_damaged = True
-            # OpenCV says 0 where there is no timestamp.
+            # OpenCV gives 0 for a missing timestamp.
             yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0 or math.nan
 
     def picture(self) -> tuple[Image, None]:
-        """The frame at the last timestamp, in memory that the next one reuses."""
+        """The frame of the latest timestamp, valid until the next call."""
         try:
             is_there, image = self._capture.retrieve(self._image)
         except cv2.error:
             is_there, image = False, None
         if not is_there or image is None or image.size == 0:
             raise Unreadable("the file is damaged")
-        # Reused memory is faster: the system need not clear new pages.
+        # Reusing memory is faster: the system need not clear new pages.
         self._image = image
         return image, None
 
@@ -99,23 +99,23 @@ class OpenCVDecoder:
 
 
 def _four_letters(code: int) -> str:
-    """A FOURCC as text, without what is not printable."""
+    """A FOURCC as text, without unprintable characters."""
     letters = (code & 0xFFFFFFFF).to_bytes(4, "little").decode("latin-1")
     return "".join(filter(str.isprintable, letters)).strip()
 
 
 def _shown_s(file: Path, kbit_per_s: float) -> float:
-    """How much of its frames an MP4 shows, in seconds: its edit list may hide some."""
+    """Duration that the edit list of an MP4 leaves visible, in seconds; else infinite."""
     with file.open("rb") as start:
         is_mp4 = start.read(8)[4:] == b"ftyp"
-    # FFmpeg derives the bit rate of an MP4 from its size and the length that it shows.
+    # FFmpeg derives the bit rate of an MP4 from its size and its visible duration.
     if not is_mp4 or kbit_per_s <= 0.0:
         return math.inf
     return 8e-3 * file.stat().st_size / kbit_per_s
 
 
 def count_frames(path: Path) -> int:
-    """The number of frames that can be decoded from a video file; 0 if there is none."""
+    """Number of frames that can be decoded from a video file."""
     try:
         with openable(path.absolute()) as name:
             decoder = OpenCVDecoder(name)

@@ -1,4 +1,4 @@
-"""Reading ahead: a thread decodes the next frames while the model works on this one."""
+"""Prefetching: a thread decodes the next frames while the model processes the current one."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -13,10 +13,10 @@ ItemT = TypeVar("ItemT")
 
 @contextmanager
 def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[ItemT]]:
-    """A context that yields the items in order, taken by a thread that is `depth` of them ahead.
+    """A context that yields the items in order while a thread fetches up to `depth` in advance.
 
-    An exception of the iterable is raised after the items before it. Leaving the context waits for
-    the item in work, and takes no more.
+    An exception from the iterable is raised after the items before it. Leaving the context waits
+    for the item being fetched and fetches no more.
     """
     iterator, end = iter(items), object()
     pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
@@ -35,7 +35,7 @@ def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[Item
 
 @contextmanager
 def opencv_threads(count: int) -> Iterator[None]:
-    """While it lasts, OpenCV uses `count` threads of its own; then as many as before."""
+    """Let OpenCV use `count` threads inside the context."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(count)
     try:

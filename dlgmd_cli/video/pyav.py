@@ -1,4 +1,4 @@
-"""Video files decoded by PyAV, which gives access to the luma plane as it is."""
+"""Decoding of video files by PyAV, which gives direct access to the luma plane."""
 
 import itertools
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
-    Facts,
+    StreamInfo,
     Unreadable,
     decoder_threads,
     plausible_fps,
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-# As many as OpenCV accepts. A stream cut out of another begins with many that give no picture.
+# OpenCV's limit. A stream cut from a longer one may begin with many undecodable packets.
 _MAX_BAD_PACKETS = 4096
-# A stream says of each frame whether its two fields were taken one after the other.
+# Frames to look at for interlacing, which is flagged in each frame.
 _N_FIELD_FRAMES = 8
 _COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
 _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
 
 
 class Details(NamedTuple):
-    """How a stream is encoded: `pixel_format` is FFmpeg's name, `n_bits` those of a sample."""
+    """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample."""
 
     codec: str
     pixel_format: str
@@ -42,40 +42,40 @@ class Details(NamedTuple):
 
 
 class PyAVDecoder:
-    """The frames of a file as luma planes, as BGR pictures where they have none; once.
+    """Decodes the frames of a file once, as luma planes or, if there are none, as BGR pictures.
 
     Parameters
     ----------
     name : str
-        The file; no pattern.
+        The file's name, not a pattern.
 
     Raises
     ------
     Unreadable
-        If there is no frame.
+        If no frame can be decoded.
     MissingExtraError
         If PyAV is not installed.
 
     Notes
     -----
-    FFmpeg's messages are dropped, which is PyAV's default: a callback into Python from FFmpeg's
-    threads can deadlock. In damaged H.264 it depends on the timing of FFmpeg's threads which frames
-    count as corrupt: reading it again may end some frames earlier or later.
+    FFmpeg's messages are discarded, PyAV's default: a callback into Python from FFmpeg's threads
+    can deadlock. In damaged H.264, the timing of FFmpeg's threads decides which frames count as
+    corrupt, so reading the file again may end a few frames earlier or later.
     """
 
     def __init__(self, name: str) -> None:
         av = _import_av()
         self.is_damaged = False
         try:
-            # With "file:" the name is nothing but a name.
+            # The prefix "file:" keeps FFmpeg from interpreting the name.
             self._container: InputContainer = av.open(
                 f"file:{name}", metadata_errors="replace", container_options=dict(FFMPEG_OPTIONS)
             )
         except (av.FFmpegError, ValueError):
             raise Unreadable from None
-        stream = self._stream = _pictures_of(self._container)
-        # Threads by frames if the codec allows it, else by slices. PyAV's default are slices, which
-        # most videos do not have.
+        stream = self._stream = _video_stream(self._container)
+        # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
+        # which most videos do not have.
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = decoder_threads()
         self._frames = self._decoded(av, stream)
@@ -83,12 +83,12 @@ class PyAVDecoder:
         if first is None:
             self.close()
             raise Unreadable
-        self.is_damaged = False  # a stream may begin with what gives no frame
+        self.is_damaged = False  # undecodable packets at the start of a stream are normal
         self._frame = first
-        self.facts = _facts(self._container, stream, _shown_size(first))
+        self.stream_info = _stream_info(self._container, stream, _shown_size(first))
 
     def _decoded(self, av: Any, stream: "VideoStream") -> Generator["VideoFrame", None, None]:
-        """Every frame that is whole."""
+        """All intact frames."""
         container = self._container
         n_bad = 0
         packets = container.demux(stream)
@@ -98,9 +98,9 @@ class PyAVDecoder:
                 if packet is None:
                     return
                 frames = stream.decode(packet)
-            except EOFError:  # an error while the last frames were fetched
+            except EOFError:  # an error while the last frames were flushed
                 return
-            except IndexError:  # PyAV no longer finds the stream among those of the container
+            except IndexError:  # PyAV no longer finds the stream in the container
                 self.is_damaged = True
                 return
             except av.FFmpegError:
@@ -116,7 +116,7 @@ class PyAVDecoder:
                     yield frame
 
     def stamps(self) -> Iterator[float]:
-        """The timestamp of every frame in seconds from the start of the stream, NaN for none."""
+        """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
         start = self._stream.start_time or 0
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
@@ -126,45 +126,45 @@ class PyAVDecoder:
                 yield float((frame.pts - start) * frame.time_base)
 
     def picture(self) -> tuple[Image, Levels]:
-        """The frame at the last timestamp; its memory lasts for as long as it is held."""
+        """The frame of the latest timestamp; it keeps its own memory alive."""
         size = _shown_size(self._frame)
-        if size != self.facts[:2]:
+        if size != self.stream_info[:2]:
             raise Unreadable(f"the picture size changes to {size[0]}x{size[1]}")
         return picture_of(self._frame)
 
     def details(self) -> Details:
-        """How the stream is encoded, after the first few frames; these are taken."""
+        """How the stream is encoded; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
         is_interlaced = any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
-        return Details(self.facts.codec, pixels.name, n_bits, is_interlaced)
+        return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced)
 
     def close(self) -> None:
         """Free the file; may be called twice."""
-        # What still reads from the container has to end first, or it would crash.
+        # The generator reads from the container and would crash if that were closed first.
         self._frames.close()
         self._container.close()
 
 
 def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
-    """The luma plane of a frame, a view of its memory, or BGR if it has none; and its levels."""
+    """The luma plane of a frame (a view) or, if it has none, BGR; and its levels."""
     plane = frame.planes[0]
     luma = luma_plane(frame.format.name, int(frame.color_range))
     if luma is None or plane.line_size <= 0:
         try:
-            return _turned(frame, frame.to_ndarray(format="bgr24")), None
+            return _upright(frame, frame.to_ndarray(format="bgr24")), None
         except (ValueError, OSError):  # no conversion from this format
             raise Unreadable("the file is damaged") from None
     kind, levels = luma
-    # A view: it keeps the frame alive, and the frame its memory.
+    # The view keeps the frame alive, and the frame keeps its memory.
     image: Image = np.ndarray(
         (frame.height, frame.width),
         kind,
         buffer=memoryview(plane),
         strides=(plane.line_size, np.dtype(kind).itemsize),
     )
-    return _turned(frame, image), levels
+    return _upright(frame, image), levels
 
 
 def _import_av() -> Any:
@@ -183,8 +183,8 @@ def _import_av() -> Any:
     return av
 
 
-def _pictures_of(container: "InputContainer") -> "VideoStream":
-    """The first stream of moving pictures that can be decoded."""
+def _video_stream(container: "InputContainer") -> "VideoStream":
+    """The first decodable video stream that is not a cover picture."""
     for stream in container.streams.video:
         if not stream.disposition.value & _COVER and stream.codec_context is not None:
             return stream
@@ -192,40 +192,42 @@ def _pictures_of(container: "InputContainer") -> "VideoStream":
     raise Unreadable
 
 
-def _facts(container: "InputContainer", stream: "VideoStream", size: tuple[int, int]) -> Facts:
-    """What the container states."""
+def _stream_info(
+    container: "InputContainer", stream: "VideoStream", size: tuple[int, int]
+) -> StreamInfo:
+    """The properties that the container states."""
     rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
     fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
     length_s = _length_s(container, stream)
     n_frames = stream.frames or round(length_s * (fps or 0.0))
     has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
     shown_s = length_s if has_edits else math.inf
-    return Facts(*size, fps, n_frames or None, shown_s, stream.codec_context.name)
+    return StreamInfo(*size, fps, n_frames or None, shown_s, stream.codec_context.name)
 
 
 def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
-    """How long the stream is said to be shown, in seconds; 0 for nothing said."""
+    """The stated duration of the stream in seconds; 0 if none is stated."""
     if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     tag = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", stream.metadata.get("DURATION", ""))
-    if tag:  # of Matroska; other streams may be longer
+    if tag:  # Matroska: the container's duration may be that of a longer stream
         return float(tag[1]) * 3600.0 + float(tag[2]) * 60.0 + float(tag[3])
     return (container.duration or 0) / 1e6
 
 
-def _turn(frame: "VideoFrame") -> int | None:
-    """OpenCV's code for turning the frame upright; None if it is."""
-    # Rounded, because PyAV cuts off the decimals; angles between are not honoured.
+def _rotation_code(frame: "VideoFrame") -> int | None:
+    """OpenCV's code for rotating the frame upright; None if it is upright already."""
+    # PyAV truncates the angle, hence the rounding; other angles are ignored.
     return _TURNS.get(round(frame.rotation, -1) % 360)
 
 
-def _turned(frame: "VideoFrame", image: Image) -> Image:
-    """The frame's image, upright."""
-    turn = _turn(frame)
+def _upright(frame: "VideoFrame", image: Image) -> Image:
+    """The frame's image, rotated upright."""
+    turn = _rotation_code(frame)
     return image if turn is None else cv2.rotate(image, turn)
 
 
 def _shown_size(frame: "VideoFrame") -> tuple[int, int]:
-    """Width and height of a frame as it is shown."""
-    is_upright = _turn(frame) in (None, cv2.ROTATE_180)
+    """Display width and height of a frame."""
+    is_upright = _rotation_code(frame) in (None, cv2.ROTATE_180)
     return (frame.width, frame.height) if is_upright else (frame.height, frame.width)

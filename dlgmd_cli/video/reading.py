@@ -1,4 +1,4 @@
-"""Reading an input: frames chosen by their times, and what a damaged file holds before a gap."""
+"""Reading an input: the choice of frames by time, and the warnings about damage."""
 
 import copy
 import math
@@ -18,34 +18,34 @@ from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
 from dlgmd_cli.video.region import Region
-from dlgmd_cli.video.timestamps import FrameClock, Rhythm, missing_frames, rhythm
+from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
-# What decodes an input once: `facts`; `stamps()`, which takes one frame after the other and gives
-# its timestamp; `picture()`, what that frame shows, and its levels; `is_damaged`, whether there
-# were frames that cannot be decoded.
+# Every decoder reads its input once. `stamps()` steps through the frames and yields their
+# timestamps, `picture()` gives the picture of the current frame and its levels. `stream_info` holds
+# the stated properties; `is_damaged` is set when a frame could not be decoded.
 Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
-# So many, and more than this share of all frames, are many repeats.
+# A warning is due from this number of repeats on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """Facts about an input.
+    """Properties of an input.
 
     Attributes
     ----------
     path : str
-        Where it is, absolute.
+        Absolute path.
     name : str
-        What its results are called: the stem of a file, the name of a folder.
+        Name for its results: the stem of a file, the name of a folder.
     width, height : int
-        Size of its pictures as they are shown, in px.
+        Display size of its pictures, in px.
     fps : float
-        Nominal frames per second.
+        Nominal frame rate.
     n_frames : int or None
-        How many frames it claims to have: a hint for a progress bar, often wrong.
+        Stated number of frames: a hint for a progress bar, often wrong.
     decoder : str
-        What decodes it: opencv or pyav.
+        opencv or pyav.
     """
 
     path: str
@@ -61,8 +61,8 @@ class VideoInfo:
 class Picture:
     """A decoded picture: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
 
-    `levels` are the levels of black and white, if they are not the least and the greatest that
-    the data type holds. `is_repeat` and `after_gap` are those of `Frame`.
+    `levels` are the levels of black and white; None means the full range of the data type. See
+    `Frame` for `is_repeat` and `after_gap`.
     """
 
     index: int
@@ -75,11 +75,11 @@ class Picture:
 
 @dataclass
 class Progress:
-    """How far the reading has come, and what went wrong.
+    """How far an input has been read, and what went wrong.
 
-    `n_new` counts the frames that were handed on as new pictures, `n_repeats` all that repeat the
-    frame before; None if nobody looked. At the end, `damage` says where frames are missing or
-    cannot be decoded, which is among the `warnings`, and `rhythm` how all frames follow each other.
+    `n_new` counts the new pictures that were yielded. `n_repeats` counts all repeats of a previous
+    frame; None if they were not looked for. After the last frame, `damage` tells where frames are
+    missing or cannot be decoded (these lines are also in `warnings`), and `frame_rates` is set.
     """
 
     n_decoded: int = 0
@@ -88,16 +88,16 @@ class Progress:
     n_repeats: int | None = None
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
-    rhythm: Rhythm | None = None
+    frame_rates: FrameRates | None = None
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as models take it.
+    """A frame in the form that models take.
 
-    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1. A frame
-    that `is_repeat` shows what the one before it showed; `after_gap` says that frames are missing
-    before it, see `GapDetector`.
+    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1. `is_repeat`
+    marks a repeat of the previous picture, `after_gap` a frame with others missing before it, see
+    `GapDetector`.
     """
 
     index: int
@@ -115,16 +115,16 @@ class Frame:
 
 
 class Selection:
-    """Which frames to take, asked once for each in turn.
+    """Chooses frames by their times; ask once for each frame, in order.
 
     Parameters
     ----------
     start_s, end_s : float
-        Span of time to take, in seconds, the end excluded.
+        Time span to read, in seconds, the end excluded.
     max_frames : int, optional
-        Frames in all at most.
-    least_gap_s : float
-        Least time from one frame taken to the next, in seconds, see `least_gap`.
+        Maximum number of frames in all.
+    min_interval_s : float
+        Least time between two chosen frames, in seconds, see `sampling_step`.
     """
 
     def __init__(
@@ -132,22 +132,22 @@ class Selection:
         start_s: float = 0.0,
         end_s: float = math.inf,
         max_frames: int | None = None,
-        least_gap_s: float = 0.0,
+        min_interval_s: float = 0.0,
     ) -> None:
         if not end_s > start_s:
             raise ParameterError("", f"end {end_s:g} s is not after start {start_s:g} s")
         self._start_s, self._end_s, self._max_frames = start_s, end_s, max_frames
-        self._least_gap_s = least_gap_s
+        self._least_gap_s = min_interval_s
         self._last_s = self._last_new_s = math.nan
         self._is_unseen, self._n_taken = False, 0
 
     def has_begun(self, time_s: float) -> bool:
-        """Whether this time is not before the start."""
-        # Without a start, frames before zero (edit lists make them) belong to the video too.
+        """Whether this time is at or after the start."""
+        # Without a start, frames at negative times (due to edit lists) belong to the video too.
         return not (self._start_s > 0.0 and time_s < self._start_s)
 
     def is_over(self, time_s: float) -> bool:
-        """Whether neither a frame at this time nor a later one is taken."""
+        """Whether neither a frame at this time nor any later one is taken."""
         return time_s >= self._end_s or self._n_taken == self._max_frames
 
     def is_due(self, time_s: float) -> bool:
@@ -155,9 +155,9 @@ class Selection:
         return not time_s - self._last_new_s < self._least_gap_s
 
     def take(self, time_s: float, *, is_repeat: bool = False) -> tuple[bool, bool]:
-        """Whether the frame at this time is taken, and if so, whether it shows nothing new.
+        """Whether the frame at this time is taken, and whether it repeats the last one taken.
 
-        A frame that repeats one which was not taken is new.
+        A repeat of a frame that was not taken counts as new.
         """
         self._is_unseen = self._is_unseen or not is_repeat
         if self._is_unseen:
@@ -173,35 +173,35 @@ class Selection:
         return True, not is_new
 
 
-def least_gap(fps: float, max_fps: float) -> tuple[int, float]:
-    """Which frames to take of `fps` a second, so that `max_fps` are left: every k-th.
+def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
+    """The step k that reduces a rate of `fps` to `max_fps` at most by taking every k-th frame.
 
-    Returns k, and the least time between two such frames in seconds, half a frame less than
-    nominal: times jitter.
+    Returns k and the least time between two such frames in seconds. It is half a frame shorter than
+    nominal because times jitter.
     """
     every = max(1, math.ceil(fps / max_fps - 1e-3))
     return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
 
 
 class Video:
-    """Frames of an input, ready for a model; a context manager, made by `open_video`.
+    """An open input, created by `open_video`: a context manager and an iterable of `Frame`.
 
-    Iterate it for `Frame`\\ s, each in memory of its own; every iteration starts at the beginning.
+    Each frame has its own memory. Every iteration starts at the beginning.
 
     Attributes
     ----------
     info : VideoInfo
-        Facts about the input.
+        Properties of the input.
     size_wh : (int, int)
         Width and height of the frames, in px.
     rate_fps : float
-        Nominal frames per second of those that are taken.
+        Nominal rate of the chosen frames.
     source_wh : (int, int)
-        Width and height of what is looked at of a picture, in px: of the crop, if there is one.
-    stated : Facts
-        What the input itself says.
+        Width and height of the crop, or of the whole picture, in px.
+    stream_info : StreamInfo
+        Properties that the input itself states.
     progress : Progress
-        How many frames were decoded so far, the time of the last one, and warnings.
+        Number of frames decoded so far, time of the last one, and warnings.
     """
 
     def __init__(
@@ -220,13 +220,13 @@ class Video:
         self._selection, self._skips_repeats = selection, skips_repeats
         self._region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.stated, self.progress = decoder.facts, Progress()
+        self.stream_info, self.progress = decoder.stream_info, Progress()
 
     def pictures(self) -> Iterator[Picture]:
-        """The chosen pictures as decoded, each valid until the next one, to the end or a fault.
+        """The chosen pictures as decoded; each is valid until the next one.
 
-        Reading ends with a warning if damage leaves a gap, or if PyAV finds that the picture size
-        changes (OpenCV scales such pictures to the first one's size and does not say so).
+        Reading ends early, with a warning, if damage leaves a gap, or if PyAV finds that the
+        picture size changes. (OpenCV silently scales such pictures to the size of the first one.)
         """
         if self._is_read:
             self._decoder.close()
@@ -277,16 +277,16 @@ class Video:
         reports = (clock.report(), missing, self._repetition(), ending)
         progress.warnings += [line for line in reports if line]
         progress.damage = [line for line in (missing, ending) if line]
-        progress.rhythm = rhythm(times)
+        progress.frame_rates = frame_rates(times)
         decoder.close()
 
     def sampling(self) -> str:
-        """What was done about an unusual frame rate, after reading; empty if it is none."""
+        """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""
         fps, progress, every = self.info.fps, self.progress, round(self.info.fps / self.rate_fps)
-        if progress.rhythm is not None and progress.rhythm.varies:
-            mean_fps, least_fps, most_fps, _ = progress.rhythm
+        if progress.frame_rates is not None and progress.frame_rates.varies:
+            mean_fps, min_fps, max_fps, _ = progress.frame_rates
             return (
-                f"the frame rate varies from {least_fps:.3g} to {most_fps:.3g} frames/s "
+                f"the frame rate varies from {min_fps:.3g} to {max_fps:.3g} frames/s "
                 f"({mean_fps:.3g} on average); the model saw {progress.n_new} of "
                 f"{progress.n_decoded} frames, each at its own time"
             )
@@ -299,7 +299,7 @@ class Video:
         )
 
     def _repetition(self) -> str:
-        """The warning for many repeats."""
+        """The warning about many repeats; empty if there are few."""
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
         if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
             return ""
@@ -311,30 +311,30 @@ class Video:
         )
 
     def _shortfall(self) -> str:
-        """What is missing at the end of the stream, if anything."""
+        """What is missing at the end of the stream; empty if nothing is."""
         stated, fps = self.info.n_frames, self.info.fps
         if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
-            end_s = min(stated / fps, self._decoder.facts.shown_s)
+            end_s = min(stated / fps, self._decoder.stream_info.shown_s)
             if self.progress.last_time_s + 1.5 / fps < end_s:
                 return "frames are missing, the file is cut off or damaged"
         return "the file is damaged" if self._decoder.is_damaged else ""
 
     def _ending(self, fault: str) -> str:
-        """The warning for a reading that a fault has ended."""
+        """The warning that a fault has ended the reading."""
         n_frames, stated = self.progress.n_decoded, self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"
 
     def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
-        """What models take of a picture, at the video's `size_wh` unless another is given."""
+        """A picture as a frame for models, of the video's `size_wh` unless another is given."""
         grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
         return Frame(picture.index, picture.time_s, grey, picture.is_repeat, picture.after_gap)
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
-        """Which cells of a frame the mask leaves out, (H, W), for `Model.ignore`; None for none.
+        """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.
 
-        The frame is of the video's `size_wh` unless another is given.
+        The size is the video's `size_wh` unless another is given.
         """
         return self._region.hidden(size_wh or self.size_wh)
 

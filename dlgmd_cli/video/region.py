@@ -1,4 +1,4 @@
-"""What of a picture is looked at: a rectangle of it, less what a mask leaves out."""
+"""The part of a picture that models see: a rectangle without the pixels that a mask hides."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -15,14 +15,14 @@ from dlgmd_cli.video.luma import resized
 Image = npt.NDArray[Any]
 Flags = npt.NDArray[np.bool_]
 
-# Of 255, for a cell that no black pixel of the mask reaches into; less for rounding.
+# Mean of a cell (0 to 255) without any black pixel of the mask, with a margin for rounding.
 _WHOLE = 254.95
 
 
 def read_mask(path: str) -> Flags:
     """Where the picture at `path` is black, (H, W): darker than a medium grey in every channel.
 
-    Raises ParameterError if it is no picture.
+    Raises ParameterError if it is not a picture.
     """
     image = read_image(Path(path))
     if image is None:
@@ -33,7 +33,7 @@ def read_mask(path: str) -> Flags:
 
 
 class Region:
-    """A rectangle of a picture, all of it unless `crop` is given, less the black of a mask.
+    """A rectangle of a picture without the black pixels of a mask; the whole picture by default.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Region:
     crop : Crop, optional
         A rectangle inside the picture.
     masked : ndarray, bool, optional
-        True for black, as `read_mask` gives it, of any size: it covers the rectangle.
+        True for black pixels, see `read_mask`; of any size, resized to cover the rectangle.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ class Region:
         return image[self._place]
 
     def _hidden(self, size_wh: tuple[int, int]) -> Flags | None:
-        """Which cells are left out if the rectangle is seen at a size, (H, W); None for none.
+        """The hidden cells, (H, W) bool, of the rectangle at a size; None if there are none.
 
-        A cell is left out if any of it is black. Raises ParameterError if no cell remains.
+        A cell is hidden if any part of it is black. Raises ParameterError if no cell remains.
         """
         if self._masked is None or not self._masked.any():
             return None

@@ -1,4 +1,4 @@
-"""What is known of an input once it has been read, and what follows from it for a run."""
+"""A survey of an input: its properties after reading all of it, and advice for a run."""
 
 import math
 import os
@@ -26,60 +26,60 @@ from dlgmd_cli.video.region import Region
 Image = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
-# Of 255. Compression leaves bars not quite black, and a display not quite still.
+# Grey levels (of 255). After compression, black bars are not quite black and a still display still
+# changes a little.
 _BLACK, _STILL = 24, 20
-# A row is lit if more of it than this share is.
+# A row or column is part of the picture if more than this share of it is lit.
 _LIT_SHARE = 0.01
-# So many pictures, which half of the pixels change by so much in, tell what never changes.
+# Still pixels are looked for in at least this many pictures, if half of all pixels vary by this.
 _N_PICTURES, _MOVING = 25, 32
-# Specks of fewer pixels are no display. More than this share of the picture is no display either.
+# Size limits of a display: pixels of a connected part, and share of the picture (from, to).
 _MIN_STILL_PX, _STILL_SHARES = 6, (0.0002, 0.4)
-# So much from one pixel to the next is a contour; a display has at least this share of them.
+# Gradient of a contour, and the least share of contour pixels in a display.
 _CONTOUR, _CONTOUR_SHARE = 40, 0.2
-# A crop leaves out bars that are at least so wide, and leaves so much of each side.
+# Least width of a black bar, and the least share of each side that a crop keeps.
 _MIN_BAR_PX, _MIN_LEFT = 2, 0.3
 _SLOW_FPS = 20.0
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Facts about an input that has been read whole.
+    """Properties of an input that has been read to its end.
 
     Attributes
     ----------
     path : str
-        As it was given.
+        The path as given.
     width, height : int
-        Size of its pictures, in px.
+        Size of the pictures, in px.
     frames : int
-        How many could be decoded.
+        Number of decoded frames.
     duration_s : float
-        Until the end of the last one.
+        Time of the end of the last frame, in seconds.
     fps_stated, fps_true : float or None
-        Frames a second: what the input says, and how many there are. Pictures have no times.
+        Frame rate that the input states, and the mean rate of its frames; None for pictures.
     fps_range : (float, float) or None
-        Those of the longest and of the shortest time between two frames.
+        Frame rates of the longest and the shortest interval between two frames.
     is_variable : bool
-        Whether they follow each other in more than one rhythm.
+        Whether the frame rate varies.
     repeats : int
-        Frames that repeat the one before.
+        Number of frames that repeat the previous one.
     gaps : int
-        How often frames are missing in between, so that models begin anew.
+        Number of gaps with missing frames; models are reset after a gap.
     codec, pixel_format : str
-        FFmpeg's names; `pixel_format` is empty where PyAV is not installed, and `codec` is the
-        FOURCC then.
+        FFmpeg's names. Without PyAV, `pixel_format` is empty and `codec` is the FOURCC.
     bits : int or None
-        Of a sample.
+        Bits per sample.
     is_interlaced : bool or None
-        Whether frames consist of two fields; None where PyAV is not installed.
+        Whether frames consist of two fields; None if PyAV is not installed.
     decoder : str
-        What decoded it.
+        The decoder in use.
     damage, warnings : list of str
-        Where it is damaged, and what else is doubtful.
+        Where the input is damaged; other doubts about it.
     crop : Crop or None
-        The pictures without black borders, if there are any.
+        The picture without its black borders; None if there are none.
     still : ndarray, bool, or None
-        Pixels of that part that never change while the others do, (H, W); None for none.
+        Pixels of that part that never change while the others do, (H, W); None if there are none.
     """
 
     path: str
@@ -105,14 +105,14 @@ class Survey:
 
     @property
     def still_share(self) -> float:
-        """The share of the pixels that never change."""
+        """Share of the pixels that never change."""
         return 0.0 if self.still is None else float(self.still.mean())
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as JSON takes it, with the advice."""
-        facts = {name: value for name, value in vars(self).items() if name != "still"}
+        """All properties and the advice, for JSON."""
+        values = {name: value for name, value in vars(self).items() if name != "still"}
         crop = None if self.crop is None else str(self.crop)
-        return {**facts, "crop": crop, "still_share": self.still_share, "advice": advice(self)}
+        return {**values, "crop": crop, "still_share": self.still_share, "advice": advice(self)}
 
 
 def survey(
@@ -122,14 +122,14 @@ def survey(
     input_fps: float | None = None,
     on_frame: Callable[[int], None] = lambda n_done: None,
 ) -> Survey:
-    """Read all of an input once and say what it is.
+    """Read an input to its end and report its properties.
 
     Parameters
     ----------
     path, decoder, input_fps
         See `open_video`.
     on_frame : callable, optional
-        Called after each frame with the number of frames that are done.
+        Called after each frame with the number of frames done.
 
     Raises
     ------
@@ -139,38 +139,38 @@ def survey(
         If the stop flag is set.
     """
     is_video = pictures_at(Path(path)) is None
-    n_gaps, extremes = 0, Extremes()
+    n_gaps, pixel_range = 0, PixelRange()
     with open_video(path, decoder=decoder, input_fps=input_fps, repeats="skip") as video:
         details = _details(Path(path)) if is_video else None
         with opencv_threads(1):
             for picture in video.pictures():
                 n_gaps += picture.after_gap
                 if not picture.is_repeat:
-                    extremes.take(picture)
+                    pixel_range.update(picture)
                 on_frame(picture.index + 1)
                 cancel.check()
-    info, done, stated, rhythm = video.info, video.progress, video.stated, video.progress.rhythm
-    has_times = is_video and rhythm is not None
+    info, stream, done = video.info, video.stream_info, video.progress
+    rates = done.frame_rates if is_video else None
     return Survey(
         os.fspath(path),
         info.width,
         info.height,
         done.n_decoded,
         done.last_time_s + 1.0 / info.fps,
-        stated.fps if is_video else None,
-        rhythm.mean_fps if has_times and rhythm else None,
-        (rhythm.least_fps, rhythm.most_fps) if has_times and rhythm else None,
-        bool(has_times and rhythm and rhythm.varies),
+        stream.fps if is_video else None,
+        rates.mean_fps if rates else None,
+        (rates.min_fps, rates.max_fps) if rates else None,
+        rates is not None and rates.varies,
         done.n_repeats or 0,
         n_gaps,
-        details.codec if details else stated.codec,
+        details.codec if details else stream.codec,
         details.pixel_format if details else "",
         details.n_bits if details else None,
         details.is_interlaced if details else None if is_video else False,
         info.decoder,
         done.damage,
         [line for line in done.warnings if line not in done.damage],
-        *extremes.proposal(),
+        *pixel_range.proposal(),
     )
 
 
@@ -186,14 +186,14 @@ def _details(path: Path) -> Details | None:
     return details
 
 
-class Extremes:
-    """The darkest and the brightest that each pixel of the pictures taken was, in 0..255."""
+class PixelRange:
+    """The darkest and the brightest level of each pixel over all pictures, 0..255."""
 
     def __init__(self) -> None:
         self._n_taken = 0
 
-    def take(self, picture: Picture) -> None:
-        """Look at a picture of the same size as those before."""
+    def update(self, picture: Picture) -> None:
+        """Include a picture; all must have the same size."""
         height, width = picture.image.shape[:2]
         grey = to_grey(picture.image, (width, height), picture.levels)
         if grey.dtype != np.uint8:
@@ -205,29 +205,29 @@ class Extremes:
         cv2.max(self._brightest, grey, dst=self._brightest)
 
     def proposal(self) -> tuple[Crop | None, Flags | None]:
-        """The part between black borders, and which of its pixels never change; None for none."""
+        """The crop inside black borders and its still pixels, each None if there are none."""
         if not self._n_taken:
             return None, None
-        crop = inside_borders(self._brightest)
+        crop = crop_borders(self._brightest)
         if self._n_taken < _N_PICTURES:
             return crop, None
         height, width = self._brightest.shape
         region = Region((width, height), crop)
-        return crop, unchanging(region.of(self._darkest), region.of(self._brightest))
+        return crop, static_pixels(region.of(self._darkest), region.of(self._brightest))
 
 
-def inside_borders(brightest: Image) -> Crop | None:
-    """The part of a picture, (H, W), between borders that are never brighter than black.
+def crop_borders(brightest: Image) -> Crop | None:
+    """The crop of a picture, (H, W), inside borders that are never brighter than black.
 
-    None if there are no borders, or if little else is there.
+    None if there are no borders, or if they leave too little of the picture.
     """
     lit, spans = brightest > _BLACK, []
     for axis in (0, 1):
-        places = np.flatnonzero(lit.mean(axis=axis) > _LIT_SHARE)
+        lines = np.flatnonzero(lit.mean(axis=axis) > _LIT_SHARE)
         side = lit.shape[1 - axis]
-        if not places.size:
+        if not lines.size:
             return None
-        first, last = int(places[0]), int(places[-1]) + 1
+        first, last = int(lines[0]), int(lines[-1]) + 1
         first = first if first >= _MIN_BAR_PX else 0
         last = last if side - last >= _MIN_BAR_PX else side
         if last - first < max(_MIN_LEFT * side, 1):
@@ -238,14 +238,15 @@ def inside_borders(brightest: Image) -> Crop | None:
     return None if (crop.height, crop.width) == brightest.shape else crop
 
 
-def unchanging(darkest: Image, brightest: Image) -> Flags | None:
-    """Where pixels stay the same while most others change, with a rim, (H, W); None for nowhere.
+def static_pixels(darkest: Image, brightest: Image) -> Flags | None:
+    """Pixels, (H, W), that stay the same while most others change; None if there are none.
 
-    Areas without a contour in them do not count: a clear sky shows no change either.
+    Areas without contours do not count: a clear sky does not change either. The areas are dilated a
+    little.
     """
     spread = cv2.subtract(brightest, darkest)
     usual = float(np.median(spread))
-    if usual < _MOVING:  # a camera that stands still
+    if usual < _MOVING:  # the camera does not move
         return None
     still = (spread <= min(_STILL, usual / 4)).astype(np.uint8)
     n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(still, connectivity=8)
@@ -253,7 +254,7 @@ def unchanging(darkest: Image, brightest: Image) -> Flags | None:
     n_px = stats[:, cv2.CC_STAT_AREA]
     n_contour_px = np.bincount(labels[contrast > _CONTOUR], minlength=n_labels)
     is_kept = (n_px >= _MIN_STILL_PX) & (n_contour_px >= _CONTOUR_SHARE * n_px)
-    is_kept[0] = False  # what is not still
+    is_kept[0] = False  # label 0 marks the pixels that do change
     found = is_kept[labels].astype(np.uint8)
     least, most = _STILL_SHARES
     if not least <= found.mean() <= most:
@@ -263,8 +264,8 @@ def unchanging(darkest: Image, brightest: Image) -> Flags | None:
 
 
 def advice(facts: Survey) -> list[str]:
-    """What follows from the facts for a run, a sentence each."""
-    lines = [*_of_rate(facts), _of_size(facts)]
+    """Advice for a run on this input, one sentence each."""
+    lines = [*_rate_advice(facts), _size_advice(facts)]
     if facts.is_interlaced:
         lines.append(
             "It is interlaced: the comb of the two fields looks like motion, and OpenCV may show "
@@ -289,8 +290,8 @@ def advice(facts: Survey) -> list[str]:
     return lines
 
 
-def _of_rate(facts: Survey) -> list[str]:
-    """What follows from the frame rate."""
+def _rate_advice(facts: Survey) -> list[str]:
+    """Advice about the frame rate."""
     lines = []
     fps = facts.fps_true or facts.fps_stated
     model_fps = load_config(PRESETS[0]).model_fps
@@ -318,8 +319,8 @@ def _of_rate(facts: Survey) -> list[str]:
     return lines
 
 
-def _of_size(facts: Survey) -> str:
-    """At what size the models see it."""
+def _size_advice(facts: Survey) -> str:
+    """The size at which the models see the input."""
     source_wh = facts.crop[:2] if facts.crop else (facts.width, facts.height)
 
     def default(width_px: int) -> str:

@@ -1,4 +1,4 @@
-"""Timestamps of frames: repaired so that they increase, and searched for missing frames."""
+"""Timestamps: repair of bad ones, detection of missing frames, and frame rates."""
 
 import math
 from collections.abc import Sequence
@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Thirty years; if a stream has no start, OpenCV's timestamps are astronomic.
+# Thirty years; OpenCV's timestamps are astronomic if a stream states no start.
 MAX_PLAUSIBLE_TIME_S = 1e9
+# Long intervals less than this many frames apart belong to the same hole.
 HOLE_EDGE_FRAMES = 5
+# The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
 
 
 def missing_frames(times: Sequence[float], fps: float) -> str | None:
-    """One line on frames that a demuxer skipped in a stream of constant rate, or None.
+    """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
 
     Streams of variable rate have odd intervals everywhere; nothing is reported for them.
     """
@@ -27,7 +29,7 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     n_holes, n_long = len(starts), np.diff(starts, append=longs.size)
     n_odd = np.sum(~is_steady) - np.sum(np.minimum(n_long, HOLE_EDGE_FRAMES))
     n_missing = round(np.sum(np.rint(intervals[longs]) - 1.0))
-    # A video that was cut can have a ragged end.
+    # Cutting can leave a video with irregular intervals at its end.
     is_end = n_holes == 1 and len(intervals) - longs[-1] <= HOLE_EDGE_FRAMES
     is_variable = n_odd > 0 or np.sum(is_steady) < 20 * n_holes
     if is_end or is_variable or n_missing < 2 * n_holes:
@@ -39,28 +41,28 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     )
 
 
-class Rhythm(NamedTuple):
-    """How frames follow each other, in frames a second.
+class FrameRates(NamedTuple):
+    """The frame rates of a video, in frames per second.
 
-    `mean_fps` is of all, the others are those of the longest and of the shortest interval. The
-    rate `varies` if more than one interval in twenty is not like the others.
+    `min_fps` and `max_fps` are the rates of the longest and the shortest interval. The rate
+    `varies` if more than one interval in twenty differs clearly from the median.
     """
 
     mean_fps: float
-    least_fps: float
-    most_fps: float
+    min_fps: float
+    max_fps: float
     varies: bool
 
 
-def rhythm(times: Sequence[float]) -> Rhythm | None:
-    """How the frames at these times follow each other; None of fewer than two."""
+def frame_rates(times: Sequence[float]) -> FrameRates | None:
+    """The frame rates of frames at these times; None for fewer than two frames."""
     if len(times) < 2:
         return None
     intervals = np.diff(times)
-    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # one that there is
-    # Times may be whole milliseconds.
+    usual_s = float(np.sort(intervals)[len(intervals) // 2])  # a median that really occurs
+    # The margin allows for times in whole milliseconds.
     n_odd = np.count_nonzero(np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3)
-    return Rhythm(
+    return FrameRates(
         len(intervals) / (times[-1] - times[0]),
         1.0 / float(intervals.max()),
         1.0 / float(intervals.min()),
@@ -69,7 +71,7 @@ def rhythm(times: Sequence[float]) -> Rhythm | None:
 
 
 class FrameClock:
-    """Strictly increasing times from a decoder's timestamps, however poor these are.
+    """Turns a decoder's timestamps, however poor, into strictly increasing times.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ class FrameClock:
         self.n_repaired = 0
 
     def time(self, index: int, stamp_s: float) -> float:
-        """Time of frame `index` in seconds, given its timestamp (NaN: none)."""
+        """Time of frame `index` in seconds, given its timestamp (NaN if missing)."""
         if self._last < stamp_s <= MAX_PLAUSIBLE_TIME_S:
             self.n_stamped += index > 0
             self._stale = 0
@@ -94,15 +96,15 @@ class FrameClock:
             return stamp_s
         self.n_repaired += 1
         self._stale += 1
-        if self.n_stamped == 0:  # no frame after the first one ever had one
+        if self.n_stamped == 0:  # no frame after the first had a timestamp
             time_s = index * self._interval
-        else:  # half an interval at first, so that the next good stamp is still ahead
+        else:  # start with half an interval, so that the next good timestamp is still ahead
             time_s = self._last_good + (self._stale - 0.5) * self._interval
         self._last = max(time_s, math.nextafter(self._last, math.inf))
         return self._last
 
     def report(self) -> str | None:
-        """One line on times that are not the decoder's own, or None."""
+        """A warning about times that are not the decoder's own, or None."""
         if self.n_repaired == 0:
             return None
         if self.n_stamped == 0:

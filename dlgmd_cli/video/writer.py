@@ -1,4 +1,4 @@
-"""Frames to a video file, which appears whole or not at all; by OpenCV, or by PyAV for H.264."""
+"""Writing video files, complete or not at all: with OpenCV, or with PyAV for H.264."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,23 +20,23 @@ Image = npt.NDArray[np.uint8]
 Write = Callable[[Image], Any]
 
 _FOURCC = {"mpeg4": "mp4v", "ffv1": "FFV1"}
-# What MPEG-4 can count to within a second.
+# Greatest number of clock ticks per second in MPEG-4.
 MAX_TICKS_PER_S = 65_535
-# What a player can be expected to show.
+# Frame rates that players support.
 PLAYABLE_FPS = (1.0, 240.0)
 
 _X264_COLOUR = {"preset": "veryfast", "crf": "20"}
-# For a page that holds the film: small, and quick to jump about in.
+# For a film embedded in a page: small, with fast seeking.
 PAGE_FILM = {"preset": "medium", "crf": "27", "g": "15", "bf": "0"}
-# x264's output depends on the number of threads; and with its macroblock tree, small frames come
-# out differently once in some hundred times.
+# For reproducible files: x264's output depends on the number of threads, and with the macroblock
+# tree small frames differ once in a few hundred runs.
 _X264_GREY = {"preset": "faster", "crf": "18", "threads": "1", "x264-params": "mbtree=0"}
-# Grey levels as players expect them: black at 16, white at 235.
+# Limited range, as players expect it: black at 16, white at 235.
 _LIMITED: Image = np.rint(16.0 + np.arange(256) * (219.0 / 255.0)).astype(np.uint8)
 
 
 def best_codec() -> str:
-    """`h264`, which every player and browser shows, if PyAV brings an encoder; else `mpeg4`."""
+    """`h264`, which every player and browser supports, if PyAV has an encoder; else `mpeg4`."""
     try:
         import av
     except ImportError:
@@ -45,14 +45,14 @@ def best_codec() -> str:
 
 
 def playable_fps(fps: float) -> float:
-    """The frame rate nearest to `fps` that players show and all three codecs can store."""
+    """The frame rate closest to `fps` that players support and all three codecs can store."""
     lowest, highest = PLAYABLE_FPS
     rate = min(max(fps, lowest), highest)
     return round(rate, 3 if rate * 1000 <= MAX_TICKS_PER_S else 2)
 
 
 def encoded_rate(fps: float) -> Fraction:
-    """The frame rate that H.264 is written with: 29.97 is 30000/1001."""
+    """The frame rate as H.264 stores it: 29.97 becomes 30000/1001."""
     return Fraction(fps).limit_denominator(1001)
 
 
@@ -68,23 +68,23 @@ def video_writer(
     option: str = "--out",
     x264: Mapping[str, str] | None = None,
 ) -> Iterator[Write]:
-    """A context that yields a function to call with each frame; leaving it completes the file.
+    """A context that yields a function to write each frame; leaving it completes the file.
 
-    The file is written under a temporary name in the same folder, and renamed when it is whole.
-    An exception inside the context leaves no file, and an earlier one untouched.
+    The file is written under a temporary name in the same folder and renamed when complete. After
+    an exception inside the context, an earlier file is unchanged and no new one is left.
 
     Parameters
     ----------
     path : Path
-        The video; its suffix names the container, which for `h264` must be .mp4.
+        The video; its suffix selects the container, which must be .mp4 for `h264`.
     shape : (int, int)
         H and W, both even; frames are (H, W) uint8 grey, or (H, W, 3) BGR if `is_colour`.
     codec : {"mpeg4", "ffv1", "h264"}
         FFV1 is lossless; H.264 needs PyAV, and the same grey frames always give the same file.
     target, option : Path, str, optional
-        The file that an error names, `path` unless given, and the option to change.
+        For error messages: the file, `path` unless given, and the option to change.
     x264 : mapping, optional
-        Options of the H.264 encoder, in place of ours.
+        Encoder options that replace the defaults for H.264.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def video_writer(
     try:
         with tempfile.TemporaryDirectory(prefix=".dlgmd-", dir=path.parent) as folder:
             file = Path(folder).absolute() / f"video{path.suffix}"
-            file.touch()  # if this fails, the error gives the reason; OpenCV would not
+            file.touch()  # an OSError here gives the reason; OpenCV would not
             with openable(file) as name, start(name, shape, fps, is_colour) as encode:
 
                 def write(image: Image) -> None:
@@ -105,7 +105,7 @@ def video_writer(
                     n_frames += 1
 
                 yield write
-            # OpenCV does not report a full disk: frames are missing then.
+            # OpenCV does not report a full disk; the file then lacks frames.
             n_written = count_frames(file)
             if n_written != n_frames:
                 raise OutputError(
@@ -142,7 +142,7 @@ def _by_opencv(
     fourcc: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
 ) -> Iterator[Write]:
     """OpenCV's encoder."""
-    # Grey frames go in as they are (the last argument): FFV1 is lossless only so.
+    # FFV1 is lossless only if grey frames are passed as grey (the last argument).
     writer = cv2.VideoWriter(
         name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*fourcc), fps, shape[::-1], is_colour
     )
@@ -158,12 +158,12 @@ def _by_opencv(
 def _by_pyav(
     x264: Mapping[str, str] | None, name: str, shape: tuple[int, int], fps: float, is_colour: bool
 ) -> Iterator[Write]:
-    """H.264 with the colours of HD video, and the index in front, so that browsers can stream."""
+    """H.264 with the colour space of HD video, and the index first so that browsers can stream."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
     def picture_of(image: Image) -> Any:
-        """A frame as it is encoded."""
+        """A frame in the encoder's pixel format."""
         if not is_colour:
             return av.VideoFrame.from_ndarray(_planes(image), format="yuv420p")
         return av.VideoFrame.from_ndarray(image, format="bgr24").reformat(
@@ -178,7 +178,7 @@ def _by_pyav(
             stream.height, stream.width = shape
             stream.pix_fmt = "yuv420p"
             stream.options = dict(x264 or (_X264_COLOUR if is_colour else _X264_GREY))
-            # Players take video of this size for BT.709 unless it says otherwise; so it says so.
+            # Players assume BT.709 for video of this size; state it explicitly.
             context = stream.codec_context
             context.color_range, context.colorspace = ColorRange.MPEG, Colorspace.ITU709
             context.color_primaries = context.color_trc = 1

@@ -16,7 +16,7 @@ from dlgmd_cli.flights.geometry import first_contact, surroundings
 from dlgmd_cli.flights.path import REACH_M
 from dlgmd_cli.flights.random_flight import random_flight
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.renderer.visibility import PaintOrder
 from dlgmd_cli.flights.scene import FlightScene
 from dlgmd_cli.flights.scenes import SCENES
 from dlgmd_cli.flights.truth import Target
@@ -120,7 +120,7 @@ def test_bodies_are_apart_and_in_the_room(name):
     stage = scene.stage(options)
     for time_s in (0.0, stage.duration_s / 2, stage.duration_s):
         bodies = placed(stage.world.bodies, time_s)
-        assert Order(bodies).is_exact
+        assert PaintOrder(bodies).is_exact
         for wall in stage.world.room.faces if name != "ball-and-capsules" else ():
             level = wall.normal @ wall.corners_m[0]
             for body in bodies:
@@ -142,7 +142,7 @@ def test_random_flights_come_out_in_every_way():
             distance, angle, _ = Target(stage).seen_from(stage.path.state(contact), contact)
             assert distance == pytest.approx(REACH_M, abs=1e-4) and angle > 50
             assert contact < stage.duration_s <= contact + 0.5 + 1e-9
-        assert Order(stage.world.bodies).is_exact
+        assert PaintOrder(stage.world.bodies).is_exact
 
 
 def test_a_random_flight_into_a_wall_says_so():

@@ -105,7 +105,7 @@ def test_a_list_is_called_one(dlgmd, tmp_path):
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
-    monkeypatch.setattr("dlgmd_cli.video.frames._LISTS", ())
+    monkeypatch.setattr("dlgmd_cli.video.frames._PLAYLISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
     unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)

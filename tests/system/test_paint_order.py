@@ -10,7 +10,7 @@ from dlgmd_cli.flights.renderer.camera import Camera, Pose, rotation
 from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.solids import Solid, World
 from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.renderer.visibility import PaintOrder
 from dlgmd_cli.flights.scenes import SCENES
 
 pytestmark = pytest.mark.slow
@@ -65,7 +65,7 @@ def test_every_body_hides_what_is_behind_it(name):
     scene, rng = SCENES[name], np.random.default_rng(7)
     stage = scene.stage(scene.configure({"--seed": 3}))
     bodies = [body for body in stage.world.bodies if isinstance(body, Solid)]
-    assert Order(bodies).is_exact
+    assert PaintOrder(bodies).is_exact
     room = toned(stage.world.room, 0)
     painted = [toned(body, number) for number, body in enumerate(bodies, 1)]
     renderer = Renderer(World(room, painted), CAMERA)

@@ -26,6 +26,12 @@ def test_kills_and_timeouts():
     assert "not done after 1.5 s" in str(outcomes["hang"].error)
 
 
+def test_processes_that_start_while_the_pool_ends_are_silent(capfd):
+    for _ in range(8):  # with more processes than processors, some are still starting
+        assert [task for task, _ in run_tasks(work, ["ab"], 6)] == ["ab"]
+    assert capfd.readouterr().err == ""
+
+
 def _is_alive(stat):
     """Whether a process runs, by its file in /proc."""
     try:

@@ -16,7 +16,7 @@ from dlgmd_cli.flights.geometry import Nearest, first_contact
 from dlgmd_cli.flights.image_speed import ImageSpeed
 from dlgmd_cli.flights.path import REACH_M, Stage, State
 from dlgmd_cli.flights.renderer.camera import Camera
-from dlgmd_cli.flights.renderer.solids import Face, Round, Solid, World
+from dlgmd_cli.flights.renderer.solids import Capsule, Face, Solid, World
 from dlgmd_cli.flights.renderer.texture import Texture
 from dlgmd_cli.flights.script import accelerate, cruise, hover, stand, take_off, yaw
 from dlgmd_cli.flights.truth import FlightTruth, Target, truth_rows
@@ -298,7 +298,7 @@ def test_what_is_hidden_or_beside_the_picture_does_not_count(things, expected):
 
 def slow_depth(body, eye, ray):
     """By marching along a ray, or by the planes of the faces."""
-    if isinstance(body, Round):
+    if isinstance(body, Capsule):
         steps = np.arange(0.01, 12, 0.0005)
         points = eye + steps[:, None] * ray
         axis = body.ends_m[1] - body.ends_m[0]

@@ -11,8 +11,8 @@ from conftest import looming_frames, write_video
 import dlgmd_cli
 from dlgmd_cli.video.base import Crop
 from dlgmd_cli.video.region import read_mask
-from dlgmd_cli.video.survey import inside_borders, survey, unchanging
-from dlgmd_cli.video.timestamps import rhythm
+from dlgmd_cli.video.survey import crop_borders, static_pixels, survey
+from dlgmd_cli.video.timestamps import frame_rates
 
 WIDTH, HEIGHT, BAR = 160, 120, 16
 SCENE_WH = WIDTH, HEIGHT - 2 * BAR
@@ -103,11 +103,11 @@ def test_without_pyav_it_says_so(dlgmd, clips, monkeypatch):
     ],
 )
 def test_what_varies(intervals, varies):
-    found = rhythm([0.0, *np.cumsum(intervals) / 1000])
+    found = frame_rates([0.0, *np.cumsum(intervals) / 1000])
     assert found.varies == varies
     assert found.mean_fps == pytest.approx(1000 / np.mean(intervals))
-    assert found.least_fps == pytest.approx(1000 / max(intervals))
-    assert found.most_fps == pytest.approx(1000 / min(intervals))
+    assert found.min_fps == pytest.approx(1000 / max(intervals))
+    assert found.max_fps == pytest.approx(1000 / min(intervals))
 
 
 def test_an_unusual_rate_is_told_by_info_and_by_run(dlgmd, clips, tmp_path):
@@ -179,16 +179,16 @@ def test_nothing_is_proposed_where_nothing_is_to_be_left_out(tmp_path):
     still = survey(write_video(tmp_path / "still.avi", boxed(panning(1) * 40)))
     assert still.crop == (*SCENE_WH, 0, BAR) and still.still is None
     black = np.zeros((40, 60), np.uint8)
-    assert inside_borders(black) is None
+    assert crop_borders(black) is None
     black[18:22] = 200  # too little is left of it
-    assert inside_borders(black) is None
+    assert crop_borders(black) is None
     black[:] = 0
     black[10:, 7:59] = 200
-    assert inside_borders(black) == Crop(53, 30, 7, 10)  # one dark column is no border
+    assert crop_borders(black) == Crop(53, 30, 7, 10)  # one dark column is no border
     # A clear sky.
     darkest, brightest = np.zeros((2, 100, 100), np.uint8)
     brightest[:], darkest[:30], brightest[:30] = 200, 250, 250
-    assert unchanging(darkest, brightest) is None
+    assert static_pixels(darkest, brightest) is None
 
 
 def test_several_inputs(dlgmd, clips, pictures, tmp_path):

@@ -17,7 +17,7 @@ STEPS = [
     {"results"},
     {"stimuli"},
     {"flights", "plots", "runs"},
-    {"evaluation", "pages", "reproduce"},
+    {"evaluation", "export", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from flightscenes import scene_of
 
-from dlgmd_cli.flights.bodies import spot
+from dlgmd_cli.flights.bodies import placement
 from dlgmd_cli.flights.drone import fly
 from dlgmd_cli.flights.furniture import furniture
 from dlgmd_cli.flights.geometry import first_contact
 from dlgmd_cli.flights.path import REACH_M, Stage
-from dlgmd_cli.flights.placing import PassedError, in_the_way, singled_out
+from dlgmd_cli.flights.placing import MissedError, obstacle_in_path, with_unique_name
 from dlgmd_cli.flights.renderer.camera import Camera
 from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
@@ -23,7 +23,7 @@ from dlgmd_cli.flights.script import cruise, hover, yaw
 
 
 def chair(at_m, yaw_deg=0.0):
-    return furniture("chair", np.random.default_rng(0), spot(at_m, yaw_deg))
+    return furniture("chair", np.random.default_rng(0), placement(at_m, yaw_deg))
 
 
 def phases_of(scene, options):
@@ -103,18 +103,18 @@ def test_ball_and_capsules_is_the_scene_of_the_papers_fig_8():
 def test_only_the_piece_that_is_met_keeps_its_name():
     near, far = (chair((x, 0.0), 30.0) for x in (2.0, 4.0))
     walls = Solid("room", [quad([9, 5, 5], [0, -9, 0], [0, 0, -9], Texture(0.5))])
-    world = singled_out(World(walls, [*near, *far]), len(near) + 2)
+    world = with_unique_name(World(walls, [*near, *far]), len(near) + 2)
     names = [body.name for body in world.bodies]
     assert names == ["other chair"] * len(near) + ["chair"] * len(far)
 
 
 def test_an_obstacle_can_only_be_in_the_way_at_its_height():
     path = fly([cruise(2.0)], position_m=(0, 0, 0.8), speed_m_s=1.0, jitter=0.0)
-    bodies = in_the_way(path, 1.5, chair, "chair")
+    bodies = obstacle_in_path(path, 1.5, chair, "chair")
     assert first_contact(path, World(Solid("room", []), bodies), ["chair"]) == pytest.approx(1.5)
     high = fly([cruise(2.0)], position_m=(0, 0, 1.8), speed_m_s=1.0, jitter=0.0)
-    with pytest.raises(PassedError):
-        in_the_way(high, 1.5, chair, "chair")
+    with pytest.raises(MissedError):
+        obstacle_in_path(high, 1.5, chair, "chair")
 
 
 # What the shutter does

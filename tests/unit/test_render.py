@@ -16,7 +16,7 @@ from dlgmd_cli.flights.renderer.painter import Renderer
 from dlgmd_cli.flights.renderer.sensor import Sensor
 from dlgmd_cli.flights.renderer.solids import Solid, World, quad
 from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.renderer.visibility import Order, between
+from dlgmd_cli.flights.renderer.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)
@@ -257,9 +257,9 @@ def test_order_is_exact_for_upright_bodies():
         box((i, j, 0), (i + 0.9, j + 0.9, rng.uniform(0.2, 2))) for i in range(4) for j in (0, 1)
     ]
     bodies += [ball([1.95, 0.95, z], 0.4) for z in (3.0, 4.0)]
-    assert Order(bodies).is_exact
-    assert between(bodies[-2], bodies[-1]) == pytest.approx((0, 0, 1, 3.5))
-    cut = Order([*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))])
+    assert PaintOrder(bodies).is_exact
+    assert separating_plane(bodies[-2], bodies[-1]) == pytest.approx((0, 0, 1, 3.5))
+    cut = PaintOrder([*bodies, box((0.5, 0.5, 0.1), (1.5, 1.5, 0.15))])
     assert not cut.is_exact
     everywhere = dict.fromkeys(range(11), (0.0, 0.0, 9.0, 9.0))
     assert sorted(cut.back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.flights import pictures, rooms, textures
-from dlgmd_cli.flights.bodies import Skin, block, spot
+from dlgmd_cli.flights.bodies import Skin, block, placement
 from dlgmd_cli.flights.furniture import catalogue, furniture, furniture_at_wall
-from dlgmd_cli.flights.renderer.solids import Round, Solid
+from dlgmd_cli.flights.renderer.solids import Capsule, Solid
 from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.renderer.visibility import Order
+from dlgmd_cli.flights.renderer.visibility import PaintOrder
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)
@@ -24,7 +24,7 @@ SURFACES = (
     *(pictures.notebook_screen, pictures.door_leaf, pictures.window_pane),
     *(pictures.cupboard_front, pictures.ceiling_panels),
 )
-GUESTS = tuple(furniture("chair", np.random.default_rng(0), spot((5.0, 0.0), 170.0)))
+OBSTACLES = tuple(furniture("chair", np.random.default_rng(0), placement((5.0, 0.0), 170.0)))
 
 
 def seeded(seed=1):
@@ -56,14 +56,14 @@ def area_of(face):
 
 @pytest.fixture(scope="module")
 def furnished():
-    """Makes places around guests without walls to paint, which is what takes the time."""
+    """Makes places around obstacles without walls to paint, which is what takes the time."""
 
     @lru_cache
     def made(name, seed, **options):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(rooms, "room", lambda *_, **__: Solid("room", []))
             size = {"length_m": 11.0, **options}
-            return getattr(rooms, name)(seeded(seed), guests=GUESTS, **size)
+            return getattr(rooms, name)(seeded(seed), obstacles=OBSTACLES, **size)
 
     return made
 
@@ -108,7 +108,7 @@ def test_a_block_shows_each_side_where_it_is():
     sides = ("front", "back", "left", "right", "top", "bottom")
     skins = {side: Skin(Texture(0.1 * number)) for number, side in enumerate(sides)}
     corners = np.array([(-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
-    body = block("b", spot((0, 0)), corners, skins, None)
+    body = block("b", placement((0, 0)), corners, skins, None)
     looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
     expected = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     assert [tuple(looks[round(0.1 * i, 1)]) for i in range(6)] == expected
@@ -120,16 +120,16 @@ def test_a_block_shows_each_side_where_it_is():
 
 @pytest.mark.parametrize("name", catalogue()["pieces"])
 def test_furniture_is_convex_bodies_apart_from_each_other(name):
-    bodies = furniture(name, seeded(), spot((2.0, -1.0), 137.0))
+    bodies = furniture(name, seeded(), placement((2.0, -1.0), 137.0))
     for body in solids(bodies):
         check_convex(body)
-    assert Order(bodies).is_exact
+    assert PaintOrder(bodies).is_exact
     high, low = reach_m(bodies)
     assert low[2] >= -1e-9 and high[2] <= 2.8 + 1e-9
     assert np.abs((high + low)[:2] / 2 - (2.0, -1.0)).max() < 0.3
     named = {catalogue()["pieces"].get(name, {}).get("name", name)}
     assert {body.name for body in bodies} & (named | {"notebook", "carton"})
-    again = furniture(name, seeded(), spot((2.0, -1.0), 137.0))
+    again = furniture(name, seeded(), placement((2.0, -1.0), 137.0))
     assert fingerprint(bodies) == fingerprint(again)
 
 
@@ -137,7 +137,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
 def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
     entry = catalogue()["at_walls"][name]
     for seed in range(2):
-        high, low = reach_m(furniture_at_wall(name, seeded(seed), spot((0, 0))))
+        high, low = reach_m(furniture_at_wall(name, seeded(seed), placement((0, 0))))
         assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
 
@@ -146,15 +146,15 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
     def motion(time_s):
         return (0.0, time_s, 0.0)
 
-    walker = furniture("person", seeded(), spot((2.0, 0.0)), motion=motion)
+    walker = furniture("person", seeded(), placement((2.0, 0.0)), motion=motion)
     assert all(body.motion is motion for body in walker)
-    assert sum(isinstance(body, Round) for body in walker) == 1
+    assert sum(isinstance(body, Capsule) for body in walker) == 1
     high, low = reach_m(walker)
     assert high[2] == pytest.approx(1.75, abs=0.03) and low[2] == pytest.approx(0, abs=0.03)
-    floor, light = rooms.Hall((4.0, 4.0, 2.5)).walls()["floor"], np.ones((100, 100), np.float32)
+    floor, light = rooms.Interior((4.0, 4.0, 2.5)).walls()["floor"], np.ones((100, 100), np.float32)
     bare = rooms.shaded(light, floor, [])
     assert np.array_equal(rooms.shaded(light, floor, walker), bare)
-    at_rest = furniture("person", seeded(), spot((2.0, 0.0)))
+    at_rest = furniture("person", seeded(), placement((2.0, 0.0)))
     assert rooms.shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
 
 
@@ -162,16 +162,16 @@ def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
 
 
 def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
-    hall = rooms.Hall((4.0, 3.0, 2.5))
-    inside = rooms.room(hall, seeded())
+    interior = rooms.Interior((4.0, 3.0, 2.5))
+    inside = rooms.room(interior, seeded())
     middle = np.array([2.0, 0.0, 1.25])
-    for (side, wall), face in zip(hall.walls().items(), inside.faces, strict=True):
+    for (side, wall), face in zip(interior.walls().items(), inside.faces, strict=True):
         assert (middle - face.corners_m[0]) @ face.normal > 0
         assert np.cross(face.down_m, face.right_m) @ face.normal > 0
         assert np.array_equal(face.origin_m, wall.origin_m)
         if side in ("floor", "ceiling"):
             continue
-        where = spot(*hall.stand(side, 1.0, 0.01))
+        where = placement(*interior.stand(side, 1.0, 0.01))
         assert where.axes[:, 0] == pytest.approx(face.normal)
         assert (where.at_m - face.corners_m[0]) @ face.normal == pytest.approx(0.01)
     assert sum(area_of(face) * face.normal for face in inside.faces) == pytest.approx(0, abs=1e-9)
@@ -180,9 +180,9 @@ def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
 
 
 def test_furniture_darkens_the_floor_and_the_wall_behind_it():
-    hall = rooms.Hall((4.0, 4.0, 2.5))
-    walls = hall.walls()
-    stands = furniture("cupboard", seeded(), spot(*hall.stand("left", 1.0, 0.25)))
+    interior = rooms.Interior((4.0, 4.0, 2.5))
+    walls = interior.walls()
+    stands = furniture("cupboard", seeded(), placement(*interior.stand("left", 1.0, 0.25)))
     light = np.ones((400, 400), np.float32)
     for side in ("floor", "left"):
         bare, dark = (rooms.shaded(light, walls[side], bodies) for bodies in ([], stands))
@@ -202,11 +202,11 @@ def test_furniture_darkens_the_floor_and_the_wall_behind_it():
 
 def check_place(place, free_m, end_m):
     """All is in the room, apart, and out of the way of a drone up to `end_m` before its end."""
-    length, width, height = place.hall.size_m
+    length, width, height = place.interior.size_m
     high, low = reach_m(place.bodies)
     assert (high <= np.array([length, width / 2, height]) + 1e-6).all()
     assert (low >= np.array([0, -width / 2, 0]) - 1e-6).all()
-    assert Order([*place.bodies, *GUESTS]).is_exact
+    assert PaintOrder([*place.bodies, *OBSTACLES]).is_exact
     for body in place.bodies:
         (x, y, _), (low_x, low_y, _) = reach_m([body])
         is_beside = min(abs(y), abs(low_y)) >= free_m / 2 and y * low_y > 0
@@ -249,9 +249,9 @@ def test_clutter_is_clutter_but_not_too_much_to_paint(furnished):
 
 def test_nothing_is_put_where_something_stands():
     def stool(x, y):
-        return furniture("stool", seeded(), spot((x, y)))
+        return furniture("stool", seeded(), placement((x, y)))
 
-    furnishing = rooms.Furnishing(rooms.Hall((5.0, 4.0, 2.5)), guests=stool(1.0, 1.8))
+    furnishing = rooms.Furnishing(rooms.Interior((5.0, 4.0, 2.5)), obstacles=stool(1.0, 1.8))
     assert not furnishing.add(stool(1.2, 1.8)) and furnishing.bodies == []
     free = stool(3.0, 1.8)
     assert furnishing.add(free) and furnishing.bodies == free

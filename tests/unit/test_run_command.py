@@ -508,7 +508,7 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
-    monkeypatch.setattr("dlgmd_cli.runs.run._feed", lambda *_: stop() or False)
+    monkeypatch.setattr("dlgmd_cli.runs.run._step_models", lambda *_: stop() or False)
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 

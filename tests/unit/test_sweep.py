@@ -17,7 +17,7 @@ from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParamet
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.runs.sweep import Subject, Sweep, engine_for
+from dlgmd_cli.runs.sweep import Sweep, SweepInput, engine_for
 from dlgmd_cli.video.frames import Frame
 
 
@@ -151,7 +151,7 @@ def test_only_whole_points_of_the_grid_are_read(tmp_path, tail):
 def subject(clips, speeds=()):
     """Frames in memory, as a subject."""
     frames = [[Frame(i, i / 25, picture) for i, picture in enumerate(clip)] for clip in clips]
-    return Subject("test", clips[0][0].shape[::-1], frames, {}, speeds)
+    return SweepInput("test", clips[0][0].shape[::-1], frames, {}, speeds)
 
 
 def sweep(folder, what, x="sigma_e=1,2", y="a=0.5,1", params=None, engine="opencv"):

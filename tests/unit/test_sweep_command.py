@@ -236,7 +236,7 @@ USAGE = [
     ("--x a=1 --y r=4 --speed 0", "Invalid value for '--speed'"),
     ("--x a=1 --y r=4 --frames 2", "--frames: 2 frames of each cube, but fig11 needs at least 3"),
     ("--x a=1 --y r=4 --frames 99 --speed 9", "leaves the picture after 18 frames"),
-    ("--x a=1 --y r=4 --cube-size 151", "cannot stand in a picture of 200x150"),
+    ("--x a=1 --y r=4 --cube-size 151", "cannot fit into a picture of 200x150"),
     ("--x a=1 --y r=4 --size 9x9", "Invalid value for '--size'"),
     ("--x a=1 --y r=4 --jobs 0", "--jobs"),
     ("--x a=1 --y r=4 --set 12", "there is no set 12"),

@@ -19,7 +19,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.frames import Frame, open_video, processed_size
 from dlgmd_cli.video.luma import resized, to_grey
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.reading import Selection, least_gap
+from dlgmd_cli.video.reading import Selection, sampling_step
 from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan
@@ -100,8 +100,8 @@ def test_contract_selection(any_input, decoder):
 
 
 def taken(times, rate, max_fps):
-    every, least_gap_s = least_gap(rate, max_fps)
-    selection = Selection(least_gap_s=least_gap_s)
+    every, min_interval_s = sampling_step(rate, max_fps)
+    selection = Selection(min_interval_s=min_interval_s)
     return every, [i for i, time_s in enumerate(times) if selection.take(time_s)[0]]
 
 
@@ -135,7 +135,7 @@ def test_no_more_frames_than_asked_for(rate, max_fps):
 
 
 def test_a_repeat_of_what_was_dropped_is_taken_and_others_fill_no_slot_twice():
-    selection = Selection(least_gap_s=0.025)  # 60 frames a second, of which 30 are taken
+    selection = Selection(min_interval_s=0.025)  # 60 frames a second, of which 30 are taken
     repeats = [False, True, True, True, False, True, False, False, True, True]
     found = [selection.take(i / 60, is_repeat=one) for i, one in enumerate(repeats)]
     new, old, none = (True, False), (True, True), (False, False)

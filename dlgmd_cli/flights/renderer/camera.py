@@ -1,7 +1,7 @@
-"""Where a camera is, and where the points that it looks at lie in its picture.
+"""The pose of a camera, and the projection of points into its picture.
 
-In the world, x and y are level and z points up, in metres. A body has x forward, y to its left and
-z up. In pictures x goes right and y down, in px; pixel (0, 0) reaches from 0 to 1.
+World: x and y are horizontal and z points up, in m. Body: x forward, y left, z up. Picture: x
+points right and y down, in px; pixel (0, 0) extends from 0 to 1.
 """
 
 import math
@@ -12,15 +12,15 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-# From the body's axes (forward, left, up) to the camera's (right, down, forward).
+# From body axes (forward, left, up) to camera axes (right, down, forward).
 _CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
     """The body's axes in the world, as the columns of a matrix: Rz(yaw) Ry(-pitch) Rx(roll).
 
-    Positive are right side down, nose up, and counter-clockwise as seen from above. At yaw 0 the
-    nose points along x.
+    Positive angles are right side down, nose up, and counter-clockwise as seen from above. At yaw 0
+    the nose points along x.
     """
     roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
@@ -33,7 +33,7 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Pose:
-    """Position of the camera, (3,), and its attitude as `rotation` has it; it looks along x."""
+    """Position of the camera, (3,), and its attitude, see `rotation`; it looks along body x."""
 
     position_m: FloatArray
     rotation: FloatArray
@@ -62,35 +62,35 @@ class Camera:
 
     @property
     def middle_xy(self) -> FloatArray:
-        """Where the axis meets the picture, in px."""
+        """Principal point: where the optical axis meets the picture, in px."""
         return np.array([self.shape[1] / 2.0, self.shape[0] / 2.0])
 
     @property
     def rays_from_xy(self) -> FloatArray:
-        """Matrix from (x, y, 1), in px, to the direction seen there, in the camera's axes."""
+        """Matrix from (x, y, 1), in px, to the viewing ray in camera axes."""
         (x, y), focal = self.middle_xy, self.focal_px
         return np.array(
             [[1.0 / focal, 0.0, -x / focal], [0.0, 1.0 / focal, -y / focal], [0, 0, 1.0]]
         )
 
     def view(self, points_m: FloatArray, pose: Pose) -> FloatArray:
-        """Points of the world, (..., 3), in the camera's axes: right, down and forward, in m."""
+        """World points, (..., 3), in camera axes: right, down and forward, in m."""
         seen: FloatArray = (points_m - pose.position_m) @ pose.camera_from_world.T
         return seen
 
     def flatten(self, seen_m: FloatArray) -> FloatArray:
-        """Points in the camera's axes, (..., 3), in front of it, to px of the picture, (..., 2)."""
+        """Project points in camera axes, (..., 3), in front of the camera, to px, (..., 2)."""
         flat: FloatArray = self.middle_xy + self.focal_px * seen_m[..., :2] / seen_m[..., 2:]
         return flat
 
     def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
-        """Points of the world, (..., 3), in front of the camera, to px of the picture, (..., 2)."""
+        """Project world points, (..., 3), in front of the camera, to px, (..., 2)."""
         return self.flatten(self.view(points_m, pose))
 
     def rays(self, points_xy: FloatArray, pose: Pose) -> FloatArray:
-        """Directions in the world, (..., 3), seen at points of the picture, (..., 2).
+        """Viewing rays in the world, (..., 3), of points in the picture, (..., 2).
 
-        Their component along the camera's axis is 1: a point at depth d is d times as far.
+        Their component along the optical axis is 1: multiplied by a depth, they give a point.
         """
         across = np.asarray(points_xy)
         ends = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)

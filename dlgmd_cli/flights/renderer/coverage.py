@@ -1,8 +1,8 @@
-"""The exact share of each pixel that polygons cover.
+"""Exact pixel coverage of polygons.
 
-Every side is cut where it passes from one pixel to the next. Each piece adds to its pixel, and to
-all pixels right of it, the area between itself and their right borders; sides that go up subtract
-what those that go down have added.
+Every side is cut at the borders of pixels. Each piece adds to its own pixel, and to all pixels
+right of it, the area between the piece and their right borders. Sides that go down add this area,
+and sides that go up subtract it.
 """
 
 from collections.abc import Sequence
@@ -13,15 +13,15 @@ from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.solids import IntArray
 from dlgmd_cli.flights.renderer.texture import FloatImage, Window
 
-# By how much rounding may change the height of a window.
+# Rounding tolerance for the height of a window.
 _ROUNDING = 1e-9
 
 
 class Coverage:
-    """The shares of pixels that many polygons cover.
+    """Pixel coverage of many polygons inside a window.
 
-    The polygons, (n, 2) each, are in px of the picture, clockwise on the screen; they may be far
-    outside of it. Only what is in the window matters.
+    The polygons, (n, 2) each, are in px and clockwise on the screen. They may extend far outside
+    the picture.
     """
 
     def __init__(self, polygons: Sequence[FloatArray], window: Window) -> None:
@@ -33,9 +33,10 @@ class Coverage:
         self._starts = np.searchsorted(owner, np.arange(len(polygons) + 1))
 
     def share(self, index: int, window: Window) -> FloatImage | None:
-        """Area of a polygon in each pixel of a window that it touches, inside that of all polygons.
+        """Coverage of each pixel of a window by one polygon.
 
-        Returns (h, w) float32, 0 to 1 up to rounding, or None if it is 1 everywhere.
+        The window must lie inside that of the constructor. Returns (h, w) float32, 0 to 1 up to
+        rounding, or None if the coverage is 1 everywhere.
         """
         left, top, right, bottom = window
         width, height = right - left, bottom - top
@@ -61,13 +62,13 @@ class Coverage:
 def _pieces(
     start: FloatArray, way: FloatArray, owner: IntArray, window: Window
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Cut the sides at the borders of pixels.
+    """Cut the sides of polygons at the borders of pixels.
 
-    Returns x and y of the pieces' middles, how far down each goes, and its polygon. What is above
-    or below the window is left out; what is beside it is not cut.
+    Returns x and y of the middle of each piece, its extent in y (down is positive), and its
+    polygon. Parts above and below the window are dropped; parts beside it are kept uncut.
     """
     left, top, right, bottom = window
-    # Shares of the way along each side where the window begins and ends.
+    # Where each side enters and leaves the window, as a share of its length.
     is_steep = np.abs(way[:, 1]) > 1e-12
     start, way, owner = start[is_steep], way[is_steep], owner[is_steep]
     to_top, to_bottom = ((line - start[:, 1]) / way[:, 1] for line in (top, bottom))
@@ -79,7 +80,7 @@ def _pieces(
     first, last = start + begins[:, None] * way, start + ends[:, None] * way
     low = np.ceil(np.maximum(np.minimum(first, last), (left, top))).astype(np.intp)
     high = np.floor(np.minimum(np.maximum(first, last), (right, bottom))).astype(np.intp)
-    low = np.minimum(low, (right + 1, bottom + 1))  # far outside, there is nothing to count
+    low = np.minimum(low, (right + 1, bottom + 1))  # no cuts far outside the window
     high = np.maximum(high, low - 1)
     sides = np.arange(len(start))
     cut_sides, cuts = [sides, sides], [begins, ends]
@@ -103,7 +104,7 @@ def _pieces(
 
 
 def _counted(low: IntArray, high: IntArray) -> tuple[IntArray, IntArray]:
-    """All whole numbers from `low[i]` to `high[i]`, each with its i."""
+    """All integers from `low[i]` to `high[i]`: their i, and the integers."""
     counts = np.maximum(high - low + 1, 0)
     owner = np.repeat(np.arange(len(counts)), counts)
     before = np.cumsum(counts) - counts

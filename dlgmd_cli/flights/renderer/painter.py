@@ -1,4 +1,4 @@
-"""A world as a camera sees it, in linear light: outlines painted on top of each other."""
+"""Rendering of a world in linear light, by painting outlines from back to front."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -9,38 +9,38 @@ from dlgmd_cli.flights.renderer.camera import Camera, Pose
 from dlgmd_cli.flights.renderer.coverage import Coverage
 from dlgmd_cli.flights.renderer.solids import Surfaces, World
 from dlgmd_cli.flights.renderer.texture import FloatImage, Outline, Window
-from dlgmd_cli.flights.renderer.visibility import Order, Sight
+from dlgmd_cli.flights.renderer.visibility import PaintOrder, Projector
 
-# Size of what is painted at a time: a band stays in the cache, and has few sizes of texture.
+# Size of the bands to paint: a band fits into the cache and needs few texture sizes.
 _BAND_PX, _MIN_ROWS = 65_536, 32
 
 
 class Renderer:
-    """Paints a world from any pose, at any time.
+    """Renders a world for any pose and time.
 
-    Every face is drawn by its exact homography, far ones first; pixels on an edge get the exact
-    share that is covered, and textures are sampled at the size that they are seen at.
+    Faces are drawn by their exact homographies, far ones first. Pixels on an edge are blended by
+    exact coverage, and textures are sampled at the size at which they appear.
     """
 
     def __init__(self, world: World, camera: Camera) -> None:
         self.world, self.camera = world, camera
         self._surfaces = Surfaces([*world.bodies, world.room])
-        self._sight = Sight(self._surfaces)
-        self._order = Order(world.bodies)
+        self._projector = Projector(self._surfaces)
+        self._order = PaintOrder(world.bodies)
 
     def render(
         self, pose: Pose, time_s: float = 0.0, rows: tuple[int, int] | None = None
     ) -> FloatImage:
-        """The picture at a time: (H, W) float32, the light that comes from each pixel.
+        """The picture at a time: (H, W) float32, the light in each pixel.
 
-        A white surface in ordinary light is 1. Of some rows, the first and the one after the last,
-        only they are painted and returned.
+        A white surface in normal light is 1. With `rows`, (first, end), only these rows are painted
+        and returned.
         """
         offsets = self._surfaces.offsets(time_s)
         for index, body in enumerate(self.world.bodies):
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
-        outlines = self._sight.outlines(self.camera, pose, offsets)
+        outlines = self._projector.outlines(self.camera, pose, offsets)
         room = outlines.pop(len(self.world.bodies), None)
         extents = {index: _extent(each) for index, each in outlines.items()}
         order = self._order.back_to_front(pose.position_m, extents)
@@ -55,10 +55,10 @@ class Renderer:
 def _paint(
     bodies: Sequence[Sequence[Outline]], camera: Camera, rows: tuple[int, int]
 ) -> FloatImage:
-    """Some rows of a picture of bodies that are given with the farthest first: (h, W) float32.
+    """Paint some rows of a picture of bodies, given farthest first: (h, W) float32.
 
-    Where outlines of one body share an edge, each adds its share of a pixel to what was there
-    before all of them. Where nothing is, it is 0.
+    All outlines of a body are blended with the picture before that body, so that shared edges come
+    out right. Empty pixels are 0.
     """
     height, width = camera.shape
     picture: FloatImage = np.zeros((height, width), np.float32)
@@ -86,14 +86,14 @@ def _paint(
 
 
 def _extent(outlines: Sequence[Outline]) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom of some outlines."""
+    """Left, top, right and bottom of a group of outlines."""
     corners = np.concatenate([outline.corners_xy for outline in outlines])
     (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     return left, top, right, bottom
 
 
 def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> Window:
-    """What some outlines touch in some rows of a picture."""
+    """The window of a picture, limited to some rows, that contains the outlines."""
     low_x, low_y, high_x, high_y = _extent(outlines)
     left, top = max(math.floor(low_x), 0), max(math.floor(low_y), rows[0])
     return (
@@ -105,7 +105,7 @@ def _window(outlines: Sequence[Outline], width: int, rows: tuple[int, int]) -> W
 
 
 def _bands(window: Window) -> Iterator[Window]:
-    """A window in parts."""
+    """Split a window into bands of rows."""
     left, top, right, bottom = window
     if left < right:
         n_rows = max(_MIN_ROWS, _BAND_PX // (right - left))

@@ -1,4 +1,4 @@
-"""What a world is made of: convex solids with textured planar faces, balls and capsules."""
+"""The contents of a world: convex solids with textured planar faces, balls and capsules."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,28 +12,28 @@ from dlgmd_cli.flights.renderer.camera import FloatArray
 from dlgmd_cli.flights.renderer.texture import Texture
 
 IntArray = npt.NDArray[np.intp]
-# How far a body has moved, (3,) in m, at a time in s.
+# Displacement of a body, (3,) in m, at a time in s.
 Motion = Callable[[float], npt.ArrayLike]
 
-# Half the time over which a body's velocity is taken from its motion.
+# Step of the central difference that gives a body's velocity.
 _HALF_S = 1e-4
 
 
 @dataclass(frozen=True)
 class Face:
-    """A convex planar polygon with a texture on it, visible only from its front.
+    """A convex planar polygon with a texture, visible from its front only.
 
     Attributes
     ----------
     corners_m : ndarray, shape (n, 3)
         Counter-clockwise as seen from the front.
     texture : Texture
-        Its image fills the rectangle at `origin_m` with the sides `right_m` and `down_m`,
-        in which all corners lie.
+        Its image fills the rectangle at `origin_m` with the sides `right_m` and `down_m`, which
+        contains all corners.
     origin_m, right_m, down_m : ndarray, shape (3,)
-        The image's top left corner, and from there the sides along its width and its height.
+        Top left corner of the image, and its sides along the width and the height.
     gain : float
-        Share of the light that arrives at the face.
+        Share of the light that reaches the face.
     """
 
     corners_m: FloatArray
@@ -45,7 +45,7 @@ class Face:
 
     @cached_property
     def normal(self) -> FloatArray:
-        """Unit vector out of the front."""
+        """Unit normal, pointing out of the front."""
         across: FloatArray = np.cross(
             self.corners_m[1] - self.corners_m[0], self.corners_m[2] - self.corners_m[0]
         )
@@ -63,7 +63,7 @@ def quad(
     texture: Texture,
     gain: float = 1.0,
 ) -> Face:
-    """A rectangular face that its texture fills; the corner and the sides are those of `Face`."""
+    """A rectangular face filled by its texture; see `Face` for the corner and the sides."""
     origin, right, down = (np.asarray(each, float) for each in (origin_m, right_m, down_m))
     corners = np.array([origin, origin + down, origin + down + right, origin + right])
     return Face(corners, texture, origin, right, down, gain)
@@ -71,9 +71,9 @@ def quad(
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex body with planar faces that look outwards, or a flat one that has only a front.
+    """A convex body with planar faces that face outwards, or a single face.
 
-    Several bodies can share a name, such as "chair"; `motion` is None if it never moves.
+    Several bodies can share a name, such as "chair"; `motion` is None for a body at rest.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Solid:
         return np.array([face.normal for face in self.faces])
 
     def reach(self, directions: FloatArray) -> FloatArray:
-        """How far it extends along unit vectors, (n, 3), from the world's origin: (n,) in m."""
+        """Greatest coordinate along unit vectors, (n, 3): (n,) in m."""
         farthest: FloatArray = (directions @ self.corners_m.T).max(axis=-1)
         return farthest
 
@@ -101,12 +101,12 @@ class Solid:
 
 
 @dataclass(frozen=True)
-class Round:
-    """A capsule: all points within `radius_m` of the line between two points, `ends_m`, (2, 3).
+class Capsule:
+    """A capsule: all points within `radius_m` of the segment between `ends_m`, (2, 3).
 
-    If both are the same point, it is a ball. The texture is the capsule as seen from far away, from
-    the side: as high as it is long from tip to tip, with its bottom at the first end, and twice the
-    radius wide.
+    If both ends are the same point, it is a ball. The texture shows the capsule from the side at a
+    large distance. Its height is the length from tip to tip, its bottom is at the first end, and
+    its width is twice the radius.
     """
 
     name: str
@@ -118,7 +118,7 @@ class Round:
 
     @property
     def normals(self) -> FloatArray:
-        """It has no faces, so none: (0, 3)."""
+        """Empty, (0, 3): it has no faces."""
         return np.empty((0, 3))
 
     def reach(self, directions: FloatArray) -> FloatArray:
@@ -126,19 +126,19 @@ class Round:
         farthest: FloatArray = (directions @ self.ends_m.T).max(axis=-1) + self.radius_m
         return farthest
 
-    def moved(self, by_m: FloatArray) -> "Round":
+    def moved(self, by_m: FloatArray) -> "Capsule":
         """The same capsule elsewhere, at rest."""
         return replace(self, ends_m=self.ends_m + by_m, motion=None)
 
 
-Body = Solid | Round
+Body = Solid | Capsule
 
 
 @dataclass(frozen=True)
 class World:
-    """A room, whose faces look inwards, and convex bodies in it, none of which cuts into another.
+    """A room, whose faces face inwards, and convex bodies in it that do not intersect.
 
-    `light` is how bright it is at a time in s; 1 is ordinary.
+    `light` is the brightness at a time in s; 1 is normal.
     """
 
     room: Solid
@@ -147,19 +147,19 @@ class World:
 
 
 class Surfaces:
-    """The surfaces of some bodies as arrays, where they are before any motion.
+    """The surfaces of bodies as arrays, at their positions before any motion.
 
     Attributes
     ----------
     faces : list of Face
-        The faces of all solids; those of one solid follow each other.
-    face_body, round_body : ndarray, shape (n_faces,) and (n_rounds,)
-        Index of the body that a face or a round body is.
+        The faces of all solids, solid by solid.
+    face_body, capsule_body : ndarray, shape (n_faces,) and (n_capsules,)
+        Index of the body of each face and capsule.
     corners_m : ndarray, shape (n_faces, n_corners, 3)
-        A face with fewer corners than others repeats its last one.
+        Faces with fewer corners repeat their last one.
     normals : ndarray, shape (n_faces, 3)
-    rounds : list of Round
-    ends_m, radii_m : ndarray, shape (n_rounds, 2, 3) and (n_rounds,)
+    capsules : list of Capsule
+    ends_m, radii_m : ndarray, shape (n_capsules, 2, 3) and (n_capsules,)
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
@@ -173,23 +173,23 @@ class Surfaces:
             padded[: len(face.corners_m)] = face.corners_m
             padded[len(face.corners_m) :] = face.corners_m[-1]
         self.normals = np.array([face.normal for face in self.faces]).reshape(-1, 3)
-        self.rounds = [body for body in bodies if isinstance(body, Round)]
-        self.round_body: IntArray = np.array(
-            [i for i, body in enumerate(bodies) if isinstance(body, Round)], np.intp
+        self.capsules = [body for body in bodies if isinstance(body, Capsule)]
+        self.capsule_body: IntArray = np.array(
+            [i for i, body in enumerate(bodies) if isinstance(body, Capsule)], np.intp
         )
-        self.ends_m = np.array([each.ends_m for each in self.rounds], float).reshape(-1, 2, 3)
-        self.radii_m = np.array([each.radius_m for each in self.rounds], float)
+        self.ends_m = np.array([each.ends_m for each in self.capsules], float).reshape(-1, 2, 3)
+        self.radii_m = np.array([each.radius_m for each in self.capsules], float)
         self._motions = [(i, body.motion) for i, body in enumerate(bodies) if body.motion]
 
     def offsets(self, time_s: float) -> FloatArray:
-        """How far each body has moved, (n_bodies, 3), in m."""
+        """Displacement of each body at a time, (n_bodies, 3), in m."""
         offsets = np.zeros((len(self.bodies), 3))
         for index, motion in self._motions:
             offsets[index] = motion(time_s)
         return offsets
 
     def velocities(self, time_s: float) -> FloatArray:
-        """How fast each body moves at a time, (n_bodies, 3), in m/s."""
+        """Velocity of each body at a time, (n_bodies, 3), in m/s."""
         later, earlier = self.offsets(time_s + _HALF_S), self.offsets(time_s - _HALF_S)
         velocities: FloatArray = (later - earlier) / (2.0 * _HALF_S)
         return velocities

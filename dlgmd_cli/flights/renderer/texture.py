@@ -1,7 +1,7 @@
-"""Textures, and how they look on a plane that the camera sees at an angle.
+"""Textures, and their projection from a plane into the picture.
 
-A texture is sampled by its exact homography, in the size that it is seen at: smaller copies of it
-(mipmaps) keep it from flickering where it is far away.
+A texture is sampled by its exact homography, at the size at which it appears: smaller copies of it
+(mipmaps) prevent flicker in the distance.
 """
 
 import math
@@ -18,15 +18,15 @@ FloatImage = npt.NDArray[np.float32]
 # Left, top, right and bottom of a part of the picture, in px; the last two are excluded.
 Window = tuple[int, int, int, int]
 
-# OpenCV takes ten times as long for what it samples outside an image as for what is inside.
+# Padding: OpenCV is ten times slower at sampling outside an image than inside.
 _MARGIN = 4
-# How far foreshortening counts when the size of the texture is chosen: 0 would sample it too
-# coarsely in one direction, 1 blurs it in the other.
+# Weight of foreshortening in the choice of the texture size. With 0 the texture would be aliased in
+# one direction, with 1 it would be blurred in the other.
 _FORESHORTENING = 0.75
-# A texture is sampled this much finer, in steps of twice the size, than it has pixels to fill. That
-# makes up for the blur of sampling between texels, and agrees with the mean over each pixel.
+# A texture is sampled finer than the pixels by this power of two. This makes up for the blur of
+# interpolation between texels, and agrees with the mean over each pixel.
 _SHARPENING = 0.5
-# 1 / depth, in 1/m, that is as good as infinitely far away.
+# A 1 / depth, in 1/m, that counts as infinitely far away.
 _VANISHING = 1e-9
 
 
@@ -48,7 +48,7 @@ class Texture:
     def levels(self) -> tuple[FloatImage, ...]:
         """The image and its copies at 1/2, 1/4, … of its size, down to a single pixel.
 
-        Each has a margin of `_MARGIN` pixels in the colour of its rim.
+        Each is padded with `_MARGIN` copies of its edge pixels.
         """
         levels = [self.image]
         while max(levels[-1].shape) > 1:
@@ -62,7 +62,7 @@ class Texture:
 
 @dataclass(frozen=True)
 class Outline:
-    """A convex polygon of the picture, and the textured plane that is seen through it.
+    """A convex polygon in the picture, and the textured plane that it shows.
 
     Attributes
     ----------
@@ -71,14 +71,14 @@ class Outline:
     plane : ndarray, shape (3,)
         1 / depth at the point (x, y) of the picture is ``plane @ (x, y, 1)``, in 1/m.
     distance_m : float
-        From the camera to the plane.
+        Distance from the camera to the plane.
     texture_from_xy : ndarray, shape (3, 3)
-        Homography from (x, y, 1) to the texture, whose width and height are 1.
+        Homography from (x, y, 1) to texture coordinates in 0..1.
     texels_per_m : float
-        Resolution of the texture, along its finer side.
+        Resolution of the texture along its finer side.
     texture : Texture
     gain : float
-        Share of the light that arrives at the plane.
+        Share of the light that reaches the plane.
     """
 
     corners_xy: FloatArray
@@ -90,9 +90,9 @@ class Outline:
     gain: float
 
     def sample(self, window: Window, focal_px: float) -> FloatImage:
-        """The texture as it is seen through a window, before `gain`: (h, w) float32.
+        """The projected texture in a window, without `gain`: (h, w) float32.
 
-        Between two sizes of the texture it is mixed by 1 / depth, so that neither ends abruptly.
+        Adjacent texture sizes are blended by 1 / depth, so that neither ends abruptly.
         """
         levels = self.texture.levels
         left, top, right, bottom = window
@@ -106,12 +106,12 @@ class Outline:
             finer -= picture
             finer *= self._share_of_finer(window, size, focal_px)
             picture += finer
-        # On the horizon of the plane, nothing times infinity is NaN.
+        # On the horizon of the plane, zero times infinity gives NaN.
         cv2.patchNaNs(picture, self.texture.mean)
         return picture
 
     def _warped(self, window: Window, size: int) -> FloatImage:
-        """One size of the texture as it is seen through a window."""
+        """The projection of one texture size in a window."""
         left, top, right, bottom = window
         level = self.texture.levels[size]
         height, width = (side - 2 * _MARGIN for side in level.shape)
@@ -132,7 +132,7 @@ class Outline:
         return warped
 
     def _sizes_in(self, window: Window, focal_px: float) -> tuple[int, int]:
-        """The finest and the coarsest size of the texture that a window needs."""
+        """The finest and the coarsest texture size that a window needs."""
         left, top, right, bottom = window
         a, b, c = self.plane
         at_corners = self.corners_xy @ self.plane[:2] + c
@@ -145,7 +145,7 @@ class Outline:
         return finest, min(max(coarsest, finest), last)
 
     def _share_of_finer(self, window: Window, size: int, focal_px: float) -> FloatImage:
-        """Share of the texture's size `size` in the mix with the next coarser one, in 0..1."""
+        """Weight of texture size `size` in the blend with the next coarser one, 0..1."""
         left, top, right, bottom = window
         whole, none = self._closeness(size, focal_px), self._closeness(size + 1, focal_px)
         a, b, c = self.plane / (whole - none)
@@ -155,13 +155,13 @@ class Outline:
         return np.clip(share, 0.0, 1.0, out=share)
 
     def _size(self, closeness: float, focal_px: float) -> float:
-        """Which size of the texture is wanted at 1 / depth: log2 of how much smaller it is."""
+        """Texture size at a given 1 / depth, as log2 of the reduction."""
         per_pixel = self.texels_per_m / (focal_px * closeness)
         slant = max(1.0, 1.0 / (closeness * self.distance_m))
         return math.log2(per_pixel) + _FORESHORTENING * math.log2(slant) - _SHARPENING
 
     def _closeness(self, size: float, focal_px: float) -> float:
-        """1 / depth where `_size` is `size`: the inverse function."""
+        """1 / depth at which `_size` is `size`: the inverse function."""
         facing = self.texels_per_m / (focal_px * 2.0 ** (size + _SHARPENING))
         if facing * self.distance_m >= 1.0:
             return facing

@@ -1,4 +1,4 @@
-"""What of a world the camera sees, as outlines in its picture, and what hides what."""
+"""Projection of the visible parts of a world to outlines, and the order to paint them in."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,22 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.flights.renderer.camera import Camera, FloatArray, Pose
-from dlgmd_cli.flights.renderer.solids import Body, IntArray, Round, Surfaces
+from dlgmd_cli.flights.renderer.solids import Body, Capsule, IntArray, Surfaces
 from dlgmd_cli.flights.renderer.texture import Outline
 
-# Nothing nearer than this is drawn; a lens could not focus on it either.
+# Near plane; a lens could not focus at this distance either.
 _NEAR_M = 0.01
-# By how much a polygon of corners may miss a circle.
+# Greatest deviation of a polygon from the circle it stands for.
 _ROUNDNESS_PX = 0.05
 _MAX_CORNERS = 360
-# A face whose plane passes this close to the camera is a line.
+# A face is seen edge-on if its plane passes this close to the camera.
 _EDGE_ON_M = 1e-9
-# Bodies that touch are apart.
+# Bodies may overlap by this much and still count as apart.
 _TOUCHING_M = 1e-6
 
 
 def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether all corners of each face, (n, n_corners, 3), are beyond one border of the picture."""
+    """Whether each face, (n, n_corners, 3), is entirely beyond one border of the picture."""
     right, down = camera.middle_xy / camera.focal_px
     x, y, depth = np.moveaxis(seen, -1, 0)
     beyond = np.array(
@@ -38,15 +38,15 @@ def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
 
 
-class Sight:
-    """The outlines of bodies; all planar faces are projected together."""
+class Projector:
+    """Projects bodies to outlines, all planar faces at once."""
 
     def __init__(self, surfaces: Surfaces) -> None:
         self._surfaces = surfaces
         faces = surfaces.faces
         self._origins = np.array([face.origin_m for face in faces]).reshape(-1, 3)
         sides = [np.array([face.right_m, face.down_m]) for face in faces]
-        # From a point to its shares of the sides of the texture.
+        # Maps a point to its coordinates along the sides of the texture.
         self._shares = np.array([np.linalg.pinv(pair).T for pair in sides]).reshape(-1, 2, 3)
         self._texels_per_m = [
             max(face.texture.image.shape[::-1] / np.sqrt((pair**2).sum(axis=1)))
@@ -56,10 +56,10 @@ class Sight:
     def outlines(
         self, camera: Camera, pose: Pose, offsets_m: FloatArray
     ) -> dict[int, list[Outline]]:
-        """The outlines of the visible bodies, by index; they have moved by (n_bodies, 3) m."""
+        """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
         found: dict[int, list[Outline]] = {}
         surfaces = self._surfaces
-        # A body that has moved looks like one at rest from where the camera would be then.
+        # Instead of moving the bodies, move the camera the other way.
         eyes = pose.position_m - offsets_m
         seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
         origins = self._origins - eyes[surfaces.face_body]
@@ -86,7 +86,7 @@ class Sight:
                 face.gain,
             )
             found.setdefault(int(surfaces.face_body[index]), []).append(outline)
-        for index, body in zip(surfaces.round_body.tolist(), surfaces.rounds, strict=True):
+        for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
             outline_of_it = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
             if outline_of_it is not None:
                 found[index] = [outline_of_it]
@@ -94,7 +94,7 @@ class Sight:
 
 
 def _clip_near(seen: FloatArray) -> FloatArray:
-    """The part of a polygon, (n, 3), that is `_NEAR_M` or more in front of the camera."""
+    """The part of a polygon, (n, 3), beyond the near plane."""
     if seen[:, 2].min() >= _NEAR_M:
         return seen
     kept: list[FloatArray] = []
@@ -107,10 +107,10 @@ def _clip_near(seen: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, 3)
 
 
-def _outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
-    """The outline of a capsule: the hull of the circles where sight touches its end balls.
+def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
+    """The outline of a capsule: the convex hull of the outlines of its end balls.
 
-    The texture stands upright along the capsule and faces the camera.
+    The texture is aligned with the capsule and faces the camera.
     """
     ends = camera.view(body.ends_m, pose)
     along = ends[1] - ends[0]
@@ -120,13 +120,13 @@ def _outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
     clipped = _before_near(np.concatenate(circles))
     if len(clipped) < 3:
         return None
-    # What OpenCV calls counter-clockwise has y upwards.
+    # OpenCV's orientation assumes that y points up.
     hull = cv2.convexHull(camera.flatten(clipped).astype(np.float32), clockwise=False)
     if hull is None or len(hull) < 3:
-        return None  # too far to be more than a point
+        return None  # so far away that it is only a point
     middle = ends.mean(axis=0)
     right, up = _upright(middle, along, body.radius_m, pose)
-    # Of a ball near the camera, less than half is seen: the texture fills what is seen.
+    # Less than half of a nearby ball is visible: the texture fills the visible part.
     distance = math.sqrt(middle @ middle)
     share = math.sqrt(max(1.0 - (body.radius_m / distance) ** 2, 1e-6))
     radius = body.radius_m * share
@@ -156,7 +156,7 @@ def _outline_round(body: Round, camera: Camera, pose: Pose) -> Outline | None:
 
 
 def _is_inside(end: FloatArray, along: FloatArray, radius: float) -> bool:
-    """Whether the camera is in a capsule that begins at a point and reaches along a vector."""
+    """Whether the camera is inside a capsule from `end` along a vector."""
     square = float(along @ along)
     share = min(max(-float(end @ along) / square, 0.0), 1.0) if square else 0.0
     nearest = end + share * along
@@ -166,10 +166,10 @@ def _is_inside(end: FloatArray, along: FloatArray, radius: float) -> bool:
 def _upright(
     middle: FloatArray, along: FloatArray, radius: float, pose: Pose
 ) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors to the right of and up along a round body, as the camera sees it."""
+    """Unit vectors to the right of a capsule and up along it, as seen by the camera."""
     right, up = np.cross(middle, along), along
     if right @ right <= radius**2 * (along @ along):
-        # A ball, or a capsule of which only one tip is seen: what looks up there is up.
+        # For a ball or a capsule seen end-on, up is the world's up.
         axes = pose.camera_from_world
         for upwards in (axes[:, 2], axes[:, 0]):
             right = np.cross(middle, upwards)
@@ -180,7 +180,7 @@ def _upright(
 
 
 def _before_near(points: FloatArray) -> FloatArray:
-    """Points, (n, 3), whose hull is the part of that of others that `_clip_near` would keep."""
+    """Clip the convex hull of points, (n, 3), at the near plane; returns points with that hull."""
     is_near = points[:, 2] < _NEAR_M
     if not is_near.any():
         return points
@@ -190,7 +190,7 @@ def _before_near(points: FloatArray) -> FloatArray:
 
 
 def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> FloatArray:
-    """Where sight touches a ball from outside: a circle, as a polygon around it, (n, 3)."""
+    """The circle where rays from the camera are tangent to a ball, as a polygon, (n, 3)."""
     square = float(center @ center)
     distance = math.sqrt(square)
     toward = center / distance
@@ -202,7 +202,7 @@ def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> Float
     n_corners = int(min(max(wanted, 16), _MAX_CORNERS))
     angles = np.arange(n_corners) * (2.0 * math.pi / n_corners)
     seen_radius = radius * math.sqrt(1.0 - radius * radius / square)
-    # Half of the polygon's error inside the circle, half of it outside.
+    # The polygon deviates equally to the inside and the outside of the circle.
     seen_radius *= 2.0 / (1.0 + math.cos(math.pi / n_corners))
     circle: FloatArray = toward * (distance - radius * radius / distance) + seen_radius * (
         np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * down
@@ -210,13 +210,12 @@ def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> Float
     return circle
 
 
-class Order:
-    """The order in which to paint bodies, so that each covers what is behind it.
+class PaintOrder:
+    """The order to paint bodies in, so that each covers those behind it.
 
-    If a plane separates two bodies, the one on the far side of it cannot hide the other. The planes
-    tried are those along the axes and, where none of them separates the two, those along the faces
-    of both. Of bodies that cut into each other, and of several that hide each other in a ring, the
-    one with the farther middle is painted first.
+    If a plane separates two bodies, the one on the far side of it cannot hide the other. Planes
+    along the axes are tried first, then planes along the faces of both. Where bodies intersect, or
+    hide each other in a cycle, the one with the farther centre is painted first.
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
@@ -224,49 +223,49 @@ class Order:
         self._bodies = list(bodies)
         boxes = np.array([_box(body) for body in bodies]).reshape(-1, 2, 3)
         self._low, self._high = boxes[:, 0], boxes[:, 1]
-        # Of bodies i and j: normal and offset of up to four planes with i behind and j in front,
-        # one along each axis, or one along a face; zeros where there is none.
+        # For bodies i and j: normal and offset of up to four planes with i behind and j in front,
+        # one along each axis, or one along a face; zeros for none.
         self._planes = np.zeros((n, n, 4, 4))
         for i in range(n):
-            self._part(i, np.arange(i + 1, n))
+            self._separate(i, np.arange(i + 1, n))
 
     @property
     def is_exact(self) -> bool:
-        """Whether a plane separates every two bodies."""
+        """Whether every pair of bodies is separated by a plane."""
         n_apart = np.count_nonzero(self._planes.any(axis=(2, 3)))
         return n_apart == len(self._bodies) * (len(self._bodies) - 1)
 
     def move(self, index: int, body: Body) -> None:
-        """Put `body` in the place of the one with that index."""
+        """Replace the body with that index."""
         self._bodies[index] = body
         self._low[index], self._high[index] = _box(body)
         others = np.arange(len(self._bodies))
-        self._part(index, others[others != index])
+        self._separate(index, others[others != index])
 
     def back_to_front(
         self, eye_m: FloatArray, extents: Mapping[int, tuple[float, float, float, float]]
     ) -> list[int]:
-        """Indices of some bodies, farthest first, as seen from a point, (3,).
+        """Indices of the bodies in `extents`, farthest first, as seen from a point, (3,).
 
-        `extents` has the left, top, right and bottom of each body in the picture. Bodies that do
-        not overlap there may come in any order.
+        `extents` holds left, top, right and bottom of each body in the picture. Bodies that do not
+        overlap there may come in any order.
         """
         indices = np.array(list(extents), int)
         middles = (self._low[indices] + self._high[indices]) / 2.0
         distances = np.sqrt(((middles - eye_m) ** 2).sum(axis=1))
         planes = self._planes[np.ix_(indices, indices)]
-        # If the eye is in front of a plane, the first body is behind it.
+        # If the camera is in front of a plane, the first body is behind it.
         is_behind = (planes[..., :3] @ eye_m > planes[..., 3]).any(axis=2)
         is_cut = ~planes.any(axis=(2, 3))
         is_behind |= is_cut & (distances[:, None] > distances[None, :])
-        # Of two that are both behind the other, by different planes, neither hides the other.
+        # If two bodies are each behind the other, by different planes, neither hides the other.
         left, top, right, bottom = np.array(list(extents.values())).reshape(-1, 4).T
         overlaps = (left[:, None] < right) & (top[:, None] < bottom)
         hides = is_behind & ~is_behind.T & overlaps & overlaps.T
         return [int(indices[place]) for place in _sorted(hides, distances)]
 
-    def _part(self, index: int, others: IntArray) -> None:
-        """Find the planes between a body and others."""
+    def _separate(self, index: int, others: IntArray) -> None:
+        """Find the planes that separate a body from others."""
         low, high = self._low[index], self._high[index]
         is_less = high <= self._low[others] + _TOUCHING_M
         is_more = low >= self._high[others] - _TOUCHING_M
@@ -276,11 +275,13 @@ class Order:
         planes[:, :3, :3] = signs[:, :, None] * np.eye(3)
         planes[:, :3, 3] = signs * levels
         for place in np.flatnonzero(~signs.any(axis=1)):
-            planes[place, 3] = between(self._bodies[index], self._bodies[others[place]]) or 0.0
+            planes[place, 3] = (
+                separating_plane(self._bodies[index], self._bodies[others[place]]) or 0.0
+            )
         self._planes[index, others], self._planes[others, index] = planes, -planes
 
 
-def between(body: Body, other: Body) -> tuple[float, float, float, float] | None:
+def separating_plane(body: Body, other: Body) -> tuple[float, float, float, float] | None:
     """Normal and offset of a plane with `body` behind it and `other` in front; None without one."""
     (low, high), (low2, high2) = _box(body), _box(other)
     line = (low2 + high2 - low - high) / 2.0
@@ -306,7 +307,7 @@ def _box(body: Body) -> tuple[FloatArray, FloatArray]:
 
 
 def _sorted(behind: npt.NDArray[np.bool_], distances: FloatArray) -> list[int]:
-    """Places in an order where j comes after every i with `behind[i, j]`."""
+    """Indices sorted so that j comes after every i with `behind[i, j]`."""
     n_behind = behind.sum(axis=0)
     is_left = np.ones(len(distances), bool)
     order = []

@@ -1,4 +1,4 @@
-"""Engines: two ways to compute the summation and the grouping layer from the last P."""
+"""The two engines that compute the summation and the grouping layer from the latest P."""
 
 import math
 from collections.abc import Callable
@@ -10,10 +10,10 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models.base import FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.parameters import ENGINES
+from dlgmd_cli.parameters import ENGINES, require_known
 
 AUTO = "auto"
-# In smaller frames, Numba's start takes longer than it saves in a few hundred frames.
+# For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 NOT_INSTALLED = "is not installed"
 
@@ -27,7 +27,7 @@ class Grouping(NamedTuple):
 
 
 class Counting(NamedTuple):
-    """What stands in place of the grouping: G is 1 where S is above this, in luminance, else 0."""
+    """A replacement for the grouping: G is 1 where S exceeds `above`, in luminance, else 0."""
 
     above: float
 
@@ -41,7 +41,7 @@ class Sums(NamedTuple):
 
 
 class Engine(Protocol):
-    """Made for one set of connections, and for frames of one size and type."""
+    """Computes the layers for one set of connections and frames of one size and type."""
 
     def respond(
         self,
@@ -49,7 +49,7 @@ class Engine(Protocol):
         readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> Sums:
-        """The sums of the newest frame, in units of luminance; S and G into `layers`, (H, W).
+        """The sums of the newest frame, in luminance; S and G are written to `layers`, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
         G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10), or see `Counting`
@@ -60,15 +60,12 @@ class Engine(Protocol):
 def choose_engine(
     name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
 ) -> str:
-    """Resolve `auto` to the engine that suits `n_cells` = H · W; other names stay as they are.
+    """Resolve `auto` to the best engine for `n_cells` = H · W; other names are returned unchanged.
 
-    Raises ParameterError if there is no such engine, and MissingExtraError if the package that it
-    needs is not there. `tell` is called if Numba would suit the size but cannot be loaded.
+    Raises ParameterError if there is no such engine, and MissingExtraError if its package is not
+    installed. `tell` is called if Numba would be best but cannot be loaded.
     """
-    if name not in (*ENGINES, AUTO):
-        raise ParameterError(
-            "", f"there is no engine {name!r}", f"Choose from {', '.join((*ENGINES, AUTO))}."
-        )
+    require_known("engine", name, (*ENGINES, AUTO))
     if name == "opencv" or (name == AUTO and n_cells < WORTH_COMPILING_PX):
         return "opencv"
     fault = _fault_of_numba()
@@ -86,7 +83,7 @@ def choose_engine(
 
 
 def require_opencv(name: str, model: str) -> str:
-    """The one engine of a model that has no other; ParameterError if `name` is another one."""
+    """The engine name for a model that supports only OpenCV; ParameterError for other names."""
     if name not in (AUTO, "opencv"):
         raise ParameterError(
             "--engine", f"the model {model} has no engine {name!r}", "Leave it out."
@@ -99,7 +96,7 @@ def create_engine(
 ) -> Engine:
     """An engine, imported on first use, for frames like those of `receptors`.
 
-    `tell` is called with a message before something that takes long.
+    `tell` is called with a message before slow steps.
     """
     kind = getattr(import_module(f"{__name__}.{name}"), f"{name.title()}Engine")
     engine: Engine = kind(connections, receptors, tell)
@@ -110,7 +107,7 @@ def _fault_of_numba() -> str | None:
     """Why Numba cannot be used, or None."""
     try:
         import_module("numba")
-    except Exception as error:  # it refuses, for one, a NumPy that is too new for it
+    except Exception as error:  # for example, it refuses a NumPy that is too new
         if isinstance(error, ModuleNotFoundError) and error.name == "numba":
             return NOT_INSTALLED
         return f"cannot be loaded ({str(error) or type(error).__name__})"
@@ -118,7 +115,7 @@ def _fault_of_numba() -> str | None:
 
 
 def just_below(threshold: float) -> float:
-    """The largest float32 below `threshold`, so that > with it is what ≥ is with `threshold`."""
+    """The largest float32 below `threshold`: x > it is the same as x ≥ `threshold`."""
     nearest = np.float32(threshold)
     if float(nearest) >= threshold:  # as float64: NumPy would round the threshold first
         nearest = np.nextafter(nearest, np.float32(-math.inf))

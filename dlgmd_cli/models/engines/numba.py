@@ -1,11 +1,10 @@
-"""The compiled engine: loops by Numba that do all sums of a frame while a few rows are in cache.
+"""The compiled engine: Numba loops that compute all sums of a few rows while they are in cache.
 
-A block of rows is worked on as if it were one long row: the columns between its rows hold zeros,
-and what is computed there is not used. So the compiler sees nothing but long loops over
-neighbouring numbers, which it turns into vector instructions. Images, sums and S of a block lie in
-one piece of memory, one behind the other.
+A block of rows is treated as one long row. The columns between its rows hold zeros, and results
+there are not used. The compiler thus sees only long loops over adjacent numbers, which it
+vectorises. The images, sums and S of a block are contiguous in memory.
 
-All loops stand in one module because Numba's cache on disk notices changes of this file only.
+All loops are in this module because Numba's cache on disk detects only changes of this file.
 """
 
 from collections.abc import Callable
@@ -25,14 +24,14 @@ from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.threads import n_threads
 
-MAX_ROWS = 32  # of a block
-# Bands of rows go to threads of their own, if they are worth the trouble.
+MAX_ROWS = 32  # per block
+# Each band of rows has its own thread, if it is large enough.
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
-COUNT = 0.0  # the gain that stands for counting cells: no grouping has it
+COUNT = 0.0  # a gain that means counting; the grouping never uses it
 _NOWHERE, _NONE_HIDDEN = np.empty((0, 0), np.float32), np.empty((0, 0), np.bool_)
 
-# Sums may be rearranged into the lanes of a vector; nothing else is taken lightly.
+# Allow reordering of sums for vector instructions, but no other fast-math approximations.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
@@ -41,10 +40,10 @@ _OPTIONS: dict[str, Any] = {
 
 
 def _unrolled(most: int) -> Callable[..., None]:
-    """A function for memory[out + x] = Σ weights · memory[places + x], of `count` taps.
+    """A function that computes memory[out + x] = Σ weights · memory[places + x] over `count` taps.
 
-    It is written out for each count up to `most` because only so one pass over memory takes many
-    taps: the compiler does not merge loops. Unsigned places spare it Python's negative indices.
+    The code is unrolled for each count up to `most`: the compiler does not merge loops, and one
+    pass over memory should handle many taps. Unsigned indices avoid the check for negative ones.
     """
     source = "def total(memory, out, n, places, weights, first, count):\n"
     for count in range(most + 1):
@@ -67,7 +66,7 @@ _total = _unrolled(MAX_TAPS)
 
 @njit(**_OPTIONS)
 def _read_row(out, start, stack, newer, older, y):
-    """A row of one image as float32, less that of another unless `older` is -1."""
+    """A row of one image as float32, minus that of another unless `older` is -1."""
     a, b, row = np.uint64(newer), np.uint64(max(older, 0)), np.uint64(y)
     if older < 0:
         for i in range(stack.shape[2]):
@@ -81,7 +80,7 @@ def _read_row(out, start, stack, newer, older, y):
 
 @njit(**_OPTIONS)
 def _read(memory, stack, newer, older, shape, top, first_new):
-    """The rows of a block that are new, of every source."""
+    """Read the new rows of a block from every source."""
     radius, n_rows, stride = shape
     depth = 2 * radius + n_rows
     for q in range(newer.size):
@@ -96,7 +95,7 @@ def _read(memory, stack, newer, older, shape, top, first_new):
 
 @njit(**_OPTIONS)
 def _move_up(image, distance, n):
-    """What the next block needs again, to where it expects it."""
+    """Move the part that the next block reuses to its beginning."""
     for i in range(n):
         x = np.uint64(i)
         image[x] = image[x + distance]
@@ -104,14 +103,14 @@ def _move_up(image, distance, n):
 
 @njit(**_OPTIONS)
 def _clear(s, hidden):
-    """S = 0 in the hidden cells of a row, in place."""
+    """Set S = 0 in the hidden cells of a row, in place."""
     for x in range(s.size):
         s[x] = np.float32(0.0) if hidden[x] else s[x]
 
 
 @njit(**_OPTIONS)
 def _rectify(s):
-    """S = max(S, 0) in place on a row, and its sum."""
+    """Set S = max(S, 0) in a row, in place; returns its sum."""
     total = np.float32(0.0)
     for x in range(s.size):
         value = np.float32(0.0) if s[x] <= 0.0 else s[x]  # NaN stays
@@ -122,7 +121,7 @@ def _rectify(s):
 
 @njit(**_OPTIONS)
 def _group(s, stride, four, g, gain, below, cap):
-    """G of a row and its sum, Eqs. (8) to (10); S begins one cell up and left of the row."""
+    """Compute G of a row, Eqs. (8) to (10); returns its sum. `s` starts one cell up and left."""
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
     down = np.uint64(stride)
     for i in range(four.size):
@@ -142,7 +141,7 @@ def _group(s, stride, four, g, gain, below, cap):
 
 @njit(**_OPTIONS)
 def _count(s, stride, g, above):
-    """G of a row, 1 where S is above `above`, and its sum; `s` as for `_group`."""
+    """Set G of a row to 1 where S exceeds `above`, else 0; returns its sum. `s` as in `_group`."""
     total, here = np.float32(0.0), np.uint64(stride + 1)
     for i in range(g.size):
         x = np.uint64(i)
@@ -176,11 +175,9 @@ def _sum_layers(
     s_out,
     g_out,
 ):
-    """ΣS, ΣG and the moments of G of the rows `first` up to `end`.
+    """ΣS, ΣG and the moments of G for the rows from `first` up to `end`, block by block.
 
-    `NumbaEngine` prepares every argument.
-
-    What the next block needs again of a block is moved up.
+    `NumbaEngine` prepares all arguments.
     """
     outs, last, places, weights = plan
     radius, n_rows, stride = shape
@@ -188,7 +185,7 @@ def _sum_layers(
     four, g = row_memory
     _, height, width = stack.shape
     block, size = n_rows * stride, (2 * radius + n_rows) * stride
-    # S of a block, with the three rows above it.
+    # S of a block and of the three rows above it.
     s = memory[outs[-1] - 3 * stride : outs[-1] + block]
     s[: 3 * stride] = 0.0
     s_sum = g_sum = m_x = m_y = 0.0
@@ -233,12 +230,12 @@ def _sum_layers(
 
 @cache
 def _compiled(on_disk: bool) -> Callable[..., Any]:
-    """`_sum_layers`, compiled when it is first called, or loaded from where Numba keeps it."""
+    """`_sum_layers`, compiled at the first call or loaded from Numba's cache."""
     return njit(cache=on_disk, **_OPTIONS)(_sum_layers)
 
 
 class NumbaEngine:
-    """S and G by compiled loops, see `fuse` for the sums and `Engine` for the meaning."""
+    """Computes S and G by compiled loops; see `Engine`, and `fuse` for the sums."""
 
     def __init__(
         self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
@@ -250,9 +247,9 @@ class NumbaEngine:
         n_bands = max(1, min(n_threads(), MAX_BANDS, height * width // MIN_BAND_PX))
         self._bands = [height * i // n_bands for i in range(n_bands + 1)]
         radius = connections.radius_px
-        # S has a column before it and two behind; sums along the row reach farther.
+        # S has one extra column on the left and two on the right; sums along the row need more.
         stride = -(-(width + 3 + 2 * radius) // _LANES) * _LANES
-        # The last block is to be nearly full; S of a band has three rows more than G.
+        # S of a band has three rows more than G. Blocks are sized so that the last is nearly full.
         n_rows = -(-height // n_bands) + 3
         n_rows = -(-n_rows // -(-n_rows // MAX_ROWS))
         self._shape = (radius, n_rows, stride)
@@ -268,7 +265,7 @@ class NumbaEngine:
         readout: Grouping | Counting,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> Sums:
-        """The sums of the newest frame; bands of rows are worked on at the same time."""
+        """The sums of the newest frame; bands of rows are computed in parallel."""
         newer = [receptors.position(s.delay) for s in self._sources]
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
@@ -301,25 +298,25 @@ class NumbaEngine:
         return Sums(s_sum, g_sum, (m_x, m_y))
 
     def _load(self, work: Callable[..., Any]) -> Callable[..., tuple[float, ...]]:
-        """The compiled loops; not yet in threads, since one that compiles cannot be interrupted."""
+        """Compile or load the loops, in this thread: others cannot be interrupted meanwhile."""
         with install_listener("numba:compile", Announcement(self._tell)):
             try:
                 work(_compiled(True))
                 return _compiled(True)
-            # A full disk, a cache file cut off, or a home that cannot be written to
+            # A full disk, a truncated cache file, or a home folder that is not writable
             except (OSError, EOFError, UnpicklingError, RuntimeError):
                 work(_compiled(False))
                 return _compiled(False)
 
 
 class Announcement(Listener):
-    """Tells of the first compilation that begins; loading compiled code is none."""
+    """Announces the first compilation, but not the loading of compiled code."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell: Callable[[str], None] | None = tell
 
     def on_start(self, event: Event) -> None:
-        """A compilation begins, maybe inside another."""
+        """A compilation begins, perhaps within another one."""
         if self._tell is not None:
             self._tell("Compiling the numba engine; about ten seconds, the first time.")
             self._tell = None
@@ -331,17 +328,18 @@ class Announcement(Listener):
 def _places(
     sums: list[Sum], radius: int, n_rows: int, stride: int, unit: float
 ) -> tuple[npt.NDArray, ...]:
-    """Where each sum is written, its last tap, and of each tap the place it reads and its weight.
+    """The memory layout: output position of each sum, its end among the taps, and all taps.
 
-    The images, with `radius` rows and columns around a block, come first, then the sums up columns,
-    and at last S below three rows of the block before; S begins a column before the image.
+    A tap has the position that it reads and a weight. First in memory are the images, with `radius`
+    rows and columns around a block, then the column sums, and last S, after three rows of the
+    previous block. S begins one column before the image.
     """
     sources = sources_of(sums)
     size, block = (2 * radius + n_rows) * stride, n_rows * stride
-    # With a gap, since a loop that reads where it writes is not turned into vector instructions.
+    # Gaps keep reads and writes apart: overlapping loops are not vectorised.
     outs = [len(sources) * size + stride + k * (block + stride) for k in range(len(sums))]
     outs[-1] += 3 * stride
-    # A sum up the columns is wanted at more columns than one along the row, which begins as S does.
+    # Column sums are needed at more columns than sums along the row, which begin where S does.
     begins = [radius if any(tap.dx for tap in taps) else 0 for taps in sums]
     begins[-1] = radius
     places, weights = [], []
@@ -359,7 +357,7 @@ def _places(
 
 
 def _zeros(size: int) -> npt.NDArray[np.float32]:
-    """Zeros on a cache line."""
+    """An array of zeros, aligned to a cache line."""
     memory = aligned((size,))
     memory[:] = 0.0
     return memory

@@ -1,7 +1,7 @@
-"""The default engine: OpenCV's filters, on tiles that stay in the processor's cache.
+"""The default engine: OpenCV's filters, applied to tiles that fit into the processor's cache.
 
-Everything outside the frame is zero. `cv2.filter2D` correlates; the model's kernels are symmetric,
-so that it convolves as well.
+Everything outside the frame is zero. `cv2.filter2D` computes a correlation, which is the same as a
+convolution for the model's symmetric kernels.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
-# Three float32 images of this size stay in a cache of 2 MB.
+# Three float32 images of this size fit into a cache of 2 MB.
 TILE_HW = (270, 480)
-# The 4 x 4 window of the grouping layer looks this far up and left, and down and right.
+# The 4 x 4 window of the grouping layer extends this far up and left, and down and right.
 BEFORE, AFTER = 1, 2
 _BORDER = cv2.BORDER_CONSTANT
 
@@ -26,9 +26,10 @@ Window = tuple[slice, slice]
 
 
 class Tile(NamedTuple):
-    """A part of the image, `target`, with the surroundings it depends on, `window`.
+    """A tile of the image.
 
-    Both are places in the image; `core` is the place of the tile in `window`.
+    `target` is the tile in the image, `window` the tile with the surroundings that it depends on,
+    and `core` the tile within `window`.
     """
 
     window: Window
@@ -43,7 +44,7 @@ class Tile(NamedTuple):
 
 
 class OpencvEngine:
-    """S and G by OpenCV, see `plan` for the filters and `Engine` for the meaning."""
+    """Computes S and G with OpenCV; see `Engine`, and `plan` for the filters."""
 
     def __init__(
         self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
@@ -94,7 +95,7 @@ class OpencvEngine:
         part: FloatImage,
         spare: FloatImage,
     ) -> None:
-        """S on the window of a tile; correct wherever the kernels stay inside the window."""
+        """S in the window of a tile; valid where the kernels do not extend beyond the window."""
         is_first = True
         for source, filters in self._filters.items():
             image = _floats(receptors, source, tile.window, spare)
@@ -119,12 +120,12 @@ def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
     """Sum over rows and columns -1 … +2 about each cell, [Zhao2023] Eq. (9) without its gain."""
-    # The window is even: OpenCV would anchor it at (2, 2), the released code does at (1, 1).
+    # For an even window, OpenCV's default anchor is (2, 2); that of the released code is (1, 1).
     cv2.boxFilter(image, -1, (4, 4), dst=out, anchor=(1, 1), normalize=False, borderType=_BORDER)
 
 
 def tiles(shape: tuple[int, int], radius: int) -> list[Tile]:
-    """Tiles of nearly the same size that cover an image of `shape`, (H, W)."""
+    """Tiles of nearly equal size that cover an image of `shape`, (H, W)."""
     rows, columns = (
         [_surround(start, stop, side, radius) for start, stop in _spans(side, limit)]
         for side, limit in zip(shape, TILE_HW, strict=True)
@@ -133,19 +134,19 @@ def tiles(shape: tuple[int, int], radius: int) -> list[Tile]:
 
 
 def _spans(side: int, limit: int) -> list[tuple[int, int]]:
-    """Cut `side` into the fewest parts of at most `limit`, nearly alike."""
+    """Split `side` into the fewest nearly equal parts of at most `limit`."""
     count = -(-side // limit)
     return list(pairwise(side * i // count for i in range(count + 1)))
 
 
 def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, slice, slice]:
-    """The fields of a `Tile` along one side, for the cells `start` up to `stop`."""
+    """The slices of a `Tile` along one side, for the cells from `start` up to `stop`."""
     begin, end = max(0, start - BEFORE - radius), min(side, stop + AFTER + radius)
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
 def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
-    """The window of a source as float32: `spare` filled with it, or a view of P."""
+    """The window of a source as float32: a view of P, or `spare` filled with a copy."""
     newer = receptors.p(source.delay)[window]
     if source.difference:
         older = receptors.p(source.delay + 1)[window]

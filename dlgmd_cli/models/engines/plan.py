@@ -1,23 +1,22 @@
-"""How to add up the kernels of all delays with few operations.
+"""Planning how to apply the kernels of all delays with few operations.
 
-A Gaussian cut into bands by its latency is no longer separable, but it is close: a disc is a
-separable square less a few corner taps, and neighbouring bands telescope,
+A Gaussian that is cut into bands by latency is not separable, but nearly: a disc is a separable
+square without a few corner taps, and neighbouring bands telescope,
 
     Σ_d K_d ∗ P(t-d) = Σ_d C_d ∗ (P(t-d) - P(t-d-1)),   C_d = K_0 + … + K_d,
 
-so that the outermost band becomes the whole Gaussian. Two planners try these rearrangements on
-whatever kernels they are given and keep the cheapest: `plan` for OpenCV's filters, with plain
-`filter2D` always among them, and `fuse` for compiled loops.
+so that the outermost kernel is a whole Gaussian. Two planners try such rearrangements and choose
+the cheapest: `plan` for OpenCV's filters, which always considers plain `filter2D`, and `fuse` for
+compiled loops.
 
-For `fuse`, a disc cut out of a Gaussian is a staircase: at each column its taps reach a certain
-height, and the heights do not grow with the distance from the middle. Such a kernel needs one
-weighted sum up the column, continued step by step, and one along the row, which takes at each
-distance the sum that reaches as high as the kernel does there. Discs cut out of the same Gaussian,
-on different frames, share both.
+For `fuse`, a disc cut from a Gaussian is a staircase: each column of taps has a certain height,
+which does not grow with the distance from the middle. Such a kernel needs one weighted sum along
+the column, extended step by step, and one along the row. At each distance, the row sum uses the
+column sum of the height there. Discs from the same Gaussian, on different frames, share both.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,25 +24,25 @@ import numpy.typing as npt
 
 from dlgmd_cli.models.kernels import FloatKernel
 
-# Taps below this share of the largest one are rounding of the float64 arithmetic above them.
+# Taps below this share of the largest one are rounding errors of float64.
 NEGLIGIBLE = 1e-13
-# Singular values below this share of the largest one are lost in float32 anyway.
+# Singular values below this share of the largest one are negligible in float32.
 RANK_TOLERANCE = 1e-9
 
-# OpenCV: costs in ns per pixel, measured on float32 images that stay in cache, with one thread.
+# OpenCV: costs in ns per pixel, measured on float32 images in cache, with one thread.
 PASS_COST = 0.15  # one more addition or difference of two images
 TAPS_COST = (0.13, 0.038)  # filter2D: fixed, per tap
 SEPARABLE_COST = (0.14, 0.098)  # sepFilter2D: fixed, per tap of one side
-DFT_COST = 11.3  # filter2D beyond 11 x 11, where OpenCV turns to the Fourier transform
+DFT_COST = 11.3  # filter2D beyond 11 x 11, where OpenCV uses the Fourier transform
 MAX_TAPS_SIDE = 11
-# Loops: what it costs to convert one more image or difference, in loads per pixel.
+# Loops: cost of converting one more image or difference, in loads per pixel.
 IMAGE_COST = 4.0
-# Of one sum. Numba's cache does not notice a change here: change engines/numba.py with it.
+# Taps per sum. Numba's cache does not notice a change here: edit engines/numba.py as well.
 MAX_TAPS = 15
 
 
 class Source(NamedTuple):
-    """What is read: P(t - delay), or P(t - delay) - P(t - delay - 1)."""
+    """An input: P(t - delay), or the difference P(t - delay) - P(t - delay - 1)."""
 
     delay: int
     difference: bool
@@ -55,7 +54,7 @@ Filter = tuple[npt.NDArray[np.float32], ...]
 
 
 class Tap(NamedTuple):
-    """A weight, and what it is for: a source or an earlier sum, at a row and column from there."""
+    """A weight for a source or an earlier sum (by index), at an offset in rows and columns."""
 
     read: Source | int
     dy: int
@@ -67,12 +66,12 @@ Sum = list[Tap]
 
 
 def layouts(kernels: dict[int, FloatKernel]) -> list[Layout]:
-    """Ways to spread the kernels over frames and differences of frames."""
+    """Alternative distributions of the kernels over frames and differences of frames."""
     return [_telescoped(kernels, first) for first in (max(kernels), 0, 1)]
 
 
 def _telescoped(kernels: dict[int, FloatKernel], first: int) -> Layout:
-    """Cumulative kernels on differences of frames from delay `first` on."""
+    """The layout with cumulative kernels on differences of frames from delay `first` on."""
     layout = {Source(d, False): kernels[d] for d in sorted(kernels) if d < first}
     zero = np.zeros_like(kernels[0])
     last, cumulative = max(kernels), zero
@@ -90,12 +89,12 @@ def _low_rank(kernel: FloatKernel) -> list[tuple[FloatKernel, FloatKernel]]:
 
 
 def _without_rounding(kernel: FloatKernel, peak: float) -> FloatKernel:
-    """`kernel` without the taps that are mere rounding of numbers as large as `peak`."""
+    """`kernel` without taps that are rounding errors of numbers as large as `peak`."""
     return np.where(np.abs(kernel) > NEGLIGIBLE * peak, kernel, 0.0)
 
 
 def _scale(kernel: FloatKernel, gaussian: FloatKernel) -> float | None:
-    """Which multiple of `gaussian` the kernel was cut from; None if it was not."""
+    """The factor if `kernel` is part of a multiple of `gaussian`, else None."""
     used = (np.abs(kernel) > 0.0) & (gaussian > NEGLIGIBLE * gaussian.max())
     if not used.any():
         return None
@@ -109,14 +108,14 @@ def _scale(kernel: FloatKernel, gaussian: FloatKernel) -> float | None:
 def plan(
     kernels: dict[int, FloatKernel], gaussians: Sequence[FloatKernel]
 ) -> dict[Source, list[Filter]]:
-    """The cheapest filters found whose sum is Σ_d kernels[d] ∗ P(t - d), by what they read.
+    """The cheapest filters found whose sum is Σ_d kernels[d] ∗ P(t - d), by their sources.
 
     Parameters
     ----------
     kernels : dict of int to ndarray
-        Delay in frames -> (2r + 1, 2r + 1) kernel, symmetric; of delay 0 there is one.
+        Delay in frames -> symmetric (2r + 1, 2r + 1) kernel; delay 0 is required.
     gaussians : sequence of ndarray
-        Separable kernels of the same shape that the others were cut from.
+        Separable kernels of the same shape, of which `kernels` are parts.
     """
     plans = []
     for layout in layouts(kernels):
@@ -129,7 +128,7 @@ def plan(
 
 
 def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Filter]:
-    """The cheapest filters found that add up to `kernel`; none for a kernel of zeros."""
+    """The cheapest filters found whose sum is `kernel`; empty if it is all zeros."""
     if not kernel.any():
         return []
     options = [
@@ -142,7 +141,7 @@ def decompose(kernel: FloatKernel, gaussians: Sequence[FloatKernel]) -> list[Fil
 
 
 def _cost(filters: list[Filter]) -> float:
-    """What it costs to apply and to add up filters, in ns per pixel."""
+    """Cost of applying filters and adding their results, in ns per pixel."""
     cost = len(filters) * PASS_COST
     for one in filters:
         if len(one) == 2:
@@ -155,7 +154,7 @@ def _cost(filters: list[Filter]) -> float:
 
 
 def _cut_gaussian(kernel: FloatKernel, gaussian: FloatKernel, half: int) -> list[Filter]:
-    """A multiple of `gaussian` on the square of half side `half`, and taps for the rest."""
+    """A multiple of `gaussian` on a square of half side `half`, and taps for the rest."""
     radius = len(kernel) // 2
     inside = slice(radius - half, radius + half + 1)
     square = np.zeros_like(kernel)
@@ -170,7 +169,7 @@ def _cut_gaussian(kernel: FloatKernel, gaussian: FloatKernel, half: int) -> list
 
 
 def _taps(kernel: FloatKernel) -> list[Filter]:
-    """`kernel` tap by tap, cut to its centred support; nothing for zeros."""
+    """`kernel` as one plain filter, cropped to its centred support; empty for zeros."""
     radius = len(kernel) // 2
     away = np.abs(np.argwhere(kernel) - radius)
     if away.size == 0:
@@ -186,7 +185,16 @@ def _separable(column: FloatKernel, row: FloatKernel) -> Filter:
 # Compiled loops
 
 
-def fuse(kernels: dict[int, FloatKernel], gaussians: Sequence[FloatKernel]) -> list[Sum]:
+def _loads(sums: list[Sum]) -> float:
+    """What it costs a compiled loop to compute some sums, in loads per pixel."""
+    return len(sources_of(sums)) * IMAGE_COST + sum(len(taps) + 1 for taps in sums)
+
+
+def fuse(
+    kernels: dict[int, FloatKernel],
+    gaussians: Sequence[FloatKernel],
+    cost: Callable[[list[Sum]], float] = _loads,
+) -> list[Sum]:
     """The cheapest sums found for these kernels, given as to `plan`.
 
     The last one is Σ_d kernels[d] ∗ P(t - d); those before it go up the columns, and each may
@@ -194,18 +202,16 @@ def fuse(kernels: dict[int, FloatKernel], gaussians: Sequence[FloatKernel]) -> l
     """
     profiles = [gaussian[len(gaussian) // 2] for gaussian in gaussians]
     plans = [_fuse_layout(layout, profiles) for layout in layouts(kernels)]
-    return min(
-        plans, key=lambda sums: len(sources_of(sums)) * IMAGE_COST + sum(len(s) + 1 for s in sums)
-    )
+    return min(plans, key=cost)
 
 
 def sources_of(sums: list[Sum]) -> list[Source]:
-    """What the taps of some sums read of frames."""
+    """All sources that the taps of the sums read."""
     return sorted({tap.read for taps in sums for tap in taps if not isinstance(tap.read, int)})
 
 
 def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
-    """Sums for kernels on the frames that `layout` says: staircases, products, and taps."""
+    """Sums for the kernels of a layout: staircases, outer products and single taps."""
     sums: list[Sum] = []
     along: Sum = []
     stairs: dict[int, list[Staircase]] = defaultdict(list)
@@ -231,7 +237,7 @@ def _fuse_layout(layout: Layout, profiles: list[FloatKernel]) -> list[Sum]:
 
 
 def _append(sums: list[Sum], taps: Sum) -> None:
-    """Add a sum, in as many parts as it takes."""
+    """Append a sum, split into parts of at most `MAX_TAPS`."""
     while len(taps) > MAX_TAPS:
         sums.append(taps[:MAX_TAPS])
         taps = [Tap(len(sums) - 1, 0, 0, 1.0), *taps[MAX_TAPS:]]
@@ -239,7 +245,7 @@ def _append(sums: list[Sum], taps: Sum) -> None:
 
 
 class Staircase(NamedTuple):
-    """`scale` times a Gaussian, at distance |dx| cut to |dy| <= heights[|dx|]; -1 for none."""
+    """`scale` times a Gaussian, limited to |dy| <= heights[|dx|]; a height of -1 is empty."""
 
     source: Source
     scale: float
@@ -249,9 +255,9 @@ class Staircase(NamedTuple):
 def _fit(
     kernel: FloatKernel, profile: FloatKernel, source: Source
 ) -> tuple[float, Staircase, FloatKernel]:
-    """The staircase of a Gaussian inside `kernel`, after its loads per pixel, and what it leaves.
+    """Fit a staircase of a Gaussian into `kernel`: loads per pixel, staircase and remainder.
 
-    The loads are those of the taps beside it, too, and infinite where the Gaussian is not there.
+    The loads include the taps of the remainder; they are infinite if nothing of the Gaussian fits.
     """
     radius, peak = len(kernel) // 2, np.abs(kernel).max()
     gaussian = np.outer(profile, profile) / profile[radius]
@@ -271,7 +277,7 @@ def _fit(
 def _add_stairs(
     sums: list[Sum], along: Sum, members: list[Staircase], profile: FloatKernel
 ) -> None:
-    """Sums up the columns shared by staircases of one Gaussian, and those along the row."""
+    """Append the column sums of staircases of one Gaussian, and add their taps along the row."""
     radius = len(profile) // 2
     reached = [-1] * len(members)
     for distance in range(radius, -1, -1):

@@ -1,0 +1,83 @@
+"""`dlgmd export`: the model for other machines."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
+from dlgmd_cli.commands.options import (
+    SIZE,
+    complete_folder,
+    json_option,
+    overwrite_option,
+    parameter_options,
+)
+
+if TYPE_CHECKING:
+    from dlgmd_cli.runs.run import Setup
+
+
+@click.group(
+    cls=Group,
+    short_help="Write the model as C for a microcontroller.",
+    epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware",
+)
+def export() -> None:
+    """Write the model in another language."""
+
+
+@export.command(cls=Command, epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware")
+@parameter_options
+@click.option(
+    "--size",
+    type=SIZE,
+    default="96x72",
+    show_default=True,
+    help="Size in px of the frames that the C takes.",
+)
+@click.option(
+    "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("dlgmd-c"),
+    show_default=True,
+    metavar="DIR",
+    shell_complete=complete_folder,
+    help="Folder for the sources.",
+)
+@overwrite_option
+@json_option
+def c(
+    setup: "Setup", size: tuple[int, int], is_fixed: bool, out: Path, overwrite: bool, as_json: bool
+) -> None:
+    """Write a D-LGMD and its alarm as C99 for a microcontroller.
+
+    The C takes grey frames of one size, one byte a cell, and answers to each: membrane potential,
+    spike, alarm, and where in the picture. It allocates nothing and needs no library. Its
+    parameters are constants.
+
+    Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
+    it on emulated Cortex-M boards). DIR/README.md explains them and says what a frame costs.
+
+    Models are dlgmd and dlgmd-contrast, which the preset flight is of.
+    """
+    from dlgmd_cli.export.folder import files
+    from dlgmd_cli.export.project import Export
+    from dlgmd_cli.results.store import appearing, refuse_existing
+
+    made = Export(setup.params, *size, is_fixed, setup.label)
+    contents = files(made)
+    for name in contents:
+        refuse_existing(out / name, overwrite=overwrite)
+    with appearing(*(out / name for name in contents)) as temporary:
+        for path, content in zip(temporary, contents.values(), strict=True):
+            path.write_bytes(content)
+    if as_json:
+        print_json({"folder": str(out), **made.costs})
+        return
+    print_path(out)
+    print_table(("a frame costs", ""), [(key, f"{n:,}") for key, n in made.costs.items()])

@@ -1,0 +1,482 @@
+/* The model that dlgmd.h describes; its constants and sums are in dlgmd_model.h. */
+#include "dlgmd.h"
+
+#include <string.h>
+
+enum {
+    WIDTH = DLGMD_WIDTH,
+    HEIGHT = DLGMD_HEIGHT,
+    CELLS = DLGMD_WIDTH * DLGMD_HEIGHT,
+    RADIUS = DLGMD_RADIUS,
+    ROWS = DLGMD_ROWS,
+    DELAYS = DLGMD_MAX_DELAY + 1
+};
+
+/* Where the change of a frame is read: the first of the rows around the one that is summed. */
+typedef struct {
+    const uint8_t *change;
+#if DLGMD_CONTRAST
+    const dlgmd_change *passed; /* P' by change */
+#endif
+} source;
+
+#include "dlgmd_model.h"
+
+#if DLGMD_FIXED
+typedef uint32_t number;
+typedef uint64_t total; /* 64 bits are used some times in a row or a frame, never for each cell */
+#else
+typedef float number;
+typedef float total;
+#endif
+
+/* ΣG, and ΣG times the column and the row, of the rows so far. */
+typedef struct {
+    total g;
+    total g_column;
+    total g_row;
+} totals;
+
+void dlgmd_reset(dlgmd_state *state)
+{
+    memset(state, 0, sizeof *state);
+}
+
+static uint8_t distance(uint8_t a, uint8_t b)
+{
+    return (uint8_t)(a < b ? b - a : a - b);
+}
+
+/* Row `at` of the ring. */
+static uint8_t *ring_row(dlgmd_state *state, int at)
+{
+    return state->change + DLGMD_MARGIN + at * DLGMD_STRIDE;
+}
+
+/* Note how much row `y` of the frame changed, zeros below the frame; the sum of it. */
+static uint32_t see_row(dlgmd_state *state, const uint8_t *frame, int y)
+{
+    int at = ((int)state->start + RADIUS + y) % ROWS;
+    uint8_t *row = ring_row(state, at);
+    uint32_t sum = 0;
+    if (y < HEIGHT) {
+        const uint8_t *now = frame + y * WIDTH;
+        uint8_t *before = state->previous + y * WIDTH;
+        for (int x = 0; x < WIDTH; x++) {
+            row[x] = distance(now[x], before[x]);
+            before[x] = now[x];
+            sum += row[x];
+        }
+    } else {
+        memset(row, 0, WIDTH);
+    }
+    if (at < 2 * RADIUS) {
+        memcpy(ring_row(state, at + ROWS), row, WIDTH);
+    }
+    return sum;
+}
+
+/* S of row `y`. */
+static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
+{
+    source sources[DELAYS];
+    for (int delay = 0; delay < DELAYS; delay++) {
+        int at = (int)state->start + ROWS + y - delay * DLGMD_PERIOD;
+        sources[delay].change = ring_row(state, at % ROWS);
+#if DLGMD_CONTRAST
+        sources[delay].passed = state->passed[(state->frame - (uint32_t)delay) % DELAYS];
+#endif
+    }
+    sum_columns(sources, state->work.rows.columns);
+    sum_along(sources, state->work.rows.columns, s);
+}
+
+#if DLGMD_CONTRAST
+
+/* sqrt(n), times 2 to the power of `shift`, which is as large as fits. */
+static uint32_t root(uint64_t n, unsigned *shift)
+{
+    uint64_t found = 0;
+    *shift = 0;
+    if (n == 0) {
+        return 0;
+    }
+    for (; n >> 62 == 0; n <<= 2) {
+        ++*shift;
+    }
+    for (uint64_t bit = UINT64_C(1) << 62; bit != 0; bit >>= 2) {
+        bool fits = n >= found + bit;
+        n -= fits ? found + bit : 0;
+        found = (found >> 1) + (fits ? bit : 0);
+    }
+    return (uint32_t)found;
+}
+
+#if DLGMD_FIXED
+
+/* found / 2^shift / CELLS, in 1/65536 */
+static number mean_of(uint32_t found, unsigned shift)
+{
+    return (number)((((uint64_t)found << 16) / CELLS) >> shift);
+}
+
+static number of_level(uint32_t level)
+{
+    return level << 16;
+}
+
+static number times(number value, number factor)
+{
+    return (number)((uint64_t)value * factor >> 16);
+}
+
+/* The average so far, with the weight of the newest value in 1/32768. */
+static total smoothed(total before, total newest, int32_t weight)
+{
+    return before + (total)((int64_t)(newest - before) * weight >> 15);
+}
+
+/* How much of a change passes, in 1/128. */
+static dlgmd_change passing(uint32_t level, number least)
+{
+    return (dlgmd_change)(of_level(level) > least ? (of_level(level) - least) >> 9 : 0);
+}
+
+/* The share of G that is not inhibited, squared, in 1/32768. */
+static number uninhibited(total usual, total sum)
+{
+    total limit = usual * GROWTH >> 14;
+    number share = sum <= limit ? 32768 : (number)((limit << 15) / sum);
+    return share * share >> 15;
+}
+
+static dlgmd_sum threshold_of(number least)
+{
+    uint64_t threshold = (uint64_t)least << S_BITS >> 16;
+    return threshold < INT32_MAX ? (dlgmd_sum)threshold : INT32_MAX;
+}
+
+static total scaled(total value, number share)
+{
+    return value * share >> 15;
+}
+
+#else
+
+/* found / 2^shift / CELLS */
+static number mean_of(uint32_t found, unsigned shift)
+{
+    number mean = (number)found / CELLS;
+    for (; shift > 0; shift--) {
+        mean *= 0.5f;
+    }
+    return mean;
+}
+
+static number of_level(uint32_t level)
+{
+    return (number)level;
+}
+
+static number times(number value, number factor)
+{
+    return value * factor;
+}
+
+/* The average so far, with the weight of the newest value. */
+static total smoothed(total before, total newest, float weight)
+{
+    return before + weight * (newest - before);
+}
+
+/* How much of a change passes. */
+static dlgmd_change passing(uint32_t level, number least)
+{
+    return of_level(level) > least ? of_level(level) - least : 0.0f;
+}
+
+/* The share of G that is not inhibited, squared. */
+static number uninhibited(total usual, total sum)
+{
+    number limit = GROWTH * usual, share = sum <= limit ? 1.0f : limit / sum;
+    return share * share;
+}
+
+static dlgmd_sum threshold_of(number least)
+{
+    return least;
+}
+
+static total scaled(total value, number share)
+{
+    return value * share;
+}
+
+#endif
+
+static number larger(number a, number b)
+{
+    return a > b ? a : b;
+}
+
+/* Standard deviation of the frame, in levels. */
+static number deviation(const uint8_t *frame)
+{
+    int32_t sum = 0;
+    uint32_t squares = 0;
+    for (int i = 0; i < CELLS; i++) {
+        int32_t level = frame[i] - 128;
+        sum += level;
+        squares += (uint32_t)(level * level);
+    }
+    unsigned shift;
+    uint32_t found = root((uint64_t)squares * CELLS - (uint64_t)((int64_t)sum * sum), &shift);
+    return mean_of(found, shift);
+}
+
+/* Count the cells by how much they change. */
+static void count_changes(dlgmd_state *state, const uint8_t *frame)
+{
+    const uint8_t *before = state->previous;
+    memset(&state->work.counts, 0, sizeof state->work.counts);
+    for (int i = 0; i < CELLS; i++) {
+        state->work.counts.all[distance(frame[i], before[i])]++;
+    }
+    for (int y = 0; y < HEIGHT; y += QUARTILE_STEP) {
+        for (int i = y * WIDTH; i < (y + 1) * WIDTH; i += QUARTILE_STEP) {
+            state->work.counts.some[distance(frame[i], before[i])]++;
+        }
+    }
+}
+
+/* What three quarters of the cells looked at reach, in levels. */
+static uint32_t lower_quartile(const uint32_t *counts)
+{
+    uint32_t level = 0;
+    for (uint32_t seen = counts[0]; seen <= QUARTILE_CELLS / 4; seen += counts[level]) {
+        level++;
+    }
+    return level;
+}
+
+/* See how much changes: P' by change, the threshold of S, and the share of G that is left. */
+static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *above)
+{
+    number newest = deviation(frame);
+    if (state->frame == 0) {
+        state->sigma = newest;
+        return 0;
+    }
+    state->sigma = (number)smoothed(state->sigma, newest, W_SIGMA);
+    count_changes(state, frame);
+    newest = of_level(lower_quartile(state->work.counts.some));
+    state->noise = state->frame == 1 ? newest : (number)smoothed(state->noise, newest, W_SIGMA);
+    number least = larger(times(state->sigma, C_P), times(state->noise, C_N));
+    least = larger(least, P_MIN);
+    dlgmd_change *passed = state->passed[state->frame % DELAYS];
+    total sum = 0;
+    for (uint32_t level = 0; level < 256; level++) {
+        passed[level] = passing(level, least);
+        sum += (total)state->work.counts.all[level] * passed[level];
+    }
+    number share = uninhibited(state->usual, sum);
+    state->usual = state->frame == 1 ? sum : smoothed(state->usual, sum, W_M);
+    *above = threshold_of(larger(times(state->sigma, C_S), S_MIN));
+    return share;
+}
+
+/* Count the active cells of row `y`. */
+static void read_row(const dlgmd_sum *s, int y, dlgmd_sum above, totals *sums)
+{
+    number active = 0, column = 0;
+    for (int x = 0; x < WIDTH; x++) {
+        if (s[x] > above) {
+            active += weights_x[x];
+            column += weights_x[x] * (number)x;
+        }
+    }
+    total row = (total)active * weights_y[y];
+    sums->g += row;
+    sums->g_column += (total)column * weights_y[y];
+    sums->g_row += row * (total)y;
+}
+
+/* Take a frame and sum G; false while the history is not full. */
+static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
+{
+    dlgmd_sum above = 0;
+    number share = see_contrast(state, frame, &above);
+    bool valid = state->frame >= FIRST_VALID;
+    memset(&state->work.rows, 0, sizeof state->work.rows);
+    for (int y = -RADIUS; y < HEIGHT; y++) {
+        see_row(state, frame, y + RADIUS);
+        if (valid && y >= 0) {
+            sum_row(state, y, state->work.rows.s);
+            read_row(state->work.rows.s, y, above, sums);
+        }
+    }
+    sums->g = scaled(sums->g, share);
+    sums->g_column = scaled(sums->g_column, share);
+    sums->g_row = scaled(sums->g_row, share);
+    return valid;
+}
+
+#else
+
+#if DLGMD_FIXED
+
+/* Threshold of G: all of these are in units of 1 / G_ONE. */
+static number threshold_of(uint32_t ffi)
+{
+    uint64_t threshold = (uint64_t)ffi * T_DE >> T_DE_SHIFT;
+    return threshold < T_DE_MAX ? (number)threshold : T_DE_MAX;
+}
+
+/* G, at most 1. */
+static number product(number s, number ce)
+{
+    number g = ce < 65536 ? s * ce : s * (ce >> 4);
+    if (ce >= 65536) {
+        g = g < G_ONE >> 4 ? g << 4 : G_ONE;
+    }
+    return g < G_ONE ? g : G_ONE;
+}
+
+/* To 1/4096. */
+static number rounded(number g)
+{
+    return (g + (G_ONE >> 13)) / (G_ONE >> 12);
+}
+
+#else
+
+static number threshold_of(uint32_t ffi)
+{
+    number threshold = T_DE * (number)ffi;
+    return threshold < T_DE_MAX ? threshold : T_DE_MAX;
+}
+
+static number product(number s, number ce)
+{
+    number g = GAIN * s * ce;
+    return g < G_MAX ? g : G_MAX;
+}
+
+static number rounded(number g)
+{
+    return g;
+}
+
+#endif
+
+/* G of row `y` - 2, from the last four rows of S; Ce is the sum of 4 x 4 cells of it. */
+static void read_row(dlgmd_sum (*s)[WIDTH + 3], int y, number t_de, totals *sums)
+{
+    const dlgmd_sum *above = s[(y + 1) & 3], *here = s[(y + 2) & 3];
+    const dlgmd_sum *below = s[(y + 3) & 3], *last = s[y & 3];
+    number a, b = 0, c = 0, d = 0, row = 0, column = 0;
+    for (int x = 0; x < WIDTH + 3; x++) {
+        a = b;
+        b = c;
+        c = d;
+        d = (number)above[x] + here[x] + below[x] + last[x];
+        if (x >= 3 && here[x - 2] > 0) {
+            number g = product(here[x - 2], a + b + c + d);
+            if (g >= t_de) {
+                g = rounded(g);
+                row += g;
+                column += g * (number)(x - 3);
+            }
+        }
+    }
+    sums->g += row;
+    sums->g_column += column;
+    sums->g_row += (total)row * (total)(y - 2);
+}
+
+/* Take a frame and sum G; false while the history is not full. */
+static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
+{
+    bool valid = state->frame >= FIRST_VALID;
+    uint32_t *ffi = state->change_sums;
+    memmove(ffi + 1, ffi, DLGMD_FFI_DELAY * sizeof *ffi);
+    number t_de = threshold_of(ffi[DLGMD_FFI_DELAY]);
+    ffi[0] = 0;
+    memset(&state->work.rows, 0, sizeof state->work.rows);
+    dlgmd_sum(*s)[WIDTH + 3] = state->work.rows.s;
+    for (int y = -RADIUS; y < HEIGHT; y++) {
+        ffi[0] += see_row(state, frame, y + RADIUS);
+        if (valid && y >= 0) {
+            sum_row(state, y, s[y & 3] + 1);
+            if (y >= 2) {
+                read_row(s, y, t_de, sums);
+            }
+        }
+    }
+    for (int y = HEIGHT; valid && y < HEIGHT + 2; y++) {
+        memset(s[y & 3], 0, sizeof s[0]);
+        read_row(s, y, t_de, sums);
+    }
+    return valid;
+}
+
+#endif
+
+#if DLGMD_FIXED
+
+/* The centroid of G along a side, (2 place + 1) / side - 1, in 1/32768. */
+static int16_t centroid(total g_place, total g, int32_t side)
+{
+    for (; g_place >> 47 != 0; g_place >>= 1) {
+        g >>= 1;
+    }
+    if (g == 0) {
+        return 0;
+    }
+    return (int16_t)(((int64_t)((g_place << 16) / g) + 32768) / side - 32768);
+}
+
+static void finish(dlgmd_answer *answer, const totals *sums)
+{
+#if DLGMD_CONTRAST
+    answer->mp = (uint32_t)(sums->g * CELLS >> 20);
+#else
+    answer->mp = (uint32_t)sums->g;
+#endif
+    answer->mp_abs = (uint16_t)((sums->g << 15) / (sums->g + KAPPA));
+    answer->g_x = centroid(sums->g_column, sums->g, WIDTH);
+    answer->g_y = centroid(sums->g_row, sums->g, HEIGHT);
+}
+
+#else
+
+static void finish(dlgmd_answer *answer, const totals *sums)
+{
+    answer->mp = sums->g;
+    answer->mp_abs = sums->g / (sums->g + KAPPA);
+    if (sums->g > 0.0f) {
+        answer->g_x = (2.0f * sums->g_column / sums->g + 1.0f) / WIDTH - 1.0f;
+        answer->g_y = (2.0f * sums->g_row / sums->g + 1.0f) / HEIGHT - 1.0f;
+    }
+}
+
+#endif
+
+dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame)
+{
+    dlgmd_answer answer = {0};
+    totals sums = {0};
+    if (state->frame == 0) {
+        memcpy(state->previous, frame, CELLS);
+    }
+    answer.valid = respond(state, frame, &sums);
+    state->frame++;
+    state->start = (state->start + DLGMD_PERIOD) % ROWS;
+    if (answer.valid) {
+        finish(&answer, &sums);
+        answer.spike = answer.mp_abs >= T_MP;
+        state->spikes = answer.spike ? state->spikes + 1 : 0;
+        answer.alarm = state->spikes >= N_SP;
+    }
+    return answer;
+}

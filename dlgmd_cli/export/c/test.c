@@ -1,0 +1,133 @@
+/* Compares the answers to the frames in frames.gray with those of Python, which vectors.h has. */
+#include "dlgmd.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "vectors.h"
+
+#if DLGMD_FIXED
+#define MP_UNIT (1.0 / 4096)
+#define UNIT (1.0 / 32768)
+#define TOLERANCE 0.03
+#else
+#define MP_UNIT 1.0
+#define UNIT 1.0
+#define TOLERANCE 1e-5
+#endif
+
+#ifdef BOARD_TICKS
+/* Of board.c: counts down, in 24 bits. */
+uint32_t board_ticks(void);
+#endif
+
+static dlgmd_state state;
+static uint8_t frame[DLGMD_HEIGHT * DLGMD_WIDTH];
+static dlgmd_answer answers[2][N_FRAMES];
+static int n_failed;
+
+static void check(const char *what, bool is_right)
+{
+    printf("%s: %s\n", what, is_right ? "ok" : "FAILED");
+    n_failed += !is_right;
+}
+
+static void check_error(const char *what, double error, double most)
+{
+    printf("%s: within %.2g, at most %.2g allowed: %s\n", what, error, most,
+           error <= most ? "ok" : "FAILED");
+    n_failed += !(error <= most);
+}
+
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+static double apart(double a, double b)
+{
+    return a > b ? a - b : b - a;
+}
+
+/* Read the frames once and take down the answers; false if they cannot be read. */
+static bool play(dlgmd_answer *into, uint32_t *n_ticks)
+{
+    FILE *file = fopen("frames.gray", "rb");
+    if (file == NULL) {
+        return false;
+    }
+    bool is_whole = true;
+    dlgmd_reset(&state);
+    *n_ticks = 0;
+    for (int i = 0; i < N_FRAMES && is_whole; i++) {
+        is_whole = fread(frame, 1, sizeof frame, file) == sizeof frame;
+#ifdef BOARD_TICKS
+        uint32_t before = board_ticks();
+        into[i] = dlgmd_step(&state, frame);
+        uint32_t ticks = (before - board_ticks()) & 0xffffff;
+        *n_ticks = ticks > *n_ticks ? ticks : *n_ticks;
+#else
+        into[i] = dlgmd_step(&state, frame);
+#endif
+    }
+    fclose(file);
+    return is_whole;
+}
+
+static bool is_same(const dlgmd_answer *a, const dlgmd_answer *b)
+{
+    return a->valid == b->valid && a->spike == b->spike && a->alarm == b->alarm &&
+           !(a->mp < b->mp || a->mp > b->mp) && !(a->g_x < b->g_x || a->g_x > b->g_x);
+}
+
+int main(void)
+{
+    uint32_t n_ticks;
+    if (!play(answers[0], &n_ticks) || !play(answers[1], &n_ticks)) {
+        puts("frames.gray cannot be read. Run the test in its folder.");
+        return 1;
+    }
+    double mp = 0, mp_abs = 0, place = 0;
+    int first[2] = {N_FRAMES, N_FRAMES};
+    bool is_valid = true, is_flag = true, is_again = true;
+    for (int i = 0; i < N_FRAMES; i++) {
+        const dlgmd_answer *answer = &answers[0][i];
+        const struct expected *right = &expected[i];
+        is_valid = is_valid && answer->valid == right->valid;
+        is_flag = is_flag && answer->spike == right->spike && answer->alarm == right->alarm;
+        is_again = is_again && is_same(answer, &answers[1][i]);
+        first[0] = answer->alarm && i < first[0] ? i : first[0];
+        first[1] = right->alarm && i < first[1] ? i : first[1];
+        /* Where little is active, its place counts little. */
+        double share = right->mp / (right->mp + HALF);
+#if DLGMD_FIXED
+        double scale = right->mp + HALF;
+#else
+        double scale = right->mp > 0 ? right->mp : 1;
+#endif
+        mp = larger(mp, apart((double)answer->mp * MP_UNIT, right->mp) / scale);
+        mp_abs = larger(mp_abs, apart((double)answer->mp_abs * UNIT, right->mp_abs));
+        place = larger(place, share * apart((double)answer->g_x * UNIT, right->g_x));
+        place = larger(place, share * apart((double)answer->g_y * UNIT, right->g_y));
+    }
+    printf("dlgmd, %s, %dx%d, %d frames, %u bytes of state\n", DLGMD_FIXED ? "fixed" : "float",
+           DLGMD_WIDTH, DLGMD_HEIGHT, N_FRAMES, (unsigned)sizeof state);
+    check("size of the state as the header says", sizeof state == DLGMD_STATE_BYTES);
+    check("first answer", is_valid);
+    check_error("membrane potential", mp, TOLERANCE);
+    check_error("normalised", mp_abs, TOLERANCE);
+    check_error("centroid", place, TOLERANCE);
+    printf("first alarm: frame %d, Python's %d (%d is none)\n", first[0], first[1], N_FRAMES);
+#if DLGMD_FIXED
+    (void)is_flag;
+    check("first alarm within a frame", apart(first[0], first[1]) <= 1);
+#else
+    check("spikes and alarms", is_flag);
+#endif
+    check("the same again after a reset", is_again);
+#ifdef BOARD_TICKS
+    printf("instructions a frame: %lu\n", (unsigned long)n_ticks * BOARD_TICKS);
+#endif
+    puts(n_failed ? "FAILED" : "passed");
+    return n_failed != 0;
+}

@@ -1,0 +1,283 @@
+"""A model as C: its constants, what a frame costs, and the sources."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
+from dlgmd_cli.export.sums import float_literal as f
+from dlgmd_cli.models.contrast import MAX_QUARTILE_CELLS, centre_weights
+from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
+from dlgmd_cli.models.kernels import Connections, connect
+from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, Parameters
+
+SOURCES = Path(__file__).parent / "c"
+# The squares of so many cells' ±128 fit 32 bits. The test's stimulus needs 16 px.
+MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
+MAX_GROWTH = 4096.0
+# Upper bounds and rough numbers, as the tests measure them: bytes of stack; bytes of code, by
+# whether it is the contrast-relative model and fixed: at all, and for each operation of a cell.
+STACK_BYTES = 512
+CODE_BYTES = {
+    (False, False): (1200, 10),
+    (False, True): (1370, 7),
+    (True, False): (1540, 14),
+    (True, True): (2170, 8),
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """A model for frames of one size, in floating or in fixed point.
+
+    Raises ParameterError if there is no C of that model, size and arithmetic.
+    """
+
+    params: Any
+    width: int
+    height: int
+    is_fixed: bool = False
+    label: str = "D-LGMD"
+
+    def __post_init__(self) -> None:
+        if type(self.params) not in (DlgmdParameters, ContrastParameters):
+            name = self.params.model if isinstance(self.params, Parameters) else self.params
+            mend = "Only dlgmd and dlgmd-contrast can be exported."
+            raise ParameterError("", f"there is no C version of the model {name}", mend)
+        low, high = sorted((self.width, self.height))
+        if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
+            raise ParameterError(
+                "Invalid value for '--size'",
+                f"{self.width}x{self.height} is out of range",
+                f"Choose sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px and at most {MAX_CELLS} cells.",
+            )
+        if self.is_fixed and self.params.formulation == "equations":
+            why = "G has no upper bound under the formulation equations, which integers need"
+            raise ParameterError("--fixed", why, "Choose another --formulation.")
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of a frame."""
+        return self.width * self.height
+
+    @property
+    def is_contrast(self) -> bool:
+        """Whether it is the contrast-relative model."""
+        return isinstance(self.params, ContrastParameters)
+
+    @cached_property
+    def connections(self) -> Connections:
+        """The kernels."""
+        return connect(self.params)
+
+    @property
+    def ffi_delay(self) -> int:
+        """How many frames back FFI(t) looks, Eq. (12)."""
+        return 2 if self.params.formulation == "released" else 1
+
+    @property
+    def first_valid_frame(self) -> int:
+        """Index of the first frame with an answer."""
+        return 1 + max(self.connections.max_delay_frames, self.ffi_delay)
+
+    @cached_property
+    def code(self) -> Code:
+        """The sums, whose weights hold what luminance counts where the model wants luminance."""
+        if not self.is_fixed:
+            return float_code(self.connections, 1.0 if self.is_contrast else 1.0 / LEVELS)
+        if self.is_contrast:
+            return fixed_code(self.connections, 1.0, CHANGE_BITS, math.inf)
+        # G = k S Ce is the product of S √k and Ce √k.
+        gain = math.sqrt(self.params.k)
+        kernels = self.connections.signed().values()
+        s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
+        return fixed_code(self.connections, gain / LEVELS, 0, s_max)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """What the header defines."""
+        return {
+            "DLGMD_WIDTH": self.width,
+            "DLGMD_HEIGHT": self.height,
+            "DLGMD_CONTRAST": int(self.is_contrast),
+            "DLGMD_FIXED": int(self.is_fixed),
+            "DLGMD_RADIUS": self.connections.radius_px,
+            "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
+            "DLGMD_FFI_DELAY": self.ffi_delay,
+            "DLGMD_COLUMNS": max(1, self.code.n_columns),
+            "DLGMD_MARGIN": self.code.margin,
+            "DLGMD_STATE_BYTES": self.state_bytes,
+        }
+
+    @property
+    def state_bytes(self) -> int:
+        """RAM: the size of `dlgmd_state`."""
+        radius, delays = self.connections.radius_px, self.connections.max_delay_frames + 1
+        number = 2 if self.is_fixed else 4
+        columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
+        if self.is_contrast:
+            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256)
+            work += number * 256 * delays
+            scalars = (16 if self.is_fixed else 12) + 12
+        else:
+            work = _whole(columns + number * 4 * (self.width + 3), number)
+            scalars = 4 * (self.ffi_delay + 1) + 12
+        rows = (delays - 1) * (self.height + radius) + 4 * radius + 1
+        frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
+        alignment = 8 if self.is_fixed and self.is_contrast else 4
+        return _whole(scalars + work + frames, alignment)
+
+    @property
+    def costs(self) -> dict[str, int]:
+        """What a frame costs: bytes, and the operations of the kernels.
+
+        The flash is that of the tables and, in rough numbers, of code that gcc -O2 made for a
+        Cortex-M4: some for the model, and some for each operation that is written out.
+        """
+        multiplications, additions = self.code.operations
+        base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
+        tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
+        return {
+            "ram_bytes": self.state_bytes,
+            "stack_bytes": STACK_BYTES,
+            "flash_bytes": round(tables + base + each * (multiplications + additions), -2),
+            "multiplications": multiplications * self.n_cells,
+            "additions": additions * self.n_cells,
+        }
+
+    def constants(self) -> dict[str, str]:
+        """What `dlgmd_model.h` defines."""
+        params = self.params
+        common = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
+        half = params.kappa * self.n_cells
+        if self.is_fixed:
+            common["T_MP"] = str(math.ceil(params.t_mp * 2**15))
+            scale = 2**32 / self.n_cells if self.is_contrast else 2**12
+            common["KAPPA"] = f"UINT64_C({max(1, round(half * scale))})"
+        else:
+            common |= {"T_MP": f(params.t_mp), "KAPPA": f(half)}
+        return common | (self._of_contrast() if self.is_contrast else self._of_product())
+
+    def _of_contrast(self) -> dict[str, str]:
+        """The thresholds in levels, and where the lower quartile is looked for."""
+        params = self.params
+        step = max(1, math.isqrt(self.n_cells // MAX_QUARTILE_CELLS))
+        n_looked_at = -(-self.width // step) * -(-self.height // step)
+        values = {
+            "C_P": params.c_p,
+            "C_N": params.c_n,
+            "P_MIN": params.p_min * LEVELS,
+            "C_S": params.c_s,
+            "S_MIN": params.s_min * LEVELS,
+        }
+        shares = {"W_SIGMA": params.w_sigma, "W_M": params.w_m}
+        if self.is_fixed:
+            constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
+            constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
+            constants["GROWTH"] = f"{round(min(params.growth, MAX_GROWTH) * 2**14)}u"
+            constants["S_BITS"] = str(self.code.s_bits)
+        else:
+            values |= {**shares, "GROWTH": params.growth}
+            constants = {key: f(value) for key, value in values.items()}
+        return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
+
+    def _of_product(self) -> dict[str, str]:
+        """Gain, threshold and saturation of G; T_DE is what a level of FFI counts."""
+        params = self.params
+        cells = RELEASED_CELLS if params.formulation == "released" else self.n_cells * params.m
+        t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
+        is_literal = params.formulation == "equations"
+        if not self.is_fixed:
+            return {
+                "T_DE": f(t_de),
+                "T_DE_MAX": "FLT_MAX" if is_literal else f(MAX_T_DE),
+                "G_MAX": "FLT_MAX" if is_literal else "1.0f",
+                "GAIN": f(params.k),
+            }
+        one = 2 ** (2 * (self.code.s_bits - self.code.s_shift))
+        shift = max(0, 31 - math.floor(math.log2(t_de * one))) if t_de else 0
+        shift = min(shift, 63)
+        return {
+            "T_DE": f"UINT64_C({min(2**32 - 1, round(t_de * one * 2**shift))})",
+            "T_DE_SHIFT": str(shift),
+            "T_DE_MAX": f"UINT32_C({math.ceil(MAX_T_DE * one)})",
+            "G_ONE": f"UINT32_C({one})",
+        }
+
+    @property
+    def definitions(self) -> str:
+        """What `dlgmd.h` defines, as C."""
+        return _defines(self.sizes)
+
+    def tables(self) -> str:
+        """Weights of the columns and the rows, whose products say what a cell counts."""
+        weights = centre_weights((self.height, self.width), self.params.sigma_c).astype(float)
+        text = ""
+        for name, profile in (("x", weights.mean(axis=0)), ("y", weights.mean(axis=1))):
+            if self.is_fixed:
+                # Their sum is the whole of 16 bits, so that ΣG in 32 bits is a share of all cells.
+                ends = np.round(np.cumsum(profile) / profile.sum() * (2**16 - 1))
+                values = [str(int(value)) for value in np.diff(ends, prepend=0.0)]
+            else:
+                values = [f(value) for value in profile]
+            kind = "uint16_t" if self.is_fixed else "float"
+            rows = [", ".join(values[i : i + 8]) for i in range(0, len(values), 8)]
+            inside = ",\n    ".join(rows)
+            text += f"static const {kind} weights_{name}[{len(values)}] = {{\n    {inside}}};\n"
+        return text
+
+    def model_header(self) -> str:
+        """`dlgmd_model.h`."""
+        parts = ["/* Constants and sums of dlgmd.c, which alone includes it. */"]
+        if not self.is_fixed:
+            parts.append("#include <float.h>\n")
+        parts.append(_defines(self.constants()) + "\n")
+        if self.is_contrast:
+            parts.append(self.tables())
+        parts.append(functions(self.code, is_fixed=self.is_fixed, is_contrast=self.is_contrast))
+        return "\n".join(parts)
+
+    def source(self, name: str) -> str:
+        """One of the sources, without what this model does not need."""
+        known = {key: value != 0 for key, value in self.sizes.items()}
+        return chosen((SOURCES / name).read_text(encoding="utf-8"), known)
+
+
+def _defines(values: Mapping[str, object]) -> str:
+    """Names and values as C defines them."""
+    return "\n".join(f"#define {key} {value}" for key, value in values.items())
+
+
+def chosen(text: str, known: dict[str, bool]) -> str:
+    """C without the branches of `#if NAME` and `#else` that are not taken, for known names."""
+    kept: list[str] = []
+    taken: list[bool | None] = []  # None: a condition for the C compiler
+    for line in text.splitlines(keepends=True):
+        word = line.split()[:2] or [""]
+        if word[0].startswith("#if"):
+            taken.append(known.get(word[1]) if word[0] == "#if" else None)
+            if taken[-1] is not None:
+                continue
+        elif word[0] in ("#else", "#endif") and taken[-1] is not None:
+            if word[0] == "#else":
+                taken[-1] = not taken[-1]
+            else:
+                taken.pop()
+            continue
+        elif word[0] == "#endif":
+            taken.pop()
+        if False not in taken:
+            kept.append(line)
+    return re.sub(r"\n{3,}", "\n\n", "".join(kept))
+
+
+def _whole(n: int, unit: int) -> int:
+    """The next multiple of `unit`."""
+    return -(-n // unit) * unit

@@ -1,0 +1,256 @@
+"""The plan of the compiled loops as C: sums up the columns, and the sum along the row that is S."""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from dlgmd_cli.models.engines.plan import Source, Sum, Tap, fuse
+from dlgmd_cli.models.kernels import Connections
+
+LEVELS = 255
+# Float: taps below this share of their sum's largest one are lost in its rounding.
+NEGLIGIBLE = 2.0**-22
+# Fixed: P' of the contrast-relative model is in 1/128 level, as 16 bits hold it.
+CHANGE_BITS = 7
+
+
+class Step(NamedTuple):
+    """Taps to add to the sum so far, which then is a column: what S reads by its number."""
+
+    taps: Sum
+    column: int
+
+
+class Code(NamedTuple):
+    """Sums with their weights as C has them.
+
+    Attributes
+    ----------
+    chains : list of list of Step
+        Sums up the columns, each continued step by step.
+    along : Sum
+        What S adds up, of columns and of sources.
+    shifts : list of int
+        Fixed: how many bits the columns of each chain drop of its sum.
+    s_bits, s_shift : int
+        Fixed: binary places of the sum that is S, and how many of them S drops.
+    """
+
+    chains: list[list[Step]]
+    along: Sum
+    shifts: list[int]
+    s_bits: int = 0
+    s_shift: int = 0
+
+    @property
+    def sums(self) -> list[Sum]:
+        """What is added up, one after the other."""
+        return [*(step.taps for chain in self.chains for step in chain), self.along]
+
+    @property
+    def n_columns(self) -> int:
+        """How many columns the chains give."""
+        return sum(map(len, self.chains))
+
+    @property
+    def operations(self) -> tuple[int, int]:
+        """Multiplications and additions for each cell."""
+        groups = [group for taps in self.sums for group in _grouped(taps)]
+        return len(groups), sum(len(terms) for _, terms in groups)
+
+    @property
+    def margin(self) -> int:
+        """How far beside its column S reads a source."""
+        return max((abs(int(t.dx)) for t in self.along if isinstance(t.read, Source)), default=0)
+
+
+def float_code(connections: Connections, unit: float) -> Code:
+    """Sums in single precision; a level of a source counts `unit`."""
+    chains, along = _planned(connections)
+
+    def rounded(taps: Sum) -> Sum:
+        least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
+        units = [unit if isinstance(tap.read, Source) else 1.0 for tap in taps]
+        return [
+            tap._replace(weight=float(np.float32(tap.weight * one)))
+            for tap, one in zip(taps, units, strict=True)
+            if abs(tap.weight) > least
+        ]
+
+    chains = [[step._replace(taps=rounded(step.taps)) for step in chain] for chain in chains]
+    return Code(chains, rounded(along), [0] * len(chains))
+
+
+def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: float) -> Code:
+    """Sums of integers of 32 bits, of columns of 16 bits.
+
+    Parameters
+    ----------
+    connections : Connections
+        The kernels.
+    gain : float
+        What S, in levels, is multiplied by.
+    source_bits : int
+        Binary places of a source, in levels.
+    s_max : float
+        What S can reach then, and 16 bits are to hold; infinite if S keeps its 32 bits.
+    """
+    chains, along = _planned(connections)
+    shifts: list[int] = []
+    column_bits: dict[int, int] = {}
+    for i, chain in enumerate(chains):
+        taps = [tap for step in chain for tap in step.taps]
+        largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
+        weight_bits = min(_places(15, largest), _places(31, reach) - source_bits)
+        column_bits |= {step.column: _places(15, reach) for step in chain}
+        shifts.append(weight_bits + source_bits - _places(15, reach))
+        chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
+    # What each tap reads has so many binary places and reaches so high.
+    reads = [
+        (column_bits[tap.read], 2.0 ** (15 - column_bits[tap.read]))
+        if isinstance(tap.read, int)
+        else (source_bits, float(LEVELS))
+        for tap in along
+    ]
+    along = [tap._replace(weight=tap.weight * gain) for tap in along]
+    pairs = list(zip(along, reads, strict=True))
+    s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
+    along = [tap for one, (bits, _) in pairs for tap in _whole([one], s_bits - bits)]
+    s_shift = 0 if math.isinf(s_max) else s_bits - min(15, s_bits, _places(16, s_max))
+    return Code(chains, along, shifts, s_bits, s_shift)
+
+
+def _reach(taps: Sum) -> float:
+    """The largest value of a sum, without its sign, where frames reach 1."""
+    up = down = 0.0
+    for tap in taps:
+        is_difference = isinstance(tap.read, Source) and tap.read.difference
+        up += abs(tap.weight) if is_difference else max(tap.weight, 0.0)
+        down += abs(tap.weight) if is_difference else max(-tap.weight, 0.0)
+    return max(up, down)
+
+
+def _places(width: int, reach: float) -> int:
+    """Binary places that numbers up to `reach` can have in so many bits, rounding included."""
+    return math.floor(width - math.log2(reach * 1.002)) if reach else width
+
+
+def _whole(taps: Sum, places: int) -> Sum:
+    """Taps with whole weights of so many binary places, without those that are 0."""
+    whole = [tap._replace(weight=round(float(tap.weight) * 2.0**places)) for tap in taps]
+    return [tap for tap in whole if tap.weight]
+
+
+# Arranging sums
+
+
+def _planned(connections: Connections) -> tuple[list[list[Step]], Sum]:
+    """Chains and the sum along the row that take the fewest operations."""
+
+    def cost(sums: list[Sum]) -> float:
+        return sum(Code(*_arranged(sums), []).operations)
+
+    return _arranged(fuse(connections.signed(), connections.gaussians, cost))
+
+
+def _arranged(sums: list[Sum]) -> tuple[list[list[Step]], Sum]:
+    """The same sums in chains: of two that one merely continues, no sum is kept in between."""
+    n_reads = Counter(tap.read for taps in sums for tap in taps if isinstance(tap.read, int))
+    last = len(sums) - 1
+    along = sums[last]
+    while last and _continues(along, last - 1) and n_reads[last - 1] == 1:
+        last -= 1
+        along = sums[last] + along[1:]
+    chains: list[list[Step]] = []
+    numbers: dict[int, int] = {}
+    pending: Sum = []
+    for k, taps in enumerate(sums[:last]):
+        if k and _continues(taps, k - 1):
+            pending += taps[1:]
+        else:
+            chains.append([])
+            pending += taps
+        is_continued = k + 1 < last and _continues(sums[k + 1], k)
+        if n_reads[k] > is_continued:
+            numbers[k] = len(numbers)
+            chains[-1].append(Step(pending, numbers[k]))
+            pending = []
+    along = [t._replace(read=numbers[t.read]) if isinstance(t.read, int) else t for t in along]
+    return chains, along
+
+
+def _continues(taps: Sum, number: int) -> bool:
+    """Whether a sum begins with that earlier one."""
+    return bool(taps) and taps[0] == Tap(number, 0, 0, 1.0)
+
+
+def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
+    """Weights, each with all that it is for; what is added and taken away again is left out."""
+    groups: dict[float, Counter[str]] = defaultdict(Counter)
+    for read, dy, dx, weight in taps:
+        if isinstance(read, int):
+            groups[weight][f"C{read}({dx})"] += 1
+            continue
+        groups[weight][f"P{read.delay}({dy}, {dx})"] += 1
+        if read.difference:
+            groups[weight][f"P{read.delay + 1}({dy}, {dx})"] -= 1
+    signs = {1: "+", -1: "-"}
+    return [
+        (weight, [f"{signs[times]} {term}" for term, times in group.items() if times])
+        for weight, group in groups.items()
+    ]
+
+
+# Writing C
+
+
+def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
+    """`sum_columns` and `sum_along`, and what they read, as C.
+
+    `P1(dy, dx)` is P(t-1) of a cell beside the one that is summed: a number of levels; in the
+    contrast-relative model P', from its table. `C0(dx)` is a column.
+    """
+    sources = [tap.read for taps in code.sums for tap in taps if isinstance(tap.read, Source)]
+    delays = {s.delay for s in sources} | {s.delay + 1 for s in sources if s.difference}
+    lines = []
+    for delay in sorted(delays):
+        read = f"sources[{delay}].change[((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)]"
+        read = f"sources[{delay}].passed[{read}]" if is_contrast else read
+        lines.append(f"#define P{delay}(dy, dx) {read}")
+    for number in range(code.n_columns):
+        lines.append(f"#define C{number}(dx) columns[{number}][x + RADIUS + (dx)]")
+    begin = (
+        f"    for (int x = 0; x < WIDTH; x++) {{\n        {'int32_t' if is_fixed else 'float'} sum"
+    )
+    arguments = "const source *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
+    unused = ["{", "    (void)sources;", "    (void)columns;"]
+
+    def added(taps: Sum) -> Iterator[str]:
+        for weight, terms in _grouped(taps):
+            factor = str(weight) if is_fixed else float_literal(weight)
+            inside = " ".join(terms).removeprefix("+ ")
+            is_whole = not is_fixed and not is_contrast and "P" in inside
+            yield f"        sum += {factor} * {'(float)' * is_whole}({inside});"
+
+    lines += ["", f"static void sum_columns({arguments})", *unused]
+    for chain, shift in zip(code.chains, code.shifts, strict=True):
+        lines.append(f"{begin} = {1 << (shift - 1) if shift else 0};")
+        for step in chain:
+            value = f"(dlgmd_column)(sum >> {shift})" if is_fixed else "sum"
+            lines += [*added(step.taps), f"        C{step.column}(0) = {value};"]
+        lines.append("    }")
+    s = "sum" if is_contrast else "sum > 0 ? sum : 0"
+    if is_fixed and not is_contrast:
+        s = f"(dlgmd_sum)(sum > 0 ? sum >> {code.s_shift} : 0)"
+    lines += ["}", "", f"static void sum_along({arguments}, dlgmd_sum *s)", *unused]
+    lines += [f"{begin} = 0;", *added(code.along), f"        s[x] = {s};", "    }", "}"]
+    return "\n".join(lines) + "\n"
+
+
+def float_literal(value: float) -> str:
+    """A number in single precision, as C writes it."""
+    text = f"{np.float32(value):.9g}"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"

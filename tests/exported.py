@@ -1,0 +1,97 @@
+"""Exports of models as C, compiled and fed with frames."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from dlgmd_cli import Alarm
+from dlgmd_cli.export.folder import files
+
+needs_cc = pytest.mark.skipif(
+    not (shutil.which("cc") and shutil.which("make")), reason="cc and make are not installed"
+)
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Werror"
+NAMES = ("valid", "spike", "alarm", "mp", "mp_abs", "g_x", "g_y")
+
+
+def write(export, folder):
+    """Write the files of an export."""
+    folder.mkdir(exist_ok=True, parents=True)
+    for name, content in files(export).items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def make(folder, *arguments):
+    """Call make; what it printed."""
+    done = subprocess.run(["make", "-s", *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+class Answer(ctypes.Structure):
+    """`dlgmd_answer` in single precision."""
+
+    units = (1, 1, 1, 1, 1, 1, 1)
+    _fields_ = tuple(zip(NAMES, [ctypes.c_bool] * 3 + [ctypes.c_float] * 4, strict=True))
+
+
+class FixedAnswer(ctypes.Structure):
+    """`dlgmd_answer` in integers."""
+
+    units = (1, 1, 1, 2**12, 2**15, 2**15, 2**15)
+    _fields_ = tuple(
+        zip(
+            NAMES,
+            [ctypes.c_bool] * 3 + [ctypes.c_uint32, ctypes.c_uint16] + [ctypes.c_int16] * 2,
+            strict=True,
+        )
+    )
+
+
+def answers_of_c(export, folder, frames):
+    """What the compiled model answers: columns as `NAMES`, (n, 7) float64."""
+    for name in ("dlgmd.h", "dlgmd.c"):
+        text = export.source(name).replace("/* @sizes@ */", export.definitions)
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "dlgmd_model.h").write_text(export.model_header(), encoding="utf-8")
+    library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
+    command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), "-shared", "-fPIC", "-o", str(library)]
+    subprocess.run([*command, str(folder / "dlgmd.c")], check=True)
+    c, kind = ctypes.CDLL(str(library)), FixedAnswer if export.is_fixed else Answer
+    c.dlgmd_step.restype = kind
+    state = (ctypes.c_uint64 * (export.state_bytes // 8 + 1))()
+    c.dlgmd_reset(state)
+    rows = []
+    for frame in frames:
+        answer = c.dlgmd_step(state, np.ascontiguousarray(frame).ctypes.data_as(ctypes.c_void_p))
+        rows.append([getattr(answer, name) for name in NAMES])
+    return np.array(rows, float) / kind.units
+
+
+def answers_of_python(params, frames):
+    """The same of `Alarm`; 0 where it answers NaN, as C does."""
+    alarm = Alarm(params, repeats="keep", engine="opencv")
+    rows = []
+    for frame in frames:
+        one = alarm.step(frame)
+        numbers = (one.mp, one.mp_abs, one.g_x, one.g_y)
+        rows.append([one.is_valid, one.spike, one.alarm, *np.nan_to_num(numbers)])
+    return np.array(rows, float)
+
+
+def error_of_mp(export, answers, right):
+    """By how much mp is wrong, (n,): of itself; fixed, of itself and where mp_abs is 1/2."""
+    error, mp = np.abs(answers[:, 3] - right[:, 3]), right[:, 3]
+    if export.is_fixed:
+        return error / (mp + export.params.kappa * export.n_cells)
+    return error / np.where(mp > 0.0, mp, 1.0)
+
+
+def error_of_place(export, answers, right):
+    """By how much the centroid is wrong, times the share of mp in what mp is relative to, (n,)."""
+    share = right[:, 3] / (right[:, 3] + export.params.kappa * export.n_cells)
+    return share * np.abs(answers[:, 5:] - right[:, 5:]).max(axis=1)

@@ -1,0 +1,261 @@
+"""Models as C: every formulation against Python, strict compilers, traps, Cortex-M under QEMU.
+
+What needs a tool that is not installed is skipped: gcc, clang, gcc-arm-none-eabi with newlib,
+qemu-system-arm.
+"""
+
+import csv
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from exported import (
+    WARNINGS,
+    answers_of_c,
+    answers_of_python,
+    error_of_mp,
+    error_of_place,
+    make,
+    needs_cc,
+    write,
+)
+
+from dlgmd_cli import load_set, open_video
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.export.project import Export
+from dlgmd_cli.flights.scenes import find_scene
+from dlgmd_cli.parameters import FORMULATIONS, ContrastParameters
+
+pytestmark = [pytest.mark.slow, needs_cc]
+OWN_FLIGHT = Path(__file__).parents[1] / "own_flight"
+SAMPLE = Path(__file__).parents[2] / "sample_videos/group2.mp4"
+FLIGHT = ContrastParameters()
+ARITHMETIC = pytest.mark.parametrize("is_fixed", [False, True], ids=["float", "fixed"])
+MODELS = pytest.mark.parametrize("params", [FLIGHT, load_set(9)], ids=["flight", "set9"])
+HAS_ARM = all(map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size", "make")))
+needs_arm = pytest.mark.skipif(not HAS_ARM, reason="gcc-arm-none-eabi is not installed")
+
+
+@pytest.fixture(scope="module")
+def own_flight():
+    """24 frames before a contact, 96x54."""
+    paths = sorted(OWN_FLIGHT.glob("*.png"))
+    frames = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
+    return [cv2.resize(frame, (96, 54), interpolation=cv2.INTER_AREA) for frame in frames]
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """Frames of the five groups of the paper, rendered at 160x120."""
+    scenes = [find_scene(f"group{number}") for number in range(1, 6)]
+    return [list(s.frames(s.configure({"--size": (120, 160)}))) for s in scenes]
+
+
+@ARITHMETIC
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("number", range(1, 10))
+def test_every_set_and_formulation(tmp_path, own_flight, number, formulation, is_fixed):
+    params = load_set(number, formulation=formulation)
+    if is_fixed and formulation == "equations":
+        with pytest.raises(ParameterError, match="no upper bound"):
+            Export(params, 96, 54, is_fixed)
+        return
+    export = Export(params, 96, 54, is_fixed)
+    answers = answers_of_c(export, tmp_path, own_flight)
+    right = answers_of_python(params, own_flight)
+    most = 0.02 if is_fixed else 1e-5
+    assert right[:, 3].any() and np.array_equal(answers[:, :3], right[:, :3])
+    assert error_of_mp(export, answers, right).max() <= most
+    assert error_of_place(export, answers, right).max() <= most
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"r": 1}, {"r": 12}, {"r": 2, "k": 3.0}, {"ffi_gd": False}, {"a": 0.0}),
+        *({"alpha": 5.0}, {"sigma_e": 0.1}, {"n_sp": 4}, {"k": 1e-3, "kappa": 1e-6}),
+    ],
+    ids=str,
+)
+@ARITHMETIC
+def test_other_parameters(tmp_path, own_flight, changes, is_fixed):
+    params = load_set(9, **changes)
+    export = Export(params, 96, 54, is_fixed)
+    answers = answers_of_c(export, tmp_path, own_flight)
+    right = answers_of_python(params, own_flight)
+    assert np.array_equal(answers[:, 0], right[:, 0])
+    assert error_of_mp(export, answers, right).max() <= (0.02 if is_fixed else 1e-5)
+
+
+@pytest.mark.parametrize("size", [(38, 22), (96, 72), (160, 120)], ids=str)
+@MODELS
+def test_sample_flights(tmp_path, flights, params, size):
+    """Float: mp to 1e-5 and the same alarms. Fixed: the same alarms within a frame.
+
+    K of the contrast-relative model counts cells, and one whose S is within rounding of the
+    threshold may count or not: it happened in none of these frames, and may in one.
+    """
+    exports = [Export(params, *size, is_fixed) for is_fixed in (False, True)]
+    n_apart = 0
+    for number, large in enumerate(flights):
+        frames = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in large]
+        right = answers_of_python(params, frames)
+        folders = [tmp_path / f"{number}-{kind}" for kind in ("float", "fixed")]
+        for folder in folders:
+            folder.mkdir()
+        single, fixed = map(answers_of_c, exports, folders, [frames] * 2)
+        n_apart += np.count_nonzero(error_of_mp(exports[0], single, right) > 1e-5)
+        assert np.array_equal(single[:, :3], right[:, :3])
+        assert np.abs(fixed[:, 4] - right[:, 4]).max() <= 0.05
+        for answers in (fixed[:, 2], right[:, 2]):
+            other = right[:, 2] if answers is not right[:, 2] else fixed[:, 2]
+            near = np.convolve(other, np.ones(3), "same") > 0
+            assert not (answers.astype(bool) & ~near).any()
+    assert n_apart <= 1
+
+
+def test_large_frames_skip_cells_for_the_quartile(tmp_path, flights):
+    """Above 40,000 cells Python looks at every second row and column, and so does C."""
+    export = Export(FLIGHT, 320, 240)
+    rng = np.random.default_rng(2)
+    frames = [cv2.resize(frame, (320, 240)) for frame in flights[1][100:]]
+    frames = [cv2.add(f, rng.integers(0, 20, f.shape, np.uint8)) for f in frames]
+    answers = answers_of_c(export, tmp_path, frames)
+    right = answers_of_python(FLIGHT, frames)
+    assert export.constants()["QUARTILE_STEP"] == "2" and right[:, 2].any()
+    assert error_of_mp(export, answers, right).max() <= 1e-5
+
+
+def test_alarms_are_those_of_the_command(dlgmd, tmp_path):
+    options = ["--size", "96x72", "--repeats", "keep", "--no-plots"]
+    assert dlgmd("run", SAMPLE, *options).exit_code == 0
+    with open("dlgmd-out/group2/spikes.csv", newline="", encoding="ascii") as file:
+        rows = [(int(row["spike"]), int(row["alarm"])) for row in csv.DictReader(file)]
+    frames = [frame.grey for frame in open_video(SAMPLE, size_wh=(96, 72))]
+    answers = answers_of_c(Export(FLIGHT, 96, 72), tmp_path, frames)
+    assert answers[:, 1:3].astype(int).tolist() == [list(row) for row in rows]
+    assert answers[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    ("compiler", "flags"),
+    [
+        ("gcc", f"{WARNINGS} -O3 -fsanitize=address,undefined -fno-sanitize-recover"),
+        ("gcc", f"{WARNINGS} -Wdouble-promotion -Wfloat-equal -Wcast-qual -Os"),
+        ("clang", f"{WARNINGS} -O1 -fsanitize=address,undefined -fno-sanitize-recover"),
+        ("clang", "-Weverything -Werror -Wno-padded -Wno-declaration-after-statement"),
+    ],
+)
+@ARITHMETIC
+@MODELS
+def test_strict_compilers_and_sanitizers(tmp_path, params, is_fixed, compiler, flags):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    (tmp_path / "empty.c").write_text("int main(void) { return 0; }\n")
+    if subprocess.run(
+        [compiler, *flags.split(), "-o", "empty", "empty.c"], cwd=tmp_path
+    ).returncode:
+        pytest.skip(f"the sanitizers of {compiler} are not installed")
+    folder = write(Export(params, 40, 30, is_fixed), tmp_path / "x")
+    (folder / "frames.gray").write_bytes(hard_frames(40, 30)[: 20 * 40 * 30])
+    arguments = [f"CC={compiler}", f"CFLAGS={flags}"]
+    make(folder, *arguments)
+    subprocess.run(["./dlgmd"], cwd=folder, input=hard_frames(40, 30), check=True)
+    write(Export(params, 40, 30, is_fixed), folder)
+    assert make(folder, *arguments, "test").endswith("passed\n")
+
+
+def hard_frames(width, height):
+    """Black, white, flicker, noise, a single cell, and ramps that reach every level."""
+    rng = np.random.default_rng(8)
+    shape = (height, width)
+    frames = [np.full(shape, level, np.uint8) for level in [0] * 6 + [255] * 5 + [0, 255] * 6]
+    frames += [rng.integers(0, 256, shape, np.uint8) for _ in range(6)] + [frames[0]] * 8
+    single = np.zeros(shape, np.uint8)
+    single[height // 2, width // 2] = 1
+    frames += [single, frames[0], single * 255, frames[0], frames[0]]
+    frames += [rng.integers(0, 2, shape, np.uint8) * 255 for _ in range(6)]
+    frames += [np.resize(np.arange(256, dtype=np.uint8) + 17 * t, shape) for t in range(8)]
+    return b"".join(frame.tobytes() for frame in frames)
+
+
+TRAPS = """#define _GNU_SOURCE
+#include <fenv.h>
+__attribute__((constructor)) static void on(void)
+{
+    feenableexcept(FE_DIVBYZERO | FE_OVERFLOW | FE_INVALID);
+}
+"""
+
+
+@pytest.mark.skipif(not Path("/usr/include/fenv.h").exists(), reason="no feenableexcept here")
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@MODELS
+def test_no_floating_point_exception(tmp_path, params, compiler):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    folder = write(Export(params, 40, 30), tmp_path)
+    (folder / "traps.c").write_text(TRAPS)
+    fault = "int main(void) { volatile float zero = 0; return (int)(1 / zero); }"
+    (folder / "fault.c").write_text(fault)
+    for name, sources in (("all", ["example.c", "dlgmd.c"]), ("fault", ["fault.c"])):
+        command = [compiler, "-O2", "-o", name, *sources, "traps.c", "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+    assert subprocess.run(["./fault"], cwd=folder).returncode < 0
+    done = subprocess.run(["./all"], cwd=folder, input=hard_frames(40, 30), capture_output=True)
+    assert done.returncode == 0 and done.stdout.count(b"\n") == len(hard_frames(40, 30)) // 1200 + 1
+
+
+@needs_arm
+@pytest.mark.parametrize("size", [(38, 22), (160, 120)], ids=str)
+@ARITHMETIC
+@MODELS
+def test_costs_are_those_of_the_compiled_model(tmp_path, params, is_fixed, size):
+    export = Export(params, *size, is_fixed)
+    folder = write(export, tmp_path)
+    printed = make(folder, "size", "CFLAGS=-O2 -fstack-usage")
+    flash = int(printed.splitlines()[1].split()[0])
+    assert export.costs["flash_bytes"] == pytest.approx(flash, rel=0.1)
+    (usage,) = folder.glob("*.su")
+    # All that calls one another is at most all functions together.
+    stack = sum(int(line.split("\t")[1]) for line in usage.read_text().splitlines())
+    assert stack <= export.costs["stack_bytes"]
+
+
+@needs_arm
+@ARITHMETIC
+@MODELS
+def test_nothing_is_called_that_is_not_said(tmp_path, params, is_fixed):
+    """Memory functions, and the compiler's own for 64 bits; with integers none for floats."""
+    folder = write(Export(params, 96, 72, is_fixed), tmp_path)
+    make(folder, "dlgmd.m4.o")
+    named = subprocess.run(
+        ["arm-none-eabi-nm", "-u", "dlgmd.m4.o"], cwd=folder, capture_output=True, text=True
+    ).stdout
+    called = set(re.findall(r"U (\w+)", named))
+    assert called <= {
+        *("memset", "memcpy", "memmove"),
+        *("__aeabi_uldivmod", "__aeabi_ldivmod"),
+    }
+
+
+@needs_arm
+@pytest.mark.skipif(not shutil.which("qemu-system-arm"), reason="qemu-system-arm is not installed")
+@ARITHMETIC
+@MODELS
+def test_cortex_m_under_qemu(tmp_path, params, is_fixed):
+    """The vectors pass on each board, at less than 300 instructions a cell."""
+    folder = write(Export(params, 96, 72, is_fixed), tmp_path)
+    printed = make(folder, "qemu")
+    counts = [int(n) for n in re.findall(r"^instructions a frame: (\d+)$", printed, re.M)]
+    n_boards = 3 if is_fixed else 2
+    assert printed.count("\npassed\n") == len(counts) == n_boards
+    assert all(50 * 96 * 72 < count < 300 * 96 * 72 for count in counts)
+    text = (folder / "vectors.h").read_text()
+    (folder / "vectors.h").write_text(text.replace("{1, 1, 1, ", "{1, 1, 1, 7"))
+    done = subprocess.run(["make", "-s", "qemu"], cwd=folder, capture_output=True)
+    assert done.returncode != 0 and b"FAILED" in done.stdout

@@ -1,0 +1,142 @@
+"""Models as C: the command and its folder, and that the C answers as Python does."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import looming_frames
+from exported import answers_of_c, answers_of_python, error_of_mp, error_of_place, make, needs_cc
+
+from dlgmd_cli import load_set
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.export.project import Export, chosen
+from dlgmd_cli.export.sums import float_code
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters import ContrastParameters
+
+FILES = {
+    *("dlgmd.h", "dlgmd.c", "dlgmd_model.h", "example.c", "test.c", "vectors.h", "frames.gray"),
+    *("board.c", "mps2.ld", "Makefile", "README.md"),
+}
+
+
+@needs_cc
+@pytest.mark.parametrize("fixed", [[], ["--fixed"]], ids=["float", "fixed"])
+def test_make_test_and_the_example(dlgmd, tmp_path, fixed):
+    result = dlgmd("export", "c", "--config", "flight", "--size", "64x48", "--out", "x", *fixed)
+    assert result.exit_code == 0 and result.stdout.splitlines()[0] == "x", result.output
+    assert {path.name for path in (tmp_path / "x").iterdir()} == FILES
+    printed = make(tmp_path / "x", "test").splitlines()
+    assert printed[-1] == "passed" and len(printed) >= 9
+    # The test fails where an answer is another.
+    text = (tmp_path / "x/vectors.h").read_text()
+    (tmp_path / "x/vectors.h").write_text(re.sub(r"1, 1, 1, [\d.]+,", "1, 1, 1, 1.0,", text))
+    with pytest.raises(AssertionError, match=r"membrane potential: .* FAILED"):
+        make(tmp_path / "x", "test")
+
+
+@needs_cc
+def test_the_example_prints_csv(dlgmd, tmp_path):
+    dlgmd("export", "c", "--size", "16x16", "--out", "x")
+    make(tmp_path / "x")
+    printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
+    assert printed[:3] == ["frame,mp,mp_abs,spike,alarm,g_x,g_y", "0,,,0,0,,", "1,,,0,0,,"]
+    assert len(printed) == 21 and printed[3].startswith("2,")
+    with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
+        make(tmp_path / "x", "--eval=play: ; head -c 300 frames.gray | ./dlgmd", "play")
+
+
+def test_costs_in_json_table_and_header(dlgmd, tmp_path):
+    facts = json.loads(dlgmd("export", "c", "--set", 9, "--json").stdout)
+    assert facts["folder"] == "dlgmd-c"
+    assert facts["multiplications"] == 23 * 96 * 72 and facts["additions"] == 54 * 96 * 72
+    for name in ("dlgmd.h", "README.md"):
+        text = (tmp_path / "dlgmd-c" / name).read_text()
+        assert f"{facts['ram_bytes']:,} bytes of state" in text and "@" not in text
+    again = dlgmd("export", "c", "--set", 9)
+    assert again.exit_code == 2 and "already exists. Add --overwrite" in again.stderr
+    assert f"{facts['ram_bytes']:,}" in dlgmd("export", "c", "--set", 9, "--overwrite").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--model", "lgmd"], "there is no C version of the model lgmd. Only dlgmd and"),
+        (["--model", "dlgmd-onoff"], "there is no C version of the model dlgmd-onoff."),
+        (["--size", "15x40"], "Invalid value for '--size': 15x40 is out of range. Choose sides"),
+        (["--size", "640x480"], "at most 262143 cells"),
+        (["--size", "big"], "'big' is not WIDTHxHEIGHT"),
+        (["--set", "9", "--formulation", "equations", "--fixed"], "--fixed: G has no upper bound"),
+    ],
+)
+def test_what_cannot_be_exported(dlgmd, tmp_path, arguments, message):
+    result = dlgmd("export", "c", *arguments)
+    assert result.exit_code == 2 and message in result.stderr and not list(tmp_path.iterdir())
+
+
+def rough_frames(width, height):
+    """Looming frames with noise, a flicker, and stretches of black and white."""
+    rng = np.random.default_rng(5)
+    frames = [f + rng.integers(0, 6, f.shape, np.uint8) for f in looming_frames(16, width, height)]
+    extremes = [np.full((height, width), level, np.uint8) for level in (0, 255, 255, 255, 0)]
+    noise = [rng.integers(0, 256, (height, width), np.uint8) for _ in range(4)]
+    return [*frames, *extremes, *noise, *frames[-4:]]
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("params", "is_fixed"),
+    [
+        (ContrastParameters(), False),
+        (ContrastParameters(), True),
+        (load_set(9), False),
+        (load_set(3, formulation="released"), True),
+    ],
+    ids=["flight", "flight-fixed", "set9", "set3-fixed"],
+)
+def test_c_answers_as_python(tmp_path, params, is_fixed):
+    export = Export(params, 40, 30, is_fixed)
+    frames = rough_frames(40, 30)
+    answers, right = answers_of_c(export, tmp_path, frames), answers_of_python(params, frames)
+    most = 0.02 if is_fixed else 1e-5
+    assert right[:, 1].any() and np.array_equal(answers[:, :3], right[:, :3])
+    assert error_of_mp(export, answers, right).max() <= most
+    assert np.abs(answers[:, 4] - right[:, 4]).max() <= most
+    assert error_of_place(export, answers, right).max() <= most
+
+
+def test_only_the_operations_of_separable_parts():
+    """The kernels of flight are two Gaussians: 2 x 13 taps each, less those that vanish."""
+    code = float_code(connect(ContrastParameters()), 1.0)
+    assert code.n_columns == 2 and code.operations == (24, 44)
+    assert float_code(connect(load_set(9)), 1.0).operations[1] < 13 * 13 / 2
+
+
+def test_table_of_costs():
+    """RAM and flash in the table of configs/README.md are what the command says."""
+    page = (Path(__file__).parents[2] / "configs/README.md").read_text(encoding="utf-8")
+    (section,) = re.findall(r"^## On a microcontroller\n(.*?)^## ", page, re.DOTALL | re.MULTILINE)
+    cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines()]
+    rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
+    assert len(rows) == 16
+    for model, arithmetic, size, ram, flash, *_ in rows:
+        params = ContrastParameters() if model == "`flight`" else load_set(9)
+        width, height = map(int, size.split("x"))
+        costs = Export(params, width, height, arithmetic == "fixed").costs
+        assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
+
+
+def test_branches_not_taken_are_left_out():
+    text = "a\n#if X\nb\n#if __GNUC__\nc\n#else\nd\n#endif\n#else\ne\n#endif\n#ifdef Y\nf\n#endif\n"
+    assert (
+        chosen(text, {"X": True})
+        == "a\nb\n#if __GNUC__\nc\n#else\nd\n#endif\n#ifdef Y\nf\n#endif\n"
+    )
+    assert chosen(text, {"X": False}) == "a\ne\n#ifdef Y\nf\n#endif\n"
+
+
+def test_export_needs_parameters_of_the_two_models():
+    with pytest.raises(ParameterError, match="no C version"):
+        Export("set9", 96, 72)
