@@ -217,7 +217,13 @@ class Alarm:
         self.model.reset()
         self._spikes.reset()
 
-    def step(self, frame: Grey, time_s: float | None = None) -> Detection:
+    def ignore(self, hidden: Flags | None) -> None:
+        """Leave out some cells of all frames to come, see `Model.ignore`."""
+        self.model.ignore(hidden)
+        if self._repeats is not None:
+            self._repeats = RepeatDetector(hidden)
+
+    def step(self, frame: Grey, time_s: float | None = None, *, layers: bool = False) -> Detection:
         """Take the next frame and say whether the alarm is on.
 
         After a gap in time, which frames were lost in, the model begins anew: it has no answer
@@ -229,6 +235,8 @@ class Alarm:
             Luminance in 0..1, or grey levels in 0..255.
         time_s : float, optional
             When the frame was taken; without it gaps go unnoticed.
+        layers : bool
+            Return copies of P, S and G as well.
 
         Raises
         ------
@@ -242,7 +250,7 @@ class Alarm:
             return self._last
         if is_gap:
             self._begin_anew()
-        response = self.model.step(frame, time_s)
+        response = self.model.step(frame, time_s, layers=layers)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self._spikes.step(mp_abs)
         self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)

@@ -60,7 +60,7 @@ _CHOICES = {
 _RATE_TOLERANCE = 1.1
 # The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
-_RECORD = "Record it to a file first, for example with 'ffmpeg -i SOURCE -c copy flight.mkv'."
+_RECORD = "Watch it with 'dlgmd live', or record it to a file first."
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
 _PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 

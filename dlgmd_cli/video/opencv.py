@@ -3,7 +3,7 @@
 import math
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -127,15 +127,15 @@ def count_frames(path: Path) -> int:
 
 
 @contextmanager
-def guarded() -> Iterator[None]:
-    """While it lasts, OpenCV opens videos with `FFMPEG_OPTIONS` besides those the user has set.
+def guarded(options: Mapping[str, str] = FFMPEG_OPTIONS) -> Iterator[None]:
+    """While it lasts, OpenCV opens videos with these options besides those the user has set.
 
     The environment is the only way to tell OpenCV. It is restored afterwards, for a program that
     opens a camera by itself.
     """
     with _lock:
         before = os.environ.get(_VARIABLE)
-        ours = "|".join(f"{key};{value}" for key, value in FFMPEG_OPTIONS.items())
+        ours = "|".join(f"{key};{value}" for key, value in options.items())
         os.environ[_VARIABLE] = f"{before}|{ours}" if before else ours
         try:
             yield
