@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +29,7 @@ from disturbed import (
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.pool import run_tasks
-from dlgmd_cli.results import store
+from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
 
 pytestmark = [
@@ -197,3 +198,26 @@ def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
     found = files_of(tmp_path / "out")
     assert len(found) == 4 and (command == "batch" or found.items() <= whole.items())
     assert faults_of(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_real_signal_in_a_real_process(tmp_path, name):
+    frames = looming_frames(20, 320, 240)
+    write_video(tmp_path / "long.avi", frames * 150)
+    command = [sys.executable, "-m", "dlgmd_cli", "run", "long.avi", "--no-plots"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+    )
+    # The lock is taken just before the first frame.
+    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")):
+        time.sleep(0.01)
+    time.sleep(0.3)
+    process.send_signal(getattr(signal, name))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert b"Traceback" not in errors
+    record = read_record(tmp_path / "dlgmd-out/long/run.yaml")
+    assert record["complete"] is False
+    assert 0 < record["processed"]["frames"] < 3000
+    assert set(os.listdir(tmp_path / "dlgmd-out/long")) == {store.RUN, *csv.TABLES}

@@ -2,15 +2,19 @@
 
 import csv
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 
+import cv2
 import pytest
 
 from dlgmd_cli.parameters import FORMULATIONS
-from dlgmd_cli.reproduce.claims import load_claims, select
+from dlgmd_cli.plots.style import width_in
+from dlgmd_cli.reproduce.claims import COLUMNS, YES, load_claims, select
+from dlgmd_cli.reproduce.plan import ANY
 
 pytestmark = pytest.mark.slow
 COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
@@ -48,3 +52,24 @@ def test_an_interruption_leaves_nothing(tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     assert "Interrupted." in process.communicate(timeout=60)[1]
     assert process.returncode == 130 and not (tmp_path / "paper").exists()
+
+
+def test_latency_without_models(dlgmd, tmp_path):
+    common = ("reproduce", "--only", "fig5, fig3-size", "--quick", "--out", "paper")
+    result = dlgmd(*common, "--dpi", 60)
+    assert result.exit_code == 0, result.output
+    width_px = cv2.imread("paper/fig3.png").shape[1]
+    assert width_px == pytest.approx(60 * width_in("two"), abs=2)
+    with open("paper/claims.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["id"] for row in rows] == ["fig3-size", "fig5-rises", "fig5-centre", "fig5-limit"]
+    assert {row["formulation"] for row in rows} == {ANY} and {row["holds"] for row in rows} == {YES}
+    html = (tmp_path / "paper/report.html").read_text("utf-8")
+    assert not re.search(r'(?:src|href)="(?!data:|#)|http', html) and "url(" not in html
+    assert html.count("data:image/png;base64,") == 3 and "Group 5 ends" in html
+    for name in ("fig3.png", "fig5.pdf"):
+        assert (tmp_path / "paper" / name).stat().st_size > 1000
+    again = dlgmd("reproduce", "--only", "fig5", "--out", "paper")
+    assert again.exit_code == 2 and "already exists" in again.stderr
+    assert dlgmd("reproduce", "--only", "fig5", "--out", "paper", "--overwrite").exit_code == 0

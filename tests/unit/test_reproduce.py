@@ -1,20 +1,16 @@
 """`dlgmd reproduce`: claims and thresholds, what ids stand for, the report, one-line errors."""
 
-import csv
 import math
-import re
 import shlex
 import sys
 from itertools import islice
 
-import cv2
 import numpy as np
 import pytest
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import FORMULATIONS
-from dlgmd_cli.plots.style import width_in
 from dlgmd_cli.reproduce import clips, compute, flights, stimuli
 from dlgmd_cli.reproduce.claims import (
     COLUMNS,
@@ -29,7 +25,7 @@ from dlgmd_cli.reproduce.claims import (
     select,
 )
 from dlgmd_cli.reproduce.clips import Clip, ModelSpec, all_formulations, model, other_models
-from dlgmd_cli.reproduce.plan import ANY, Plan, clip_jobs, merged
+from dlgmd_cli.reproduce.plan import Plan, clip_jobs, merged
 from dlgmd_cli.reproduce.report import Section, number, page
 
 NAN = math.nan
@@ -137,27 +133,6 @@ def test_boxes_hold_the_objects_of_fig_8():
         for box in boxes:
             change[box] = False
         assert not change.any()
-
-
-def test_latency_without_models(dlgmd, tmp_path):
-    common = ("reproduce", "--only", "fig5, fig3-size", "--quick", "--out", "paper")
-    result = dlgmd(*common, "--dpi", 60)
-    assert result.exit_code == 0, result.output
-    width_px = cv2.imread("paper/fig3.png").shape[1]
-    assert width_px == pytest.approx(60 * width_in("two"), abs=2)
-    with open("paper/claims.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
-    assert [row["id"] for row in rows] == ["fig3-size", "fig5-rises", "fig5-centre", "fig5-limit"]
-    assert {row["formulation"] for row in rows} == {ANY} and {row["holds"] for row in rows} == {YES}
-    html = (tmp_path / "paper/report.html").read_text("utf-8")
-    assert not re.search(r'(?:src|href)="(?!data:|#)|http', html) and "url(" not in html
-    assert html.count("data:image/png;base64,") == 3 and "Group 5 ends" in html
-    for name in ("fig3.png", "fig5.pdf"):
-        assert (tmp_path / "paper" / name).stat().st_size > 1000
-    again = dlgmd("reproduce", "--only", "fig5", "--out", "paper")
-    assert again.exit_code == 2 and "already exists" in again.stderr
-    assert dlgmd("reproduce", "--only", "fig5", "--out", "paper", "--overwrite").exit_code == 0
 
 
 def test_texts_are_escaped():

@@ -4,10 +4,7 @@ import csv
 import json
 import math
 import os
-import signal
-import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -536,30 +533,6 @@ def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch)
     assert result.exit_code == 1
     assert "cannot be written (No space left on device)" in result.stderr
     assert os.listdir(".") == []
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals differ on Windows")
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_real_signal_in_a_real_process(tmp_path, name):
-    frames = looming_frames(20, 320, 240)
-    write_video(tmp_path / "long.avi", frames * 150)
-    command = [sys.executable, "-m", "dlgmd_cli", "run", "long.avi", "--no-plots"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    )
-    # The lock is taken just before the first frame.
-    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")):
-        time.sleep(0.01)
-    time.sleep(0.3)
-    process.send_signal(getattr(signal, name))
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert b"Traceback" not in errors
-    record = yaml.safe_load(open_text(tmp_path / "dlgmd-out/long/run.yaml"))
-    assert record["complete"] is False
-    assert 0 < record["processed"]["frames"] < 3000
-    assert set(os.listdir(tmp_path / "dlgmd-out/long")) == FILES
 
 
 def test_other_models(dlgmd, clips, tmp_path):
