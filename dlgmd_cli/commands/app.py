@@ -18,6 +18,7 @@ from dlgmd_cli.commands.console import (
 
 COMMANDS = (
     "run",
+    "live",
     "info",
     "batch",
     "plot",

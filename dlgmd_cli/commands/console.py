@@ -30,8 +30,9 @@ INFINITE_DISTINGUISHABILITY = (
 # them is specific to its command, and comes before all sections.
 SECTIONS = {
     "Model": "set config model param formulation no-ffi-gd normalise engine",
-    "Input": "scale size fps start end crop mask repeats input-fps decoder",
-    "Output": "out overwrite force format no-plots width dpi json",
+    "Input": "realtime input-size pixel-format scale size fps start end crop mask repeats "
+    "input-fps decoder",
+    "Output": "out record overwrite force format no-plots width dpi json",
     "General": "quiet verbose debug version help",
 }
 # The range that click adds to the help of numbers, such as [0<x<=1]. It is removed: errors name it.

@@ -319,9 +319,8 @@ decoder_option = click.option(
     type=click.Choice(DECODERS),
     help="Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]",
 )
-input_options = option_group(
-    "given",
-    dict,
+# What `live` has too.
+_PICTURES = (
     click.option(
         "--scale",
         type=FiniteRange(min=0, min_open=True, max=1),
@@ -337,16 +336,12 @@ input_options = option_group(
         help="Process at most F frames a second, by taking every k-th. Times stay true.  "
         f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
     ),
-    click.option("--start", type=Time(), help="Start here: seconds, or HH:MM:SS.mmm."),
-    click.option("--end", type=Time(), help="Stop before this time: seconds, or HH:MM:SS.mmm."),
     click.option(
         "--repeats",
         type=click.Choice(REPEATS),
         help="Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
-    input_fps_option,
-    decoder_option,
     click.option(
         "--crop",
         type=RECTANGLE,
@@ -358,6 +353,16 @@ input_options = option_group(
         metavar="FILE",
         help="Ignore what is black in this picture, which is scaled to the input or to --crop.",
     ),
+)
+live_input_options = option_group("given", dict, *_PICTURES)
+input_options = option_group(
+    "given",
+    dict,
+    *_PICTURES,
+    click.option("--start", type=Time(), help="Start here: seconds, or HH:MM:SS.mmm."),
+    click.option("--end", type=Time(), help="Stop before this time: seconds, or HH:MM:SS.mmm."),
+    input_fps_option,
+    decoder_option,
     click.option(
         "--normalise",
         type=click.Choice(["absolute", "sequence"]),

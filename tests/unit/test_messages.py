@@ -26,7 +26,7 @@ def test_live_sources_are_refused_in_words(dlgmd, name, words, code):
     os.mkfifo("pipe")
     result = dlgmd("run", name)
     assert result.exit_code == code and f"Error: {name}: " in result.stderr
-    assert words in result.stderr and ("ffmpeg -i" in result.stderr or "batch" in result.stderr)
+    assert words in result.stderr and ("dlgmd live" in result.stderr or "batch" in result.stderr)
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(dlgmd, clips):

@@ -1,0 +1,314 @@
+"""The page of `dlgmd live --serve`: the picture with G on top, and the running curves."""
+
+import asyncio
+import base64
+import errno
+import hashlib
+import ipaddress
+import json
+import math
+import os
+import re
+import secrets
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
+from dlgmd_cli.live.watch import Answer, Statistics
+from dlgmd_cli.plots.overlay import mark_centroid, tinted
+from dlgmd_cli.video.live import LiveSource
+
+try:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.datastructures import MutableHeaders
+    from starlette.requests import Request
+    from starlette.responses import HTMLResponse, PlainTextResponse, StreamingResponse
+    from starlette.routing import Route
+    from starlette.types import Message, Receive, Scope, Send
+except ImportError as error:
+    why, mend = f"the package {error.name!r} is not installed", "Run: pip install 'dlgmd[live]'."
+    raise MissingExtraError("--serve", why, mend) from None
+
+# How far back the curves of the page go.
+_HISTORY_S = 30.0
+_PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
+_JPEG_QUALITY = 80
+# Bytes under way to a client. What waits in a bigger buffer would be old when it is shown.
+_SEND_BUFFER = 1 << 17
+_MESSAGE_S = 5.0
+_CLOSING_S = 0.4
+_PICTURE = "/picture"
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Screen:
+    """Serves the page from a thread of its own; a context manager.
+
+    The port is taken at once, and answered on within the context. From other machines, the page can
+    be opened only with the token that is part of `url`.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Where to listen; port 0 is any free one.
+    source : LiveSource
+        What is watched; asked for pictures only while someone looks at them.
+    statistics : Statistics
+        Of the session.
+    threshold : float
+        Normalised MP from which on a frame is a spike.
+
+    Attributes
+    ----------
+    url : str
+        Where the page is.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such host.
+    DlgmdError
+        If the port cannot be had.
+    """
+
+    def __init__(
+        self, host: str, port: int, source: LiveSource, statistics: Statistics, threshold: float
+    ) -> None:
+        self._source, self._statistics, self._threshold = source, statistics, threshold
+        self._socket = _listening(host, port)
+        address, port = self._socket.getsockname()[:2]
+        is_local = ipaddress.ip_address(address).is_loopback
+        self._token = "" if is_local else secrets.token_urlsafe(16)
+        name = _in_url(host if is_local else _reachable(address, self._socket.family))
+        self.url = f"http://{name}:{port}/" + (f"?token={self._token}" if self._token else "")
+        self._names = {"localhost", "127.0.0.1", "[::1]", name.lower()}
+
+        self._lock, self._is_closing = threading.Lock(), False
+        self._rows: deque[tuple[float, dict[str, object]]] = deque()
+        self._n_rows, self._n_watching = 0, 0
+        self._newest: Answer | None = None
+        self._put_s, self._told_s, self._told = time.monotonic(), -math.inf, ""
+        self._greatest_g = 0.0
+        self._jpegs: dict[bool, tuple[Answer, bytes]] = {}
+
+        self._page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+        self._headers = {**_HEADERS, "Content-Security-Policy": _policy(self._page)}
+        self._app = Starlette(
+            routes=[
+                Route("/", self._show_page),
+                Route(_PICTURE, self._show_picture),
+                Route("/events", self._show_events),
+            ]
+        )
+        config = uvicorn.Config(
+            self._guard,
+            interface="asgi3",
+            http="h11",
+            ws="none",
+            loop="asyncio",
+            lifespan="off",
+            timeout_graceful_shutdown=1,
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(
+            target=self._server.run,
+            kwargs={"sockets": [self._socket]},
+            name="dlgmd-serve",
+            daemon=True,
+        )
+
+    def __enter__(self) -> "Screen":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # The streams end by themselves; of clients that read nothing, nobody waits for the end.
+        self._is_closing = self._server.should_exit = True
+        self._thread.join(_CLOSING_S)
+
+    def put(self, answer: Answer) -> None:
+        """Show an answer; returns at once."""
+        with self._lock:
+            self._rows.append((answer.frame.time_s, answer.to_dict()))
+            self._n_rows += 1
+            while answer.frame.time_s - self._rows[0][0] > _HISTORY_S:
+                self._rows.popleft()
+        self._newest, self._put_s = answer, time.monotonic()
+
+    def tell(self, message: str) -> None:
+        """Show what happened to the source."""
+        self._told, self._told_s = message, time.monotonic()
+
+    async def _guard(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request: refuse strangers, count who watches, and add the headers of all."""
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(self._headers)
+            await send(message)
+
+        if refusal := self._refusal(Request(scope)):
+            await PlainTextResponse(refusal, 403)(scope, receive, send_with_headers)
+            return
+        is_watching = scope["path"] == _PICTURE
+        self._count(is_watching)
+        try:
+            await self._app(scope, receive, send_with_headers)
+        finally:
+            self._count(-is_watching)
+
+    def _refusal(self, request: Request) -> str:
+        """Why a request is not answered; empty if it is."""
+        if self._token:
+            given = request.query_params.get("token", "").encode()
+            is_known = secrets.compare_digest(given, self._token.encode())
+            return "" if is_known else "Open the address that 'dlgmd live' printed, with its token."
+        # A page of some other site, whose name was made to lead here, must not read what is served.
+        name = re.sub(r":\d+$", "", request.headers.get("host", "")).lower()
+        return "" if name in self._names else "This server does not answer to that name."
+
+    def _count(self, n_more: int) -> None:
+        """Take in that so many more watch the picture; only the server's thread calls it."""
+        self._n_watching += n_more
+        self._source.wants_images = self._n_watching > 0
+
+    async def _show_page(self, _: Request) -> HTMLResponse:
+        return HTMLResponse(self._page)
+
+    async def _show_picture(self, request: Request) -> StreamingResponse:
+        pictures = self._pictures(request.query_params.get("overlay") != "0")
+        return StreamingResponse(pictures, media_type="multipart/x-mixed-replace; boundary=frame")
+
+    async def _show_events(self, _: Request) -> StreamingResponse:
+        return StreamingResponse(self._events(), media_type="text/event-stream")
+
+    async def _pictures(self, has_overlay: bool) -> AsyncIterator[bytes]:
+        """The newest picture again and again, as the parts of a message."""
+        shown = None
+        yield b"--frame\r\n"
+        while not self._is_closing:
+            answer = self._newest
+            if answer is not shown and answer is not None and answer.frame.image is not None:
+                shown, jpeg = answer, self._jpeg(answer, answer.frame.image, has_overlay)
+                # A browser shows a part once it has seen the boundary after it.
+                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                yield head.encode() + jpeg + b"\r\n--frame\r\n"
+            await asyncio.sleep(_PICTURE_PERIOD_S)
+
+    def _jpeg(self, answer: Answer, image: np.ndarray, has_overlay: bool) -> bytes:
+        """The picture of an answer, made once for all who watch."""
+        before = self._jpegs.get(has_overlay)
+        if before is not None and before[0] is answer:
+            return before[1]
+        if has_overlay:
+            said, image = answer.said, image.copy()
+            g = None if said.layers is None else said.layers.g
+            if g is not None and g.any():
+                self._greatest_g = max(self._greatest_g, float(np.abs(g).max()))
+                image = tinted(image, g, self._greatest_g)
+            mark_centroid(image, said.g_x, said.g_y)
+        _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
+        self._jpegs[has_overlay] = answer, data.tobytes()
+        return self._jpegs[has_overlay][1]
+
+    async def _events(self) -> AsyncIterator[str]:
+        """State and new rows some ten times a second; at first those of the last seconds."""
+        n_sent = 0
+        while not self._is_closing:
+            with self._lock:
+                n_new = min(self._n_rows - n_sent, len(self._rows))
+                first, n_sent = len(self._rows) - n_new, self._n_rows
+                rows = [row for _, row in islice(self._rows, first, None)]
+            yield f"data: {json.dumps({'rows': rows, **self._state()})}\n\n"
+            await asyncio.sleep(_EVENT_PERIOD_S)
+
+    def _state(self) -> dict[str, object]:
+        """What the page says beside the curves; None where a number is not defined."""
+        now_s, statistics = time.monotonic(), self._statistics
+        median, high = statistics.latency_ms(lately=True)
+        numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
+        # What was told of a lost source stands until there is a frame again.
+        is_new = now_s - self._told_s < _MESSAGE_S or self._told_s > self._put_s
+        return {
+            "name": self._source.name,
+            "threshold": self._threshold,
+            "dropped": self._source.n_dropped,
+            "alarms": statistics.n_alarms,
+            "has_frames": self._newest is not None,
+            "quiet_s": round(now_s - self._put_s, 1),
+            "message": self._told if is_new else "",
+            **{k: None if math.isnan(v) else round(v, 1) for k, v in numbers.items()},
+        }
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens there."""
+    try:
+        family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError):  # the latter is of names that cannot be
+        why = f"the host {host!r} cannot be found"
+        raise ParameterError("--serve", why, "Give an address of this machine.") from None
+    try:
+        listener = socket.create_server(place[:2], family=family)
+    except OSError as error:
+        code = error.errno or 0
+        why = f"port {port} of {host} cannot be used ({os.strerror(code).lower()})"
+        mend = {
+            errno.EADDRINUSE: f"Choose another port, such as {port % 65535 + 1}.",
+            errno.EACCES: "Choose a port from 1024 on.",
+        }.get(code, "Give an address of this machine.")
+        raise DlgmdError("--serve", why, mend) from None
+    # The connections inherit it.
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+    return listener
+
+
+def _reachable(address: str, family: int) -> str:
+    """The address under which others reach what listens there, or this machine's name."""
+    if not ipaddress.ip_address(address).is_unspecified:
+        return address
+    outside = "192.0.2.1" if family == socket.AF_INET else "2001:db8::1"
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((outside, 9))  # sends nothing: only the route is looked up
+        except OSError:
+            return socket.gethostname()
+        return str(probe.getsockname()[0])
+
+
+def _in_url(host: str) -> str:
+    """A host as a URL has it."""
+    return f"[{host}]" if ":" in host else host
+
+
+def _policy(page: str) -> str:
+    """What a browser lets the page do: run its own script, and talk to this server."""
+    sources = {}
+    for tag in ("script", "style"):
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        sources[tag] = f"'sha256-{digest}'"
+    return (
+        f"default-src 'none'; script-src {sources['script']}; style-src {sources['style']}; "
+        "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )

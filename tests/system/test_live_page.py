@@ -1,0 +1,208 @@
+"""The page of `dlgmd live --serve` in a real browser: Chromium, driven by Playwright."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import read_video, write_video
+
+pytestmark = pytest.mark.slow
+BROWSER = os.environ.get("DLGMD_BROWSER") or shutil.which("chromium")
+playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
+pytest.importorskip("starlette", reason="the page needs Starlette")
+if BROWSER is None:
+    pytest.skip("Chromium is not installed (apt-get install chromium)", allow_module_level=True)
+
+SAMPLE = os.path.join(os.path.dirname(__file__), "../../sample_videos/group2.mp4")
+WIDE = {"viewport": {"width": 1280, "height": 860}, "color_scheme": "light"}
+PHONE = {
+    "viewport": {"width": 390, "height": 844},
+    "device_scale_factor": 2,
+    "is_mobile": True,
+    "has_touch": True,
+    "color_scheme": "dark",
+}
+# How many pixels of the picture are orange, and its checksum; neither while there is none.
+PICTURE = """(() => {
+    if (!picture.naturalWidth) return {};
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [picture.naturalWidth, picture.naturalHeight];
+    const pen = canvas.getContext("2d");
+    pen.drawImage(picture, 0, 0);
+    const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
+    let [orange, sum] = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+        orange += data[i] - data[i + 2] > 80;
+        sum = (31 * sum + data[i]) % 1000003;
+    }
+    return {orange, sum};
+})()"""
+# Pixels of a canvas in a colour of the page, with some tolerance.
+PAINTED = """(name, colour) => {
+    const canvas = document.getElementById(name);
+    const pen = document.createElement("canvas").getContext("2d");
+    pen.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(colour);
+    pen.fillRect(0, 0, 1, 1);
+    const wanted = pen.getImageData(0, 0, 1, 1).data;
+    const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4)
+        count += [0, 1, 2].every(c => Math.abs(data[i + c] - wanted[c]) < 20) && data[i + 3] > 200;
+    return count;
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        found = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """A flight of 5 s that ends in an alarm, again and again for a minute and a half."""
+    _, frames = read_video(SAMPLE)
+    name = "<b>flights.avi"
+    return write_video(tmp_path_factory.mktemp("clip") / name, 18 * frames, fps=30.0)
+
+
+@pytest.fixture
+def watch(clip):
+    """Start `dlgmd live --serve`: `watch(place, ...)` -> process, URL."""
+    processes = []
+
+    def start(place, *source):
+        source = source or (clip, "--realtime")
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dlgmd_cli", "live", *source, "--serve", place],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        processes.append(process)
+        before, url = process.stderr.readline().split(" at ")
+        assert before == "The page is"
+        return process, url.strip()
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+class Reader:
+    """Who looks at the page; `faults` are errors, and requests that leave the server."""
+
+    def __init__(self, browser, url, **look):
+        self.page, self.faults = browser.new_context(**look).new_page(), []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("console", lambda said: said.type == "error" and self.faults.append(said.text))
+        origin = url.partition("?")[0]
+        self.page.on(
+            "request", lambda one: one.url.startswith((origin, "data:")) or self.faults.append(one)
+        )
+        self.page.goto(url)
+
+    def until(self, condition):
+        """Wait for a condition; the page's policy forbids Playwright's own way."""
+        end = time.monotonic() + 30
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < end, condition
+            time.sleep(0.05)
+
+    def sees_motion(self):
+        """Wait until the picture has changed three times."""
+        for _ in range(3):
+            before = self.page.evaluate(PICTURE).get("sum", -1)
+            self.until(f"(({{sum}}) => sum >= 0 && sum !== {before})({PICTURE})")
+
+    def painted(self, name, colour):
+        """Wait until a canvas has some pixels of a colour."""
+        self.until(f"({PAINTED})('{name}', '--{colour}') > 30")
+
+
+@pytest.mark.parametrize(
+    ("place", "look"), [("0", WIDE), ("0.0.0.0:0", PHONE)], ids=["wide", "phone"]
+)
+def test_page(browser, watch, place, look):
+    process, url = watch(place)
+    assert ("?token=" in url) == (place != "0")
+    reader = Reader(browser, url, **look)
+    page = reader.page
+    reader.until("find('state').textContent === 'No alarm'")
+    reader.until("find('name').textContent.endsWith('<b>flights.avi')")
+    assert page.evaluate("document.documentElement.scrollWidth") == look["viewport"]["width"]
+    reader.sees_motion()
+    reader.until(f"{PICTURE}.orange > 50")
+    reader.painted("mp", "accent")
+    reader.painted("latency", "ink")
+
+    reader.until("find('state').className === 'alarm'")
+    assert page.text_content("#state") == "ALARM"
+    reader.painted("mp", "spike")
+    reader.until("find('state').textContent === 'No alarm'")
+    assert int(page.text_content("#alarms")) >= 1
+
+    page.click("#overlay")
+    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.orange === 0")
+    # Many cells are active again at the next alarm.
+    reader.until("find('state').className === 'alarm'")
+    assert page.evaluate(PICTURE).get("orange", 0) == 0
+    assert reader.faults == []
+
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=20) == 130
+    assert process.stderr.read() == "Interrupted.\n"
+
+
+def test_page_goes_on_by_itself(browser, watch):
+    process, url = watch("0")
+    reader = Reader(browser, url)
+    reader.sees_motion()
+    reader.until("rows.length > 30")
+    process.send_signal(signal.SIGINT)
+    process.wait(timeout=20)
+    reader.until("find('state').textContent === 'Not connected'")
+    watch(url.rstrip("/").rpartition(":")[2])
+    reader.until("find('state').textContent === 'No alarm'")
+    # The rows are those of the new session alone.
+    reader.until("rows[0].frame === 0 && rows.length > 30")
+    assert reader.page.evaluate("rows.every((row, i) => i === 0 || row.frame > rows[i - 1].frame)")
+    reader.sees_motion()
+
+
+def test_page_that_nobody_sees_asks_for_nothing(browser, watch):
+    _, url = watch("0")
+    reader = Reader(browser, url)
+    reader.sees_motion()
+    change = """hidden => {
+        Object.defineProperty(document, "hidden", {value: hidden, configurable: true});
+        document.dispatchEvent(new Event("visibilitychange"));
+    }"""
+    reader.page.evaluate(change, True)
+    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
+    # Not by the clock that looks for a lost connection, either.
+    reader.until("Date.now() - heard > SILENT_MS + 1500")
+    assert reader.page.evaluate("stream.readyState === 2 && !picture.src")
+    reader.page.evaluate(change, False)
+    reader.sees_motion()
+    reader.until("find('state').textContent !== 'Not connected'")
+
+
+def test_a_lost_source_is_told(browser, watch):
+    with socket.create_server(("127.0.0.1", 0)) as unused:
+        port = unused.getsockname()[1]
+    _, url = watch("0", f"http://someone:secret@127.0.0.1:{port}/video")
+    reader = Reader(browser, url)
+    reader.until("find('state').textContent === 'Waiting for the first frame'")
+    reader.until("find('message').textContent.includes('; trying again in ')")
+    text = reader.page.text_content("body main")
+    assert f"http://127.0.0.1:{port}/video" in text and "secret" not in text
