@@ -1,6 +1,7 @@
 """`dlgmd live`: a camera, a stream, a pipe or a file at its own pace; alarms as they are raised."""
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -209,7 +210,8 @@ def _open(
         return LiveSource(name, shots, options, **made_for, **again)
     plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
     video = plain.open(source, **made_for)
-    return LiveSource(name, partial(shots_at_their_pace, video), options, **made_for)
+    shots = partial(shots_at_their_pace, video)
+    return LiveSource(os.path.abspath(source), shots, options, **made_for)
 
 
 def _hooks(
