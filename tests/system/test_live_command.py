@@ -207,7 +207,8 @@ def test_what_is_left_of_a_killed_process_can_be_read(tmp_path):
         process.kill()
         process.wait()
     result = read_result(tmp_path)
-    assert not result.record["complete"] and result.frame[-1] >= last["frame"]
+    # The line of a frame may be out before its rows are.
+    assert not result.record["complete"] and result.frame[-1] >= last["frame"] - 1
     arguments = (SAMPLE, "--realtime", "--jsonl", "--record", tmp_path)
     with live(*arguments, stdout=subprocess.DEVNULL) as process:
         assert process.wait(PATIENCE_S) == 2 and b"--overwrite" in process.stderr.read()
