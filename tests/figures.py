@@ -113,3 +113,8 @@ def result_of(columns, x="r=2:4:1", y="a=1,2", speeds=(), possible=None):
 
 def attenuation(values, speeds=(1.0,), **options):
     return result_of({"attenuation_db": values}, speeds=speeds, **options)
+
+
+def curve(axes, place=0):
+    """The values of the line of a result, NaN included."""
+    return [line for line in axes.get_lines() if line.get_marker() != "."][place].get_ydata()

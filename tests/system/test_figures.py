@@ -11,6 +11,7 @@ from figures import (
     attenuation,
     bars,
     boxes,
+    curve,
     frame_axis,
     hot,
     legend,
@@ -205,3 +206,30 @@ def test_a_film_of_any_shape_and_length(n, shape, scale):
     layer = np.ones(shape, np.float32)
     for row in range(min(n, 3)):
         assert film.picture(row, layer, layer, None).shape == (720, 1280, 3)
+
+
+def test_more_than_four_results_have_a_panel_each_on_one_scale():
+    results = {f"set{n}": make_result(scale=1.0 - 0.1 * n) for n in range(9)}
+    figure = plot("overview", results, Annotations(((3, "pitching"),)))
+    figure.draw_without_rendering()
+    _, *panels, raster = figure.axes
+    assert [axes.texts[0].get_text() for axes in panels] == [*results, *results]
+    labels = [axes.get_ylabel() for axes in panels if axes.get_ylabel()]
+    assert labels == ["MP (absolute)", "Attenuation (dB)"]
+    for group in (panels[:9], panels[9:]):
+        assert len({axes.get_ylim() for axes in group}) == 1
+    for axes, result in zip(panels, results.values(), strict=False):
+        assert np.array_equal(curve(axes), result.level, equal_nan=True)
+    assert legend(figure) == [
+        *("threshold 0.4", "spike", "alarm", "nothing passes (< −60 dB)", "spikes")
+    ]
+    assert [text.get_text() for text in raster.get_yticklabels()] == [*results][::-1]
+    assert raster.get_yticklabels()[0].get_window_extent().x0 >= 0
+    names = [axes.texts[0].get_window_extent() for axes in panels]
+    above = [axes.get_window_extent() for axes in figure.axes]
+    assert all(box.y0 >= name.y1 - 2 for box, name in zip(above, names, strict=False))
+
+
+def test_an_overview_of_nine_results_fits_on_a_page():
+    figure = plot("overview", {f"set {i}": make_result() for i in range(1, 10)}, width="two")
+    assert figure.get_figheight() < 9.5

@@ -67,18 +67,6 @@ def test_the_ratio_says_how_many_times_as_fast_as_the_paper():
     assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))
 
 
-@pytest.mark.parametrize(
-    ("package", "options", "key"),
-    [("numba", ["--engine", "numba"], "engine"), ("av", ["--decoder", "pyav"], "decoder")],
-)
-def test_engine_and_decoder(dlgmd, clips, package, options, key):
-    pytest.importorskip(package, reason="comes with dlgmd[fast]")
-    options = [*options, "--frames", 15, "--json"]
-    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, *options)
-    found = json.loads(result.stdout)
-    assert {**found, **found["rows"][0]}[key] == options[1] and found["frames"] == 15
-
-
 def test_too_few_frames(dlgmd, clips):
     result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
     assert result.exit_code == 1

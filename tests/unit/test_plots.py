@@ -7,12 +7,11 @@ import matplotlib
 import numpy as np
 import pytest
 from conftest import result_of_level
-from figures import NAN, frame_axis, legend, long_result, make_result, part
+from figures import NAN, curve, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
-from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
@@ -23,11 +22,6 @@ from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
 def handles(figure):
     (item,) = figure.legends
     return dict(zip(legend(figure), item.legend_handles, strict=True))
-
-
-def curve(axes, place=0):
-    """The values of the line of a result, NaN included."""
-    return [line for line in axes.get_lines() if line.get_marker() != "."][place].get_ydata()
 
 
 def test_one_result_shows_level_threshold_spikes_and_alarm():
@@ -152,28 +146,6 @@ def test_six_looks_differ_without_colour_and_spare_the_colours_with_a_meaning():
     assert not {color for color, _ in LOOKS} & {VERMILION, BLACK}
     brightness = [np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for color, _ in LOOKS]
     assert all(abs(one - other) > 0.02 for one, other in pairwise(brightness))
-
-
-def test_more_than_four_results_have_a_panel_each_on_one_scale():
-    results = {f"set{n}": make_result(scale=1.0 - 0.1 * n) for n in range(9)}
-    figure = plot("overview", results, Annotations(((3, "pitching"),)))
-    figure.draw_without_rendering()
-    _, *panels, raster = figure.axes
-    assert [axes.texts[0].get_text() for axes in panels] == [*results, *results]
-    labels = [axes.get_ylabel() for axes in panels if axes.get_ylabel()]
-    assert labels == ["MP (absolute)", "Attenuation (dB)"]
-    for group in (panels[:9], panels[9:]):
-        assert len({axes.get_ylim() for axes in group}) == 1
-    for axes, result in zip(panels, results.values(), strict=False):
-        assert np.array_equal(curve(axes), result.level, equal_nan=True)
-    assert legend(figure) == [
-        *("threshold 0.4", "spike", "alarm", "nothing passes (< −60 dB)", "spikes")
-    ]
-    assert [text.get_text() for text in raster.get_yticklabels()] == [*results][::-1]
-    assert raster.get_yticklabels()[0].get_window_extent().x0 >= 0
-    names = [axes.texts[0].get_window_extent() for axes in panels]
-    above = [axes.get_window_extent() for axes in figure.axes]
-    assert all(box.y0 >= name.y1 - 2 for box, name in zip(above, names, strict=False))
 
 
 def test_labels_are_drawn_as_they_are_written():
@@ -315,8 +287,3 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
         assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == [*(curves if n_models == 3 else ()), "default threshold"]
-
-
-def test_an_overview_of_nine_results_fits_on_a_page():
-    figure = plot("overview", {f"set {i}": make_result() for i in range(1, 10)}, width="two")
-    assert figure.get_figheight() < 9.5

@@ -25,6 +25,7 @@ from dlgmd_cli.models.detection import Detection
 from dlgmd_cli.video.frames import InputOptions
 from dlgmd_cli.video.live import LiveFrame, LiveSource
 
+pytestmark = pytest.mark.slow
 THRESHOLD = 0.4
 
 
