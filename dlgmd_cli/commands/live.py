@@ -89,8 +89,8 @@ def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
 @alarm_option(
     "--mavlink",
     metavar="URL",
-    help="Send MAVLink's COLLISION and STATUSTEXT, for example to udp://127.0.0.1:14550; needs "
-    "dlgmd[live].",
+    help="Send MAVLink's COLLISION and STATUSTEXT to udp://HOST:PORT or "
+    "serial:///dev/ttyACM0:57600; needs dlgmd[live].",
 )
 @alarm_option(
     "--serve",
@@ -126,8 +126,9 @@ def live(
     are, from -1 to 1), latency_ms (from capture to answer) and, where an alarm begins or ends,
     event.
     """
+    from dlgmd_cli.live.hooks import join
     from dlgmd_cli.live.recording import Recording
-    from dlgmd_cli.live.watch import BEGIN, Statistics, answers, warm_up
+    from dlgmd_cli.live.watch import Statistics, answers, warm_up
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options
@@ -140,18 +141,19 @@ def live(
     statistics, status = Statistics(), Status(frames)
     with ExitStack() as stack:
         hooks = _hooks(asked, frames, status.tell)
+        stack.callback(join, hooks)
         receivers: list[Any] = [*hooks, statistics]
         recording = screen = None
         if record is not None:
             store.check(record, store.RUN, {"path": frames.name}, overwrite=overwrite)
             stack.enter_context(store.locked(record))
             recording = Recording(record, frames, setup, options, alarm, status.tell)
+            stack.callback(recording.close)
             receivers.append(recording)
         if asked["serve"]:
             threshold = setup.params.t_mp
             screen = stack.enter_context(_screen(asked["serve"], frames, statistics, threshold))
             receivers.append(screen)
-        event, last = "", None
         warm_up(alarm)
         with status.shown(), frames:
             for answer in answers(frames, alarm, lambda: frames.wants_images):
@@ -162,16 +164,9 @@ def live(
                 if answer is not None:
                     for receiver in receivers:
                         receiver.put(answer)
-                    event, last = answer.event or event, answer
                 status.update(answer, statistics)
             for message in frames.messages():
                 status.tell(message)
-        for hook in hooks:
-            if last is not None and event == BEGIN:
-                hook.put(last.at_the_end())
-            hook.close()
-        if recording is not None:
-            recording.close()
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, record if recording and recording.has_begun else None, asked["jsonl"])

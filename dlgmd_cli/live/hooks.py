@@ -10,9 +10,10 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BEGIN, Answer
 
@@ -24,8 +25,8 @@ _MAX_WAITING = 64
 # Programs that may run at once.
 _MAX_RUNNING = 8
 _HEARTBEAT_S = 1.0
-# Time for what still waits at the end.
-_CLOSING_S = 0.1
+# How long what waits at the end may take, at Ctrl-C and without it.
+_INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
 
 class Hook:
@@ -69,11 +70,16 @@ class Hook:
             self._changed.notify()
 
     def close(self) -> None:
-        """Let what waits be delivered, if that is possible at once."""
+        """Take no more; what waits is still delivered."""
         with self._changed:
             self._is_closed = True
             self._changed.notify()
-        self._thread.join(_CLOSING_S)
+
+    def wait(self, until_s: float) -> None:
+        """Wait for that, up to a time of `time.monotonic`; tell if something still waits."""
+        self._thread.join(max(0.0, until_s - time.monotonic()))
+        if self._thread.is_alive():
+            self._tell_once("the receiver did not take everything in time")
 
     def _work(self) -> None:
         while True:
@@ -93,6 +99,15 @@ class Hook:
             self._tell(f"{self._name}: {why}")
 
 
+def join(hooks: Sequence[Hook]) -> None:
+    """Let hooks deliver what waits, as far as they can in a moment; less of one after Ctrl-C."""
+    for hook in hooks:
+        hook.close()
+    until_s = time.monotonic() + (_INTERRUPTED_S if cancel.requested() else _PATIENCE_S)
+    for hook in hooks:
+        hook.wait(until_s)
+
+
 def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
     """Writes each answer as a line of JSON; calls `give_up` when nobody reads them any more.
 
@@ -105,7 +120,10 @@ def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
         data = memoryview(f"{answer.to_json()}\n".encode())
         try:
             while data:
-                data = data[stream.write(data) or 0 :]
+                n_written = stream.write(data)
+                if n_written is None:  # it does not block, and is full
+                    time.sleep(0.01)
+                data = data[n_written or 0 :]
         except BrokenPipeError:
             give_up()
 
@@ -194,8 +212,8 @@ class Mavlink:
     Parameters
     ----------
     url : str
-        ``udp://HOST:PORT``, ``tcp://HOST:PORT``, ``serial:///dev/ttyACM0:57600``, or any
-        connection string of pymavlink.
+        ``udp://HOST:PORT`` or ``serial:///dev/ttyACM0:57600``. There is no TCP: pymavlink waits
+        where nobody answers, and prints to stdout.
 
     Raises
     ------
@@ -254,14 +272,11 @@ class Mavlink:
 
 
 def _connection(url: str) -> dict[str, Any]:
-    """What pymavlink takes for a URL."""
-    scheme, separator, place = url.partition("://")
-    if not separator:
-        return {"device": url}
-    if scheme == "serial":
-        device, _, baud = place.rpartition(":")
-        return {"device": device or place, "baud": int(baud) if device else 57600}
-    kinds = {"udp": "udpout", "tcp": "tcp"}
-    if scheme not in kinds:
-        raise ValueError(f"there is no kind of link called {scheme}://")
-    return {"device": f"{kinds[scheme]}:{place}"}
+    """What pymavlink takes for a URL; raises ValueError."""
+    scheme, _, place = url.partition("://")
+    if scheme == "udp":
+        return {"device": f"udpout:{place}"}
+    if scheme != "serial":
+        raise ValueError("only udp:// and serial:// are links")
+    device, _, baud = place.rpartition(":")
+    return {"device": device or place, "baud": int(baud) if device else 57600}

@@ -1,4 +1,4 @@
-"""A result that grows frame by frame: on disk at once, and never in memory."""
+"""A result that grows frame by frame in its files, and never in memory."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -16,6 +16,8 @@ from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.frames import InputOptions
 from dlgmd_cli.video.live import LiveSource, without_password
 
+# Some three hours; these take a third of a second.
+_MAX_NORMALISED = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
 
 
@@ -23,8 +25,9 @@ class Recording:
     """Writes the files of a result as `dlgmd run` does, a row with each answer.
 
     The record, run.yaml, is there from the beginning and says ``complete: false`` until `close`: so
-    the frames of a drone that lost its power can be read. `mp_seq` needs the whole sequence; it is
-    empty until then.
+    what a killed process has seen can be read. (Where the power fails, the last seconds may not
+    have reached the disk.) `mp_seq` needs the whole sequence: in the file it is empty until then,
+    and stays so in very long ones, which would take too long to write again.
 
     Parameters
     ----------
@@ -89,7 +92,8 @@ class Recording:
         with self._failing():
             for file in self._files.values():
                 file.close()
-            store.write_file(self._folder / "mp.csv", self._write_normalised)
+            if self._n_rows <= _MAX_NORMALISED:
+                store.write_file(self._folder / "mp.csv", self._write_normalised)
             self._write_record(complete=True)
 
     @contextmanager
@@ -116,7 +120,7 @@ class Recording:
         self._write_record(complete=False)
 
     def _write_rows(self, answer: Answer) -> None:
-        """A row in each file, on disk at once."""
+        """A row in each file, out of this process at once."""
         frame, said, cell = answer.frame, answer.said, csv.cell
         begin = [str(frame.index), cell(frame.time_s)]
         mp_abs, db = cell(said.mp_abs), cell(said.attenuation_db)

@@ -17,6 +17,8 @@ from dlgmd_cli.video.prefetch import opencv_threads
 BEGIN, END = "begin", "end"
 # How often the loop looks at the stop flag while no frame comes.
 _WAIT_S = 0.1
+# An alarm is over when no frame has come for so long.
+_SILENT_S = 1.0
 # Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
 _N_LATENCIES = 108_000
 _N_LATELY = 300
@@ -60,13 +62,14 @@ class Answer:
             "alarm": said.alarm,
             "g_x": _number(said.g_x),
             "g_y": _number(said.g_y),
-            "latency_ms": round(self.latency_ms, 2),
+            "latency_ms": _number(round(self.latency_ms, 2)),
         }
         return facts | ({"event": self.event} if self.event else {})
 
-    def at_the_end(self) -> "Answer":
-        """The same without an alarm: what to tell of one that is on when all ends."""
-        return replace(self, said=replace(self.said, spike=False, alarm=False), event=END)
+    def without_alarm(self) -> "Answer":
+        """What to tell of an alarm that is on when no more frames come; it is of no frame."""
+        said = replace(self.said, spike=False, alarm=False)
+        return replace(self, said=said, is_repeat=True, event=END, latency_ms=math.nan)
 
     def to_json(self) -> str:
         """The same on one line."""
@@ -82,18 +85,22 @@ class Events:
     """Tells from the alarm of each frame where one begins, as `onsets` has it, and has ended."""
 
     def __init__(self) -> None:
-        self._is_on = self._was_on = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the alarm."""
+        self.is_on = self._was_on = False
         self._last_on_s = math.nan
 
     def step(self, alarm: bool, time_s: float) -> str:
         """`begin`, `end` or nothing, at the frame of this time."""
         is_over = not self._was_on and time_s - self._last_on_s >= MERGE_S - ROUNDING_S
-        is_new, self._was_on = alarm and (not self._is_on or is_over), alarm
+        is_new, self._was_on = alarm and (not self.is_on or is_over), alarm
         if alarm:
-            self._is_on, self._last_on_s = True, time_s
+            self.is_on, self._last_on_s = True, time_s
             return BEGIN if is_new else ""
-        if self._is_on and time_s - self._last_on_s >= MERGE_S - ROUNDING_S:
-            self._is_on = False
+        if self.is_on and time_s - self._last_on_s >= MERGE_S - ROUNDING_S:
+            self.is_on = False
             return END
         return ""
 
@@ -115,7 +122,8 @@ def answers(
     Yields
     ------
     Answer or None
-        None where no frame has come for a tenth of a second.
+        None where no frame has come for a tenth of a second. An alarm that is on when the source is
+        over, or silent for a second, ends with an answer of no frame.
 
     Raises
     ------
@@ -124,24 +132,29 @@ def answers(
     ParameterError
         If the options do not fit its pictures.
     """
-    events, before, is_first = Events(), None, True
+    events, last, answered_s = Events(), None, math.nan
     # The decoder is busy on the other processor.
     with opencv_threads(1):
         while not cancel.requested():
             frame = source.take(_WAIT_S)
             if frame is None:
                 if source.is_over:
-                    return
+                    break
+                if last is not None and events.is_on and time.monotonic() - answered_s > _SILENT_S:
+                    events.reset()
+                    yield last.without_alarm()
                 yield None
                 continue
-            if is_first:
+            if last is None:
                 alarm.ignore(source.hidden())
-                is_first = False
             said = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
-            latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
+            answered_s = time.monotonic()
+            is_repeat = last is not None and said is last.said
             event = events.step(said.alarm, frame.time_s)
-            yield Answer(frame, said, said is before, event, latency_ms)
-            before = said
+            last = Answer(frame, said, is_repeat, event, 1e3 * (answered_s - frame.captured_s))
+            yield last
+    if last is not None and events.is_on:
+        yield last.without_alarm()
 
 
 def warm_up(alarm: Alarm) -> None:
@@ -162,7 +175,9 @@ class Statistics:
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:
-        """Take in an answer."""
+        """Take in an answer to a frame."""
+        if math.isnan(answer.latency_ms):
+            return
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN
         self._latencies_ms.append(answer.latency_ms)

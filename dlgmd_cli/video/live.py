@@ -35,6 +35,7 @@ PIXEL_FORMATS = {
     "bgr24": 3.0,
     "rgb24": 3.0,
 }
+_EVEN = ("yuv420p", "nv12", "yuyv422")
 _LIMITED = 16, 235
 # FFmpeg is to hand on what has arrived, and to decode without frames in flight.
 _STREAM_OPTIONS = {
@@ -47,7 +48,7 @@ _TIMEOUT_MS = 5000
 # Pauses before a lost source is tried again.
 FIRST_PAUSE_S, MAX_PAUSE_S = 0.5, 30.0
 # The rate of a source is measured over so many frames, and may exceed the limit by a tenth.
-_N_MEASURED, _N_AT_LEAST, _SLACK = 61, 10, 0.1
+_N_MEASURED, _N_AT_LEAST, _SLACK, _PAUSE_S = 61, 10, 0.1, 1.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
 _MAX_LATE_S = 0.25
 SHOWN_PX = 640
@@ -151,7 +152,7 @@ class LiveSource:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-        self._thread.join(timeout=0.3)  # a read that hangs is left behind
+        self._thread.join(timeout=0.1)  # a read that hangs is left behind
 
     def end(self) -> None:
         """Read no further; may be called from any thread."""
@@ -243,6 +244,8 @@ class LiveSource:
         crop = self._options.crop
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
             why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
+            if self._region is not None:
+                raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
         if self._region is not None:
             self.tell(f"its pictures are {width}x{height} now, and are scaled")
@@ -266,7 +269,7 @@ class Pace:
     def __init__(self, max_fps: float) -> None:
         self._max_fps = max_fps
         self._times: deque[float] = deque(maxlen=_N_MEASURED)
-        self._since_taken = 0
+        self._since_taken, self._every = 0, 1
 
     @property
     def fps(self) -> float:
@@ -278,12 +281,13 @@ class Pace:
 
     def is_due(self, captured_s: float) -> bool:
         """Whether to take the frame that came at this time."""
+        if self._times and captured_s - self._times[-1] > _PAUSE_S:
+            self._times.clear()  # it was away, which says nothing about its rate
         self._times.append(captured_s)
-        every = 1
         if not math.isnan(fps := self.fps):
-            every = max(1, math.ceil(fps / self._max_fps - _SLACK))
+            self._every = max(1, math.ceil(fps / self._max_fps - _SLACK))
         self._since_taken += 1
-        if self._since_taken < every:
+        if self._since_taken < self._every:
             return False
         self._since_taken = 0
         return True
@@ -318,7 +322,7 @@ def scheme_of(source: str) -> str:
 
 def without_password(source: str) -> str:
     """A URL without the user and password that it may hold."""
-    return re.sub(r"(?<=://)[^/@]*@", "", source)
+    return re.sub(r"(?<=://)[^/?#]*@", "", source)
 
 
 def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -> Iterator[Shot]:
@@ -328,7 +332,7 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -
     """
     if is_camera(source):
         if not source.isdecimal() and not Path(source).exists():
-            raise SourceError(source, "there is no such camera", "List them with: ls /dev/video*")
+            raise Unreadable("there is no such camera (ls /dev/video* lists them)")
         capture = cv2.VideoCapture(int(source) if source.isdecimal() else source)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if size_wh is not None:
@@ -354,6 +358,8 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -
             if is_there and image is not None and image.size:
                 yield Shot(image, None, captured_s)
         raise Unreadable("the source was lost")
+    except cv2.error:
+        raise Unreadable("it sent a picture that cannot be decoded") from None
     finally:
         capture.release()
 
@@ -361,8 +367,14 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -
 def shots_of_pipe(
     stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str, tell: Tell
 ) -> Iterator[Shot]:
-    """Raw frames from a pipe, one directly after the other, in one of the `PIXEL_FORMATS`."""
+    """Raw frames from a pipe, one directly after the other, in one of the `PIXEL_FORMATS`.
+
+    Raises ParameterError if the format has no frames of that size.
+    """
     width, height = size_wh
+    if pixel_format in _EVEN and (width % 2 or (height % 2 and pixel_format != "yuyv422")):
+        why = f"{width}x{height} is odd, and {pixel_format} shares colours between two pixels"
+        raise ParameterError("--input-size", why, "Send frames with even sides, or gray.")
     n_bytes = int(width * height * PIXEL_FORMATS[pixel_format])
     data = bytearray(n_bytes)
     while True:
@@ -431,5 +443,8 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
             raise ParameterError(source, "is a file, not a live source", mend)
         mend = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
         raise ParameterError(source, "there is no such source", mend)
-    if is_realtime and (source == "-" or scheme or source.isdecimal()):
+    if is_realtime and (source == "-" or scheme or is_camera(source)):
         raise ParameterError("--realtime", "works only with files", "Leave it out.")
+    if has_size and source != "-" and not is_camera(source):
+        why = "works only with a pipe or a camera"
+        raise ParameterError("--input-size", why, "Use --size for the frames of the model.")

@@ -1,5 +1,6 @@
 """`dlgmd live`: the newest frame wins, what hears the alarm, and what is recorded."""
 
+import io
 import json
 import math
 import os
@@ -8,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import cv2
@@ -19,7 +21,7 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
-from dlgmd_cli.live import hooks
+from dlgmd_cli.live import hooks, watch
 from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import Answer, Events, Statistics, answers
 from dlgmd_cli.models.detection import onsets
@@ -108,6 +110,57 @@ def test_a_source_that_cannot_be_opened_is_an_error(again):
         source.take(SOON_S)
 
 
+def test_a_camera_that_is_unplugged_is_tried_again(monkeypatch, tmp_path):
+    """Its device goes with it; one that never was there is an error."""
+    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(live, "is_camera", lambda source: True)
+    device = tmp_path / "video0"
+    shots = partial(live.shots_of_capture, str(device), None)
+    again = {"tries_again": True, "must_open": True}
+    with source_of(shots, **again) as source, pytest.raises(SourceError, match="no such camera"):
+        source.take(SOON_S)
+    device.touch()
+    captures = [FakeCapture(1), FakeCapture(2, breaks=True), FakeCapture(1)]
+
+    def opened(_):
+        if len(captures) < 3:
+            device.unlink(missing_ok=True)
+        return captures.pop(0)
+
+    monkeypatch.setattr(live.cv2, "VideoCapture", opened)
+    with source_of(shots, **again) as source:
+        until(lambda: source.n_frames == 1)
+        told = []
+        until(lambda: (told.extend(source.messages()), len(told) >= 1)[1])
+        until(lambda: source.n_frames == 2)
+        until(lambda: (told.extend(source.messages()), "no such camera" in told[-1])[1])
+        device.touch()
+        until(lambda: source.n_frames == 3)
+    assert "the source was lost" in told[0] and "cannot be decoded" in "".join(told)
+
+
+class FakeCapture:
+    """Sends some pictures; at the last one, OpenCV fails."""
+
+    def __init__(self, n_pictures, breaks=False):
+        self._left, self._breaks = n_pictures, breaks
+
+    def isOpened(self):  # noqa: N802
+        return True
+
+    def set(self, *_): ...
+    def release(self): ...
+
+    def grab(self):
+        self._left -= 1
+        return self._left >= 0
+
+    def retrieve(self, image):
+        if self._breaks and self._left == 0:
+            raise cv2.error("a damaged picture")
+        return True, np.zeros((30, 40, 3), np.uint8)
+
+
 def test_frames_keep_their_size_when_the_pictures_change():
     def shots(tell):
         yield shot(10, (80, 60))
@@ -137,6 +190,16 @@ def test_crop_and_mask(tmp_path):
     with source_of(shots, options) as source:
         assert (source.take(SOON_S).grey == 200).all() and source.size_wh == (20, 20)
         assert source.hidden().sum() == 200 and source.hidden()[:10].all()
+
+    def changing(tell):
+        yield Shot(picture, None, 0.0)
+        yield Shot(picture[:40], None, 0.1)
+
+    with source_of(changing, options, tries_again=True) as source:
+        until(lambda: source.n_frames == 2)  # and not the end
+        told = []
+        until(lambda: (told.extend(source.messages()), told)[1])
+        assert "reaches outside" in told[0] and "trying again" in told[0] and not source.is_over
     with (
         source_of(shots, InputOptions(crop="20x20+70+30")) as source,
         pytest.raises(SourceError, match="reaches outside its pictures of 80x60"),
@@ -174,6 +237,13 @@ def test_every_kth_frame_is_taken(fps, max_fps, taken_fps):
     assert pace.fps == pytest.approx(fps, rel=0.02)
 
 
+def test_a_pause_does_not_alter_the_rate():
+    pace, times = Pace(30.0), [n / 60 for n in range(120)]
+    taken = [pace.is_due(t) for t in times]
+    assert sum(taken[60:]) == 30
+    assert sum(pace.is_due(t + 12.0) for t in times) == 60 and pace.fps == pytest.approx(60)
+
+
 GREY = np.random.default_rng(2).integers(30, 220, (24, 32), dtype=np.uint8)
 
 
@@ -200,6 +270,27 @@ def test_raw_frames(pixel_format):
         greys = [live.to_grey(one.image, (32, 24), one.levels) for one in shots]
     assert len(greys) == 3 and "ended within a frame, after 4 of" in told[0]
     assert np.abs(np.array(greys, int) - GREY).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("size", "pixel_format", "is_refused"),
+    [
+        ((41, 30), "yuv420p", True),
+        ((40, 31), "nv12", True),
+        ((41, 30), "yuyv422", True),
+        ((40, 31), "yuyv422", False),
+        ((41, 31), "gray", False),
+        ((41, 31), "bgr24", False),
+    ],
+)
+def test_odd_sizes(size, pixel_format, is_refused):
+    """FFmpeg rounds the size of colour planes up, or writes another number of bytes."""
+    shots = live.shots_of_pipe(io.BytesIO(bytes(41 * 31 * 3)), size, pixel_format, print)
+    if is_refused:
+        with pytest.raises(ParameterError, match="is odd"):
+            next(shots)
+    else:
+        assert next(shots).image.shape[:2] == size[::-1]
 
 
 def test_colours_of_raw_frames_are_in_their_order():
@@ -247,6 +338,8 @@ def test_a_file_that_decodes_too_slowly_plays_slower(monkeypatch):
         (__file__, {}, "is a file, not a live source"),
         ("0", {"is_realtime": True}, "works only with files"),
         ("rtsp://x", {"is_realtime": True}, "works only with files"),
+        ("/dev/video0", {"is_realtime": True}, "works only with files"),
+        ("rtsp://x", {"has_size": True}, "only with a pipe or a camera"),
     ],
 )
 def test_what_is_no_source(source, more, why):
@@ -256,6 +349,7 @@ def test_what_is_no_source(source, more, why):
 
 def test_passwords_are_not_shown():
     assert live.without_password("rtsp://me:secret@host/a@b") == "rtsp://host/a@b"
+    assert live.without_password("rtsp://me:p@ss@host/x") == "rtsp://host/x"
     assert live.without_password("rtsp://host/a@b") == "rtsp://host/a@b"
     with pytest.raises(ParameterError) as caught:
         live.check_source("gopher://me:secret@host", is_realtime=False, has_size=False)
@@ -296,12 +390,15 @@ def test_answers_are_those_of_the_alarm():
     alarm, expected = Alarm(load_set(3)), Alarm(load_set(3))
     with source:
         found = [one for one in answers(source, alarm) if one is not None]
-    assert len(found) == 30 and found[-1].said.alarm
-    for number, (one, frame) in enumerate(zip(found, frames, strict=True)):
+    assert len(found) == 31 and found[-2].said.alarm
+    for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
         said = expected.step(frame, number / 30)
         assert one.frame.index == number and one.frame.time_s == pytest.approx(number / 30)
         assert (one.said.mp == said.mp or math.isnan(said.mp)) and one.said.alarm == said.alarm
+    *found, last = found
     assert [one.event for one in found if one.event] == ["begin"]
+    # The alarm is on when the source is over: its end is told.
+    assert (last.event, last.said.alarm, last.is_repeat) == ("end", False, True)
     facts = json.loads(found[-1].to_json())
     assert facts.pop("event") == "begin"
     assert list(facts) == [
@@ -309,6 +406,26 @@ def test_answers_are_those_of_the_alarm():
     ]
     assert facts["frame"] == 29 and facts["alarm"] is True and abs(facts["g_x"]) < 0.1
     assert json.loads(found[0].to_json())["mp"] is None  # and not NaN
+
+
+def test_an_alarm_ends_when_its_source_is_silent(monkeypatch):
+    monkeypatch.setattr(watch, "_SILENT_S", 0.2)
+    frames, go_on = looming_frames(n_frames=30, width=64, height=48), threading.Event()
+
+    def shots(tell):
+        for number, frame in enumerate(frames):
+            until(lambda: source._newest is None)
+            yield Shot(frame, None, 50.0 + number / 30)
+        assert go_on.wait(SOON_S)
+
+    source, events = source_of(shots), []
+    with source:
+        for one in answers(source, Alarm(load_set(3))):
+            if one is not None and one.event:
+                events.append(one.event)
+            if len(events) == 2:
+                go_on.set()  # and it is not told again at the end
+    assert events == ["begin", "end"]
 
 
 def test_the_alarm_ignores_what_the_mask_hides():
@@ -336,7 +453,7 @@ def test_statistics():
 # Hooks.
 
 
-def test_a_hook_that_hangs_delays_nothing():
+def test_a_hook_that_hangs_delays_nothing(monkeypatch):
     release, got, told = threading.Event(), [], []
 
     def deliver(one):
@@ -347,9 +464,13 @@ def test_a_hook_that_hangs_delays_nothing():
     begin = time.monotonic()
     for number in range(500):
         hook.put(answer(index=number))
-    hook.close()
-    assert time.monotonic() - begin < 2.0
-    assert told == ["--udp: the receiver is too slow; answers are dropped"]
+    assert time.monotonic() - begin < 1.0
+    monkeypatch.setattr(hooks, "_PATIENCE_S", 0.05)
+    hooks.join([hook])
+    assert told == [
+        "--udp: the receiver is too slow; answers are dropped",
+        "--udp: the receiver did not take everything in time",
+    ]
     release.set()
     hook._thread.join(SOON_S)
     assert got[-1] == 499 and len(got) <= hooks._MAX_WAITING + 1
@@ -479,8 +600,9 @@ def test_mavlink_arrives_at_a_receiver():
 
 
 def test_mavlink_addresses():
-    assert hooks._connection("udpin:0.0.0.0:5") == {"device": "udpin:0.0.0.0:5"}
-    assert hooks._connection("tcp://a:5") == {"device": "tcp:a:5"}
+    assert hooks._connection("udp://a:5") == {"device": "udpout:a:5"}
+    with pytest.raises(ValueError, match="only udp:// and serial://"):
+        hooks._connection("tcp://a:5")
     serial = {"device": "/dev/ttyACM0", "baud": 115200}
     assert hooks._connection("serial:///dev/ttyACM0:115200") == serial
     assert hooks._connection("serial:///dev/ttyS1") == {"device": "/dev/ttyS1", "baud": 57600}
@@ -510,7 +632,8 @@ def watched(frames, folder, told):
         for one in answers(source, alarm):
             if one is not None:
                 recording.put(one)
-                yield recording
+                if one.event != "end":  # of no frame
+                    yield recording
     recording.close()
 
 
