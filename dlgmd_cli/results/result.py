@@ -321,8 +321,13 @@ def read_result(folder: str | Path) -> Result:
             str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
         )
     columns: dict[str, Series] = {}
-    for name in ("mp.csv", "attenuation.csv"):
-        table = csv.read_columns(folder / name, csv.TABLES[name])
+    names = ("mp.csv", "attenuation.csv")
+    tables = [csv.read_columns(folder / name, csv.TABLES[name]) for name in names]
+    if record.get("complete") is False:
+        # 'dlgmd live' may have been killed when a row was in the first file only.
+        n_rows = min(len(table["frame"]) for table in tables)
+        tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
+    for name, table in zip(names, tables, strict=True):
         if columns and not np.array_equal(columns["frame"], table["frame"]):
             raise ResultError(str(folder / name), "its frames are not those of mp.csv")
         columns.update(table)
