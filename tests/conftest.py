@@ -1,6 +1,7 @@
 """Tiny clips that are written once, and a way to call the command."""
 
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -132,6 +133,19 @@ def decoder(request) -> str:
     if request.param == "pyav":
         pytest.importorskip("av", reason="PyAV is not installed")
     return request.param
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, driven by Playwright; skips where one of them is absent."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    program = os.environ.get("DLGMD_BROWSER") or shutil.which("chromium")
+    if program is None:
+        pytest.skip("Chromium is not installed (apt-get install chromium)")
+    with playwright.sync_playwright() as driver:
+        found = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield found
+        found.close()
 
 
 @pytest.fixture

@@ -34,6 +34,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import is_lively
 from dlgmd_cli.errors import ParameterError, SourceError, printable
+from dlgmd_cli.video.base import PIXEL_FORMATS
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.hooks import Hook
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.frames import InputOptions
     from dlgmd_cli.video.live import LiveSource
 
-PIXEL_FORMATS = ("gray", "yuv420p", "nv12", "yuyv422", "bgr24", "rgb24")
 _BAR, _DRAW_S = 12, 0.2
 
 
@@ -67,7 +67,7 @@ def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
 )
 @click.option(
     "--pixel-format",
-    type=click.Choice(PIXEL_FORMATS),
+    type=click.Choice(list(PIXEL_FORMATS)),
     default="gray",
     show_default=True,
     help="Pixel format of the frames of a pipe, as FFmpeg names it.",

@@ -171,7 +171,6 @@ class Statistics:
         self.n_frames = self.n_alarms = 0
         self._latencies_ms: deque[float] = deque(maxlen=_N_LATENCIES)
         self._lately_ms: deque[float] = deque(maxlen=_N_LATELY)
-        self._begin_s = time.monotonic()
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:

@@ -14,6 +14,15 @@ from dlgmd_cli.threads import n_processors, thread_limit
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
 REPEATS = ("skip", "keep")
+# Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
+PIXEL_FORMATS = {
+    "gray": 1.0,
+    "yuv420p": 1.5,
+    "nv12": 1.5,
+    "yuyv422": 2.0,
+    "bgr24": 3.0,
+    "rgb24": 3.0,
+}
 FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.frames import InputOptions, processed_size
 from dlgmd_cli.video.luma import Levels, to_grey
 from dlgmd_cli.video.opencv import guarded
@@ -26,15 +26,6 @@ Image = npt.NDArray[Any]
 Tell = Callable[[str], None]
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
-# Bytes a pixel takes in a pipe, and what turns a frame's bytes into a picture and its levels.
-PIXEL_FORMATS = {
-    "gray": 1.0,
-    "yuv420p": 1.5,
-    "nv12": 1.5,
-    "yuyv422": 2.0,
-    "bgr24": 3.0,
-    "rgb24": 3.0,
-}
 _EVEN = ("yuv420p", "nv12", "yuyv422")
 _LIMITED = 16, 235
 # FFmpeg is to hand on what has arrived, and to decode without frames in flight.

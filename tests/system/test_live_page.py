@@ -1,7 +1,6 @@
 """The page of `dlgmd live --serve` in a real browser: Chromium, driven by Playwright."""
 
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -12,12 +11,8 @@ import pytest
 from conftest import read_video, write_video
 
 pytestmark = pytest.mark.slow
-BROWSER = os.environ.get("DLGMD_BROWSER") or shutil.which("chromium")
-playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
 pytest.importorskip("starlette", reason="the page needs Starlette")
-if BROWSER is None:
-    pytest.skip("Chromium is not installed (apt-get install chromium)", allow_module_level=True)
 
 SAMPLE = os.path.join(os.path.dirname(__file__), "../../sample_videos/group2.mp4")
 WIDE = {"viewport": {"width": 1280, "height": 860}, "color_scheme": "light"}
@@ -56,14 +51,6 @@ PAINTED = """(name, colour) => {
         count += [0, 1, 2].every(c => Math.abs(data[i + c] - wanted[c]) < 20) && data[i + 3] > 200;
     return count;
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield found
-        found.close()
 
 
 @pytest.fixture(scope="module")

@@ -8,22 +8,10 @@ import time
 import pytest
 
 pytestmark = pytest.mark.slow
-BROWSER = os.environ.get("DLGMD_BROWSER") or shutil.which("chromium")
-playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 pytest.importorskip("plotly", reason="pages need Plotly")
 pytest.importorskip("av", reason="films need PyAV")
-if BROWSER is None:
-    pytest.skip("Chromium is not installed (apt-get install chromium)", allow_module_level=True)
 
 SAMPLE = os.path.join(os.path.dirname(__file__), "../../sample_videos/looming-cube.mp4")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield found
-        found.close()
 
 
 @pytest.fixture
