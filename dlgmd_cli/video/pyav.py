@@ -66,10 +66,13 @@ class PyAVDecoder:
     def __init__(self, name: str) -> None:
         av = _import_av()
         self.is_damaged = False
+        # From release 19 on, PyAV always replaces what is not UTF-8.
+        is_strict = int(av.__version__.partition(".")[0]) < 19
+        lenient = {"metadata_errors": "replace"} if is_strict else {}
         try:
             # The prefix "file:" keeps FFmpeg from interpreting the name.
             self._container: InputContainer = av.open(
-                f"file:{name}", metadata_errors="replace", container_options=dict(FFMPEG_OPTIONS)
+                f"file:{name}", container_options=dict(FFMPEG_OPTIONS), **lenient
             )
         except (av.FFmpegError, ValueError):
             raise Unreadable from None
