@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dlgmd_cli.flights.renderer.solids import Capsule, Solid, quad
-from dlgmd_cli.flights.renderer.texture import Texture
+from dlgmd_cli.lab.flights.renderer.solids import Capsule, Solid, quad
+from dlgmd_cli.lab.flights.renderer.texture import Texture
 
 
 def plain(level):

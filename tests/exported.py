@@ -9,6 +9,7 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.folder import files
+from dlgmd_cli.lab.stimuli.looming import ball_approaches
 
 needs_cc = pytest.mark.skipif(
     not (shutil.which("cc") and shutil.which("make")), reason="cc and make are not installed"
@@ -20,7 +21,7 @@ NAMES = ("valid", "spike", "alarm", "mp", "mp_abs", "g_x", "g_y")
 def write(export, folder):
     """Write the files of an export."""
     folder.mkdir(exist_ok=True, parents=True)
-    for name, content in files(export).items():
+    for name, content in files(export, ball_approaches(export.width, export.height)).items():
         (folder / name).write_bytes(content)
     return folder
 

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.flights.path import Path, Stage, Stretch
-from dlgmd_cli.flights.renderer.solids import Solid, World, quad
-from dlgmd_cli.flights.renderer.texture import Texture
-from dlgmd_cli.flights.scene import FlightOptions, FlightScene
-from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.path import Path, Stage, Stretch
+from dlgmd_cli.lab.flights.renderer.solids import Solid, World, quad
+from dlgmd_cli.lab.flights.renderer.texture import Texture
+from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.lab.flights.scenes import SCENES
 
 SMALL = {"--size": (36, 64)}
 SHAPE = (16, 32)

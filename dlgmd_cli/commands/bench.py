@@ -102,9 +102,9 @@ def bench(
     camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
     grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
+    from dlgmd_cli.lab.benchmark import RADII, SCALES, measure
     from dlgmd_cli.parameters import load_set
     from dlgmd_cli.results.store import appearing, refuse_existing
-    from dlgmd_cli.runs.benchmark import RADII, SCALES, measure
     from dlgmd_cli.video.frames import open_video
 
     radii = tuple(dict.fromkeys(radii)) or RADII
@@ -146,7 +146,7 @@ def _clip(given: str | None, n_frames: int) -> Iterator[str]:
     if given is not None:
         yield given
         return
-    from dlgmd_cli.runs.benchmark import PAPER_SIZE_WH, rendered_pan
+    from dlgmd_cli.lab.benchmark import PAPER_SIZE_WH, rendered_pan
 
     width, height = PAPER_SIZE_WH
     say(f"Rendering {n_frames} frames of {width}x{height}.")

@@ -36,12 +36,12 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.evaluation.calibration import Calibration, Experiment
-    from dlgmd_cli.evaluation.cases import Case
-    from dlgmd_cli.evaluation.crossvalidation import Rules
-    from dlgmd_cli.evaluation.measures import Scores
-    from dlgmd_cli.evaluation.scoring import Signal
-    from dlgmd_cli.evaluation.search import Range, Search
+    from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment
+    from dlgmd_cli.lab.evaluation.cases import Case
+    from dlgmd_cli.lab.evaluation.crossvalidation import Rules
+    from dlgmd_cli.lab.evaluation.measures import Scores
+    from dlgmd_cli.lab.evaluation.scoring import Signal
+    from dlgmd_cli.lab.evaluation.search import Range, Search
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import InputOptions
 
@@ -123,10 +123,10 @@ def calibrate(
 
     Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
-    from dlgmd_cli.evaluation.calibration import Experiment, calibrate_thresholds
-    from dlgmd_cli.evaluation.cases import Evaluation, read_cases
-    from dlgmd_cli.evaluation.crossvalidation import Rules
-    from dlgmd_cli.evaluation.search import parse_ranges
+    from dlgmd_cli.lab.evaluation.calibration import Experiment, calibrate_thresholds
+    from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases
+    from dlgmd_cli.lab.evaluation.crossvalidation import Rules
+    from dlgmd_cli.lab.evaluation.search import parse_ranges
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.run import input_options as recorded
     from dlgmd_cli.threads import n_processors
@@ -174,7 +174,7 @@ def _run_search(
     experiment: "Experiment", signals: "list[Signal]", search: "Search", n_trials: int
 ) -> "Calibration":
     """Run the missing trials of a search, and calibrate by the best."""
-    from dlgmd_cli.evaluation.calibration import calibrate_by_search
+    from dlgmd_cli.lab.evaluation.calibration import calibrate_by_search
 
     n_done = len(search)
     if n_done:
@@ -206,7 +206,7 @@ def _open_search(
     """Open the search in a folder, or begin one."""
     from dataclasses import asdict
 
-    from dlgmd_cli.evaluation.search import Search
+    from dlgmd_cli.lab.evaluation.search import Search
 
     asked = {
         "cases": [[case.name, *case.collisions] for case in cases],
@@ -262,7 +262,7 @@ def _preset(
 
 def _sentence(scores: "Scores") -> str:
     """The measures with their 95 % intervals, in words."""
-    from dlgmd_cli.evaluation.report import interval_text
+    from dlgmd_cli.lab.evaluation.report import interval_text
 
     recall, rate, lead, auc = (interval_text(scores.measures[name]) for name in _SHOWN)
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
@@ -270,7 +270,7 @@ def _sentence(scores: "Scores") -> str:
 
 def _facts(found: "Calibration", failed: Mapping[str, str]) -> dict[str, Any]:
     """The facts that --json prints."""
-    from dlgmd_cli.evaluation.report import scores_json
+    from dlgmd_cli.lab.evaluation.report import scores_json
 
     return {
         "parameters": found.setup.settings(),
@@ -282,7 +282,7 @@ def _facts(found: "Calibration", failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _show(found: "Calibration", experiment: "Experiment") -> None:
     """Print the table of measures, and the parameters found."""
-    from dlgmd_cli.evaluation.report import interval_text
+    from dlgmd_cli.lab.evaluation.report import interval_text
 
     names = {
         "held_out": f"held out ({max(experiment.folds) + 1} folds)",

@@ -35,8 +35,8 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError
 
 if TYPE_CHECKING:
-    from dlgmd_cli.evaluation.cases import Case, Evaluation
-    from dlgmd_cli.evaluation.report import Report
+    from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
+    from dlgmd_cli.lab.evaluation.report import Report
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.run import Setup
     from dlgmd_cli.video.frames import InputOptions
@@ -122,8 +122,8 @@ def evaluate(
     false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
     of the trade-off and of the leads, and evaluate.yaml.
     """
-    from dlgmd_cli.evaluation.cases import Evaluation, read_cases
-    from dlgmd_cli.evaluation.report import make_report
+    from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases
+    from dlgmd_cli.lab.evaluation.report import make_report
     from dlgmd_cli.results import store
     from dlgmd_cli.video.frames import InputOptions
 
@@ -136,7 +136,7 @@ def evaluate(
     if results is None:
         failed = run_over(evaluation, cases, *_asked(setups, given, baselines), jobs)
     else:
-        from dlgmd_cli.evaluation.cases import stored_results
+        from dlgmd_cli.lab.evaluation.cases import stored_results
 
         failed = _add_all(evaluation, cases, stored_results(results, cases))
     require_some(evaluation, labels_path)
@@ -153,7 +153,7 @@ def evaluate(
         for path, write in zip(temporary, files.values(), strict=True):
             write(path)
     if as_json:
-        from dlgmd_cli.evaluation.report import report_json
+        from dlgmd_cli.lab.evaluation.report import report_json
 
         models = report_json(report, evaluation.candidates)
         print_json({"result": str(output.out), **_counts(evaluation, failed), "models": models})
@@ -174,7 +174,7 @@ def _asked(
     setups: "list[Setup]", given: dict[str, Any], baselines: bool
 ) -> "tuple[list[Setup], InputOptions]":
     """The models to run, and how videos are read; each model at the size that its file records."""
-    from dlgmd_cli.evaluation.cases import with_flow
+    from dlgmd_cli.lab.evaluation.cases import with_flow
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.runs.run import input_options as recorded
     from dlgmd_cli.video.frames import InputOptions
@@ -207,7 +207,7 @@ def run_over(
     jobs: int | None,
 ) -> dict[str, str]:
     """Run the models over the videos; returns why videos could not be scored, by name."""
-    from dlgmd_cli.evaluation.cases import run_cases
+    from dlgmd_cli.lab.evaluation.cases import run_cases
     from dlgmd_cli.threads import n_processors
 
     labels = [one.label for one in setups]
@@ -285,7 +285,7 @@ def _files(
     width: Any,
 ) -> "dict[str, Write]":
     """The function that writes each file, by name."""
-    from dlgmd_cli.evaluation import report as tables
+    from dlgmd_cli.lab.evaluation import report as tables
     from dlgmd_cli.results.record import record_text
 
     text = record_text(record, [])
@@ -309,8 +309,8 @@ def _figures(
     report: "Report", rules: Mapping[str, float], width: Any
 ) -> dict[str, Callable[[], Any]]:
     """The function that draws each figure, by name."""
-    from dlgmd_cli.evaluation.report import DEFAULT
-    from dlgmd_cli.plots import evaluation as plots
+    from dlgmd_cli.lab.evaluation.report import DEFAULT
+    from dlgmd_cli.lab.plots import evaluation as plots
 
     curves = {label: (one.false_alarms_per_min, one.recall) for label, one in report.curves.items()}
     points = {}
@@ -328,7 +328,7 @@ def _figures(
 
 def _show(report: "Report", evaluation: "Evaluation") -> None:
     """Print the tables: all videos, then hits and false alarms by target."""
-    from dlgmd_cli.evaluation.report import ALL, interval_text
+    from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
     header = ("model", "threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
     rows = []

@@ -67,10 +67,11 @@ def c(
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
+    from dlgmd_cli.lab.stimuli.looming import ball_approaches
     from dlgmd_cli.results.store import appearing, refuse_existing
 
     made = Export(setup.params, *size, is_fixed, setup.label)
-    contents = files(made)
+    contents = files(made, ball_approaches(*size))
     for name in contents:
         refuse_existing(out / name, overwrite=overwrite)
     with appearing(*(out / name for name in contents)) as temporary:

@@ -56,7 +56,7 @@ def reproduce(
 
     The exit code is 0 whether claims hold or not.
     """
-    from dlgmd_cli.reproduce.claims import (
+    from dlgmd_cli.lab.reproduce.claims import (
         NO,
         UNDECIDED,
         YES,
@@ -65,10 +65,10 @@ def reproduce(
         load_claims,
         select,
     )
-    from dlgmd_cli.reproduce.clips import check_reference
-    from dlgmd_cli.reproduce.compute import EXHIBITS, compute, jobs_for
-    from dlgmd_cli.reproduce.plan import ANY, Plan
-    from dlgmd_cli.reproduce.report import REPORT, TABLE, require_jinja, write_report
+    from dlgmd_cli.lab.reproduce.clips import check_reference
+    from dlgmd_cli.lab.reproduce.compute import EXHIBITS, compute, jobs_for
+    from dlgmd_cli.lab.reproduce.plan import ANY, Plan
+    from dlgmd_cli.lab.reproduce.report import REPORT, TABLE, require_jinja, write_report
     from dlgmd_cli.results.store import locked, refuse_existing
     from dlgmd_cli.threads import n_processors
 

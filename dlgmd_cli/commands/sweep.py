@@ -234,7 +234,7 @@ def _cubes(
     shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
 ) -> "SweepInput":
     """The cubes that the options ask for; clips are as high as the largest kernel needs."""
-    from dlgmd_cli.runs.sweep import cube_input
+    from dlgmd_cli.lab.stimuli.cubes import cube_input
 
     speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
     side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]

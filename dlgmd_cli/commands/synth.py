@@ -22,9 +22,9 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
-    from dlgmd_cli.flights.dataset import FlightSet
-    from dlgmd_cli.stimuli.base import Scene
-    from dlgmd_cli.stimuli.clip import DrawSheet, Form
+    from dlgmd_cli.lab.flights.dataset import FlightSet
+    from dlgmd_cli.lab.stimuli.base import Scene
+    from dlgmd_cli.lab.stimuli.clip import DrawSheet, Form
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
@@ -83,7 +83,7 @@ def _complete_scene(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """The names of the scenes."""
-    from dlgmd_cli.flights.scenes import SCENES
+    from dlgmd_cli.lab.flights.scenes import SCENES
 
     scenes = [scene for name, scene in SCENES.items() if name.startswith(incomplete)]
     return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
@@ -172,15 +172,15 @@ def synth(
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
-    from dlgmd_cli.flights.scenes import find_scene
-    from dlgmd_cli.stimuli.clip import Form
+    from dlgmd_cli.lab.flights.scenes import find_scene
+    from dlgmd_cli.lab.stimuli.clip import Form
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
     form = Form.choose(lossless=lossless, png=png, playable=scene.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
-        from dlgmd_cli.plots.contact_sheet import save_contact_sheet
+        from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
     if count is None:
@@ -188,7 +188,7 @@ def synth(
         return
     if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
-    from dlgmd_cli.flights.dataset import FlightSet
+    from dlgmd_cli.lab.flights.dataset import FlightSet
 
     _render_fleet(FlightSet(scene, options, count, out, form, draw), jobs, overwrite)
 
@@ -206,7 +206,7 @@ def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
 
 def _list() -> None:
     """Print the scenes by kind."""
-    from dlgmd_cli.flights.scenes import SCENES
+    from dlgmd_cli.lab.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
     for kind, is_flight in (("flight", True), ("flat scene", False)):
@@ -223,7 +223,7 @@ def _render_one(
     draw: "DrawSheet | None",
 ) -> None:
     """Render a clip and print the paths of its files."""
-    from dlgmd_cli.stimuli.clip import write_clip
+    from dlgmd_cli.lab.stimuli.clip import write_clip
 
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
@@ -270,7 +270,7 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
 
 def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwrite: bool) -> None:
     """Render flights, and report those that fail."""
-    from dlgmd_cli.flights.dataset import render_flights
+    from dlgmd_cli.lab.flights.dataset import render_flights
 
     n_present = flights.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))

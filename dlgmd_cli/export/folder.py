@@ -1,5 +1,7 @@
 """The folder of an export: the sources, and a test of frames with Python's answers."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -7,12 +9,6 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import printable
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.models.detection import Alarm, Detection
-from dlgmd_cli.stimuli.looming import Approach, ApproachOptions
-
-N_FRAMES = 20
-# In small frames, or with narrow kernels, not every approach raises an alarm.
-SPEEDS_M_S = (3.0, 2.0, 4.0, 6.0)
-NOISE = 0.004
 
 STATIC = (
     "README.md",
@@ -34,38 +30,28 @@ ACCURACY = {
 Frames = list[npt.NDArray[np.uint8]]
 
 
-def looming(export: Export) -> tuple[Frames, list[Detection]]:
+def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[Detection]]:
     """Frames up to contact, and the answers to them.
 
-    They are of the first speed that raises an alarm; if none does, of that with the highest MP.
+    They are of the first approach that raises an alarm; if none does, of that with the highest MP.
     """
-    tried = [_approach(export, speed) for speed in SPEEDS_M_S]
+    tried = [(frames, _answers(export, frames)) for frames in approaches]
     with_alarm = [one for one in tried if any(answer.alarm for answer in one[1])]
     return with_alarm[0] if with_alarm else max(tried, key=lambda one: _peak(one[1]))
 
 
-def _approach(export: Export, speed_m_s: float) -> tuple[Frames, list[Detection]]:
-    """A ball that gets to the camera a frame after the last, and the answers."""
-    options = ApproachOptions(
-        shape=(export.height, export.width),
-        n_frames=N_FRAMES,
-        noise=NOISE,
-        speed_m_s=speed_m_s,
-        distance_m=speed_m_s * (N_FRAMES + 1) / ApproachOptions.fps,
-    )
-    scene = Approach("looming-ball", "", "ball", options)
-    frames = list(scene.frames(options))
+def _answers(export: Export, frames: Frames) -> list[Detection]:
     alarm = Alarm(export.params, repeats="keep", engine="opencv")
-    return frames, [alarm.step(frame) for frame in frames]
+    return [alarm.step(frame) for frame in frames]
 
 
 def _peak(answers: list[Detection]) -> float:
     return max(answer.mp_abs for answer in answers if answer.is_valid)
 
 
-def files(export: Export) -> dict[str, bytes]:
-    """The contents of all files, by name."""
-    frames, answers = looming(export)
+def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
+    """The contents of all files, by name; test vectors are of one of the `approaches`."""
+    frames, answers = looming(export, approaches)
     texts = {name: _filled(export, name) for name in STATIC}
     texts |= {"dlgmd_model.h": export.model_header(), "vectors.h": vectors(export, answers)}
     contents = {name: text.encode() for name, text in texts.items()}

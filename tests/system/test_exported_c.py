@@ -27,7 +27,7 @@ from exported import (
 from dlgmd_cli import load_set, open_video
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
-from dlgmd_cli.flights.scenes import find_scene
+from dlgmd_cli.lab.flights.scenes import find_scene
 from dlgmd_cli.parameters import FORMULATIONS, ContrastParameters
 
 pytestmark = [pytest.mark.slow, needs_cc]

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from conftest import read_video
 
-from dlgmd_cli.flights.scene import FlightScene
-from dlgmd_cli.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.scene import FlightScene
+from dlgmd_cli.lab.flights.scenes import SCENES
 
 pytestmark = pytest.mark.slow
 

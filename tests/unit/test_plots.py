@@ -10,9 +10,9 @@ from conftest import result_of_level
 from figures import NAN, curve, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
 
+from dlgmd_cli.lab.plots.evaluation import trade_off
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import load_set
-from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline

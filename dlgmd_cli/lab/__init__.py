@@ -1,0 +1,1 @@
+"""The laboratory: what makes truth (stimuli, rendered flights) and measures against it."""

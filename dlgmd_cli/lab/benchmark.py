@@ -1,0 +1,185 @@
+"""Speed of the model on this machine, in the form of the paper's Table IV."""
+
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import islice, product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.lab.stimuli.pan import pan_frames
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.runs.run import Setup, Tell, run_models
+from dlgmd_cli.video.frames import InputOptions, Video
+from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.writer import write_video
+
+RADII = (6, 4, 3, 2)
+SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)
+N_FRAMES = 120
+PAPER_SIZE_WH = (1920, 1080)
+# Table IV of [Zhao2023]: seconds for 120 frames, and distinguishability, by radius and scale;
+# 10000 stands for "more than 10000".
+_PAPER_S = {
+    6: (9.18, 2.75, 1.06, 0.75, 0.6),
+    4: (8.71, 2.54, 0.98, 0.7, 0.59),
+    3: (8.7, 2.53, 0.97, 0.67, 0.57),
+    2: (8.67, 2.49, 0.95, 0.66, 0.57),
+}
+_PAPER_DA = {
+    6: (249.33, 9789.28, 10_000.0, 10_000.0, 1354.1),
+    4: (33.44, 691.2, 4579.4, 105.33, 184.54),
+    3: (9.1, 96.75, 1227.6, 36.13, 76.06),
+    2: (3.87, 11.09, 32.29, 11.76, 18.47),
+}
+PAPER_S, PAPER_DA = (
+    {(r, x): value for r, values in table.items() for x, value in zip(SCALES, values, strict=True)}
+    for table in (_PAPER_S, _PAPER_DA)
+)
+# The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
+MAX_KEPT, N_WARM = 24, 4
+
+
+@contextmanager
+def rendered_pan(n_frames: int) -> Iterator[str]:
+    """A temporary video of a panning camera, in the paper's frame size; raises OutputError."""
+    height, width = PAPER_SIZE_WH[::-1]
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        path = Path(folder) / "pan.mp4"
+        write_video(path, pan_frames((height, width), n_frames), (height, width), 30.0)
+        yield str(path)
+
+
+def measure(
+    open_at: Callable[[float], Video],
+    params: DlgmdParameters,
+    *,
+    radii: Sequence[int],
+    scales: Sequence[float],
+    repeats: int,
+    engine: str,
+    on_step: Callable[[int], None],
+    tell: Tell,
+) -> dict[str, Any]:
+    """Time the model for every radius and scale, in turn so that slow moments affect all alike.
+
+    `open_at` opens the input at a linear scale; the radius of `params` is replaced. All times are
+    medians of `repeats` measurements. `on_step` is called with the number of measurements done.
+    Raises SourceError if the input has too few frames.
+
+    Returns
+    -------
+    dict
+        `frames`, `decoder`, `decoding_alone_ms` (per frame, without conversion and resizing),
+        `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `_row`.
+    """
+    with ExitStack() as opened, opencv_threads(1):
+        videos = {scale: opened.enter_context(open_at(scale)) for scale in scales}
+        first, combinations = videos[scales[0]], list(product(radii, scales))
+        alone_ms: list[float] = []
+        times_ms = defaultdict(list)
+        engines = {}
+        for repeat in range(repeats):
+            alone_ms.append(_ms_per_frame(first, partial(_exhaust, first.pictures())))
+            decode_ms = {
+                scale: _ms_per_frame(video, partial(_exhaust, video))
+                for scale, video in videos.items()
+            }
+            n_before = repeat * len(combinations)
+            for n_done, (radius, scale) in enumerate(combinations, start=n_before + 1):
+                changed, video = replace(params, r=radius), videos[scale]
+                core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine, tell)
+                times_ms[radius, scale].append((core_ms, decode_ms[scale], whole_ms))
+                cancel.check()
+                on_step(n_done)
+        rows = []
+        for radius, scale in combinations:
+            ms = map(median, zip(*times_ms[radius, scale], strict=True))
+            rows.append(_row(radius, scale, videos[scale], engines[radius, scale], *ms))
+        return {
+            "frames": first.progress.n_decoded,
+            "decoder": first.info.decoder,
+            "decoding_alone_ms": median(alone_ms),
+            "input_wh": (first.info.width, first.info.height),
+            "warnings": list(dict.fromkeys(first.progress.warnings)),
+            "rows": rows,
+        }
+
+
+def _row(
+    radius: int,
+    scale: float,
+    video: Video,
+    engine: str,
+    core_ms: float,
+    decode_ms: float,
+    whole_ms: float,
+) -> dict[str, Any]:
+    """A row of the table: median times per frame, and the paper's values, None where not given.
+
+    `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion and
+    resizing, and `whole_ms` a complete run as by `dlgmd run`. `whole_s` is a complete run of 120
+    frames, and `ratio` the speed relative to the paper. `paper_da` is the paper's
+    distinguishability, 10000 for "more than 10000".
+    """
+    whole_s = whole_ms * N_FRAMES / 1000.0
+    is_paper_s = (video.info.width, video.info.height) == PAPER_SIZE_WH
+    paper_s = PAPER_S.get((radius, scale)) if is_paper_s else None
+    paper_da = PAPER_DA.get((radius, scale)) if is_paper_s else None
+    return {
+        "radius": radius,
+        "scale": scale,
+        "width": video.size_wh[0],
+        "height": video.size_wh[1],
+        "engine": engine,
+        "frames_per_s": 1000.0 / whole_ms,
+        "core_ms": core_ms,
+        "decode_ms": decode_ms,
+        "whole_ms": whole_ms,
+        "whole_s": whole_s,
+        "paper_s": paper_s,
+        "ratio": None if paper_s is None else paper_s / whole_s,
+        "paper_da": paper_da,
+    }
+
+
+def _model_ms(
+    video: Video, params: DlgmdParameters, engine: str, tell: Tell
+) -> tuple[float, float, str]:
+    """Time per frame of the model alone and of a complete run, in ms, and the engine's name."""
+    model = create_model(params, engine=engine, tell=tell)
+    kept = [frame.grey for frame in islice(video, MAX_KEPT)]
+    n_cold = model.first_valid_frame + N_WARM
+    if len(kept) <= n_cold:
+        why = f"{len(kept)} frames are too few to time, at least {n_cold + 1} are needed"
+        raise SourceError(video.info.path, why, "Use a longer clip.")
+    times_s = []
+    for frame in kept:
+        start = time.perf_counter()
+        model.step(frame)
+        times_s.append(time.perf_counter() - start)
+    setup = Setup(params, "bench", model.engine_name)
+    whole = partial(run_models, video, [setup], InputOptions(size=video.size_wh), identity={})
+    return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
+
+
+def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
+    """Time per frame, in ms, of `act`, which reads all of `video`."""
+    start = time.perf_counter()
+    act()
+    elapsed = time.perf_counter() - start
+    return 1000.0 * elapsed / video.progress.n_decoded
+
+
+def _exhaust(items: Iterable[object]) -> None:
+    """Iterate to the end."""
+    for _ in items:
+        cancel.check()

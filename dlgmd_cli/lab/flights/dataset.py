@@ -1,0 +1,169 @@
+"""Many flights of one scene, each with its own seed, and their labels."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
+from dlgmd_cli.lab.flights.scene import FlightOptions
+from dlgmd_cli.lab.stimuli.base import Scene
+from dlgmd_cli.lab.stimuli.clip import (
+    DrawSheet,
+    Form,
+    clip_paths,
+    identity,
+    n_digits,
+    refuse_existing_clip,
+    remove_leftovers,
+    write_clip,
+)
+from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.store import appearing, refuse_existing
+
+
+@dataclass(frozen=True)
+class FlightSet:
+    """Flights of one scene in one folder; flight i has the seed `options.seed` + i."""
+
+    scene: Scene[Any]
+    options: FlightOptions
+    count: int
+    folder: Path
+    form: Form
+    draw_sheet: DrawSheet | None = None
+
+    def __post_init__(self) -> None:
+        self.form.check(self.options)
+        self.options_of(self.count - 1)
+
+    @property
+    def labels_path(self) -> Path:
+        """The file of labels."""
+        return self.folder / LABELS
+
+    def options_of(self, number: int) -> FlightOptions:
+        """The options of a flight."""
+        return replace(self.options, seed=self.options.seed + number)
+
+    def name_of(self, number: int) -> str:
+        """Stem of a flight's files."""
+        return f"{self.scene.name}-{number:0{n_digits(self.count)}d}"
+
+    def paths_of(self, number: int) -> tuple[Path, ...]:
+        """A flight's files: frames, truth, record, and the contact sheet if wanted."""
+        has_sheet = self.draw_sheet is not None
+        return clip_paths(self.scene, self.form, self.folder, self.name_of(number), sheet=has_sheet)
+
+    def present(self) -> dict[int, Label]:
+        """Labels, by number, of the flights that exist, are complete and match the options."""
+        labels = {}
+        for number in range(self.count):
+            facts = read_record(self.paths_of(number)[2])
+            if facts and not self._differing(number, facts):
+                video = self.paths_of(number)[0].name
+                labels[number] = Label(video, facts["collision_frame"], facts.get("target", ""))
+        return labels
+
+    def check(self, missing: Iterable[int], *, overwrite: bool) -> None:
+        """Raise OutputExistsError if files in the way of the flights may not be replaced."""
+        for number in missing:
+            paths = self.paths_of(number)
+            facts = {} if overwrite else read_record(paths[2])
+            if facts.keys() & {"scene", "seed"}:
+                differing = ", ".join(self._differing(number, facts)[:5])
+                raise OutputExistsError(
+                    str(paths[2]),
+                    f"another flight already exists here ({differing})",
+                    "Add --overwrite to replace such flights, or choose another --out.",
+                )
+            refuse_existing_clip(paths, self.form, overwrite=overwrite)
+        self._check_labels(overwrite=overwrite)
+
+    def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
+        """Write the labels; raises OutputExistsError if the file lists other videos."""
+        self._check_labels(overwrite=overwrite)
+        with appearing(self.labels_path) as (path,):
+            write_labels(path, [labels[number] for number in sorted(labels)])
+
+    def _differing(self, number: int, facts: dict[str, Any]) -> list[str]:
+        """Differences between a record and the requested flight; empty if it is complete."""
+        wanted = identity(self.scene, self.options_of(number), self.form)
+        options, found = wanted.pop("options"), facts.get("options")
+        differing = [key for key, value in wanted.items() if facts.get(key) != value]
+        if not isinstance(found, dict):
+            found = {}
+        differing += [
+            f"--{key}"
+            for key in {**options, **found}
+            if key != "seed" and options.get(key, ...) != found.get(key, ...)
+        ]
+        if differing:
+            return differing
+        paths, frame = self.paths_of(number), facts.get("collision_frame", "unsaid")
+        if self.draw_sheet is not None and not (
+            facts.get("sheet") == paths[3].name and paths[3].is_file()
+        ):
+            return ["without a sheet"]
+        is_said = frame is None or (type(frame) is int and frame >= 0)
+        is_whole = is_said and paths[0].exists() and paths[1].exists()
+        return [] if is_whole else ["damaged"]
+
+    def _check_labels(self, *, overwrite: bool) -> None:
+        """Raise OutputExistsError if there is a file of labels that lists other videos."""
+        path = self.labels_path
+        refuse_existing(path, overwrite=True)
+        if overwrite or not path.exists():
+            return
+        mend = "Add --overwrite to replace it, or choose another --out."
+        try:
+            listed = read_labels(path)
+        except ResultError as error:
+            raise OutputExistsError(str(path), error.why, mend) from None
+        ours = {self.paths_of(number)[0].name for number in range(self.count)}
+        strays = [label.video for label in listed if label.video not in ours]
+        if strays:
+            raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
+
+
+def render_flights(
+    flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
+) -> Iterator[tuple[int, DlgmdError | None]]:
+    """Render flights by number; the files do not depend on the number of processes.
+
+    Yields the number of each flight when it is done, with the error if it failed. The folder must
+    be locked: temporary files of killed processes are removed from it.
+    """
+    remove_leftovers(flights.folder)
+    if jobs == 1:
+        for number in numbers:
+            error: DlgmdError | None = None
+            try:
+                _render(flights, overwrite, number)
+            except DlgmdError as caught:
+                error = caught
+            yield number, error
+        return
+    try:
+        for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):
+            if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
+                raise outcome.error
+            yield number, outcome.error
+    finally:
+        remove_leftovers(flights.folder)
+
+
+def _render(flights: FlightSet, overwrite: bool, number: int) -> None:
+    """Render one flight."""
+    write_clip(
+        flights.scene,
+        flights.options_of(number),
+        flights.folder,
+        flights.form,
+        name=flights.name_of(number),
+        overwrite=overwrite,
+        draw_sheet=flights.draw_sheet,
+    )

@@ -1,0 +1,382 @@
+"""A quadrotor that flies a script: a point mass with an attitude and thrust along its body z-axis.
+
+An autopilot converts each phase of the script into commands (attitude, yaw rate, climb). The drone
+follows them with the lags of its motors and attitude, drag, and gusts of wind. Unless it is agile,
+commands are smoothed first, as on a stabilised camera drone.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.lab.flights.path import Path, Stretch
+from dlgmd_cli.lab.flights.renderer.camera import FloatArray
+from dlgmd_cli.lab.flights.script import SPIN_UP_S, Phase, hover
+
+STEP_S = 0.001
+GRAVITY_M_S2 = 9.81
+# Drag coefficient in 1/s: 12 degrees of pitch lead to about 6 m/s.
+DRAG_1_S = 0.35
+# For a drone of 0.3 to 0.5 m: natural frequency of its attitude (critically damped), and lags.
+_ATTITUDE_RAD_S = 10.0
+_YAW_LAG_S = 0.15
+_MOTOR_LAG_S = 0.04
+_MAX_THRUST_M_S2 = 2.5 * GRAVITY_M_S2
+
+# Smoothing of commands. PX4 limits jerk, to 8 m/s³ under manual control (MPC_JERK_MAX; 4 in
+# missions). Since the acceleration is g times the lean angle, the lean rate is at most jerk / g.
+# PX4 also limits the yaw acceleration (MPC_YAWRAUTO_ACC). ArduPilot lets an angle approach its
+# setpoint with a time constant (ATC_INPUT_TC: 0.15 s, or 0.1 s for a crisp response) and limits the
+# angular acceleration: with 250 degrees/s², 10 degrees take about 0.4 s.
+_LEAN_RAD_S = 8.0 / GRAVITY_M_S2
+_LEAN_RAD_S2 = math.radians(250.0)
+_EASE_S = 0.1
+_YAW_RAD_S2 = math.radians(60.0)
+
+# Gains of the autopilot for speed and position, in 1/s.
+_SPEED_GAIN, _PLACE_GAIN = 1.6, 0.7
+_CLIMB_GAIN, _HEIGHT_GAIN = 6.0, 2.0
+_HEADING_GAIN = 1.5
+_MAX_LEAN = math.radians(25.0)
+# Below this speed the drone counts as stopped.
+_SLOW_M_S = 0.1
+
+# At contact, the drone rebounds with this share of its speed. The nose is thrown up in proportion
+# to the speed, up to a maximum, and the drone backs off.
+RESTITUTION = 0.25
+_MAX_KICK_DEG, _KICK_DEG_PER_M_S = 12.0, 4.0
+_BACK_OFF_M = 0.25
+
+# Standard deviation and time constant, in s, of each disturbance in the order of a gust: wind
+# along x, y and z in m/s²; roll and pitch in rad; yaw rate in rad/s. Together they shift a
+# hovering drone by about a centimetre.
+_DISTURBANCES = (
+    *((0.02, 0.8), (0.02, 0.8), (0.1, 0.8)),
+    *((math.radians(0.25), 0.2), (math.radians(0.25), 0.2), (math.radians(1.0), 0.4)),
+)
+_Gust = tuple[float, ...]
+
+
+def fly(
+    script: Sequence[Phase],
+    *,
+    position_m: npt.ArrayLike,
+    yaw_deg: float = 0.0,
+    speed_m_s: float = 0.0,
+    seed: int = 0,
+    jitter: float = 1.0,
+    contact_s: float | None = None,
+    agile: bool = False,
+) -> Path:
+    """Simulate a flight; it begins on the floor if the first phase of the script does.
+
+    Parameters
+    ----------
+    script : sequence of Phase
+    position_m : array_like, shape (3,)
+        Start position.
+    yaw_deg, speed_m_s : float
+        Initial heading and, if it starts in the air, forward speed.
+    seed : int
+        Seed of the disturbances. The same script and seed give the same flight to the last bit.
+    jitter : float
+        Factor on the disturbances; 0 is still air.
+    contact_s : float, optional
+        Time above 0 at which the drone hits something. It rebounds, and then hovers near by in a
+        phase called "collision" instead of following the script. Up to and including that time, the
+        flight is the same as without contact. A time at or after the end changes nothing.
+    agile : bool
+        Whether commands are followed at once, as by a racing drone, instead of smoothed.
+    """
+    starts = [0.0]
+    for each in script:
+        starts.append(starts[-1] + each.seconds)
+    duration = starts[-1]
+    phases = tuple(
+        (phase.name, start, end)
+        for phase, start, end in zip(script, starts[:-1], starts[1:], strict=True)
+    )
+    n_steps = math.ceil(duration / STEP_S) + 2
+    gusts = _gusts(n_steps, seed, jitter)
+    drone = _start(script[0], position_m, yaw_deg, speed_m_s)
+    begins = {round(start / STEP_S): phase for start, phase in zip(starts, script, strict=False)}
+    if contact_s is not None and contact_s >= duration:
+        contact_s = None
+    n_before = n_steps if contact_s is None else math.floor(contact_s / STEP_S) + 1
+    pilot = _Pilot(drone, agile=agile)
+    first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
+    if contact_s is None:
+        return Path((first,), phases)
+    after = _after_contact(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
+    kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
+    return Path((first, after), (*kept, ("collision", contact_s, duration)))
+
+
+def _simulated(
+    drone: "_Drone", pilot: "_Pilot", begins: Mapping[int, Phase], gusts: Sequence[_Gust]
+) -> FloatArray:
+    """Simulated samples, see `Stretch`; `begins` holds the phases by their first step."""
+    samples = [drone.sample()]
+    for step, gust in enumerate(gusts):
+        if step in begins:
+            pilot.begin(begins[step], drone, step * STEP_S)
+        drone.advance(pilot.steer(drone, step * STEP_S), gust)
+        samples.append(drone.sample())
+    return np.array(samples)
+
+
+def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
+    """Disturbances at each step: Ornstein-Uhlenbeck processes, stationary from the start.
+
+    A longer flight begins with the same disturbances as a shorter one.
+    """
+    if strength == 0.0:
+        return [(0.0,) * len(_DISTURBANCES)] * n_steps
+    normal = np.random.default_rng(seed).standard_normal((n_steps, len(_DISTURBANCES)))
+    channels = []
+    for (deviation, memory_s), column in zip(_DISTURBANCES, normal.T.tolist(), strict=True):
+        kept = math.exp(-STEP_S / memory_s)
+        fresh = math.sqrt(1.0 - kept * kept)
+        level, levels = column[0], []
+        for number in column:
+            levels.append(strength * deviation * level)
+            level = kept * level + fresh * number
+        channels.append(levels)
+    return list(zip(*channels, strict=True))
+
+
+class _Commands(NamedTuple):
+    """Roll and pitch in rad, yaw rate in rad/s, and acceleration upwards in m/s²."""
+
+    roll: float
+    pitch: float
+    yaw_rate: float
+    lift: float
+
+
+@dataclass(slots=True)
+class _Drone:
+    """Position and velocity in the world, attitude, and thrust per mass; m, rad and s.
+
+    Plain floats are fastest, since the simulation takes thousands of small steps.
+    """
+
+    x: float
+    y: float
+    z: float
+    vx: float = 0.0
+    vy: float = 0.0
+    vz: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    roll_rate: float = 0.0
+    pitch_rate: float = 0.0
+    yaw_rate: float = 0.0
+    thrust: float = 0.0
+    stands: bool = False
+
+    def sample(self) -> tuple[float, ...]:
+        """Position, velocity, attitude and attitude rates, see `Stretch`."""
+        return (
+            *(self.x, self.y, self.z),
+            *(self.vx, self.vy, self.vz),
+            *(self.roll, self.pitch, self.yaw),
+            *(self.roll_rate, self.pitch_rate, self.yaw_rate),
+        )
+
+    def advance(self, orders: _Commands, gust: _Gust) -> None:
+        """Advance by one time step."""
+        wind_x, wind_y, wind_z, sway, nod, swing = gust
+        cr, sr = math.cos(self.roll), math.sin(self.roll)
+        cp, sp = math.cos(self.pitch), math.sin(self.pitch)
+        cy, sy = math.cos(self.yaw), math.sin(self.yaw)
+        thrust = self.thrust
+        asked = min(max((GRAVITY_M_S2 + orders.lift) / (cp * cr), 0.0), _MAX_THRUST_M_S2)
+        self.thrust += (asked - thrust) / _MOTOR_LAG_S * STEP_S
+        ahead, left = -thrust * sp * cr, -thrust * sr
+        lift = thrust * cp * cr - GRAVITY_M_S2
+        if self.stands:
+            if lift <= 0.0:
+                return
+            self.stands = False
+        ax = cy * ahead - sy * left - DRAG_1_S * self.vx + wind_x
+        ay = sy * ahead + cy * left - DRAG_1_S * self.vy + wind_y
+        az = lift - DRAG_1_S * self.vz + wind_z
+        self.x, self.vx = _integrated(self.x, self.vx, ax)
+        self.y, self.vy = _integrated(self.y, self.vy, ay)
+        self.z, self.vz = _integrated(self.z, self.vz, az)
+        w = _ATTITUDE_RAD_S
+        roll_pull = w * (w * (orders.roll + sway - self.roll) - 2.0 * self.roll_rate)
+        pitch_pull = w * (w * (orders.pitch + nod - self.pitch) - 2.0 * self.pitch_rate)
+        yaw_pull = (orders.yaw_rate + swing - self.yaw_rate) / _YAW_LAG_S
+        self.roll, self.roll_rate = _integrated(self.roll, self.roll_rate, roll_pull)
+        self.pitch, self.pitch_rate = _integrated(self.pitch, self.pitch_rate, pitch_pull)
+        self.yaw, self.yaw_rate = _integrated(self.yaw, self.yaw_rate, yaw_pull)
+
+
+def _integrated(value: float, rate: float, pull: float) -> tuple[float, float]:
+    """A value and its rate one step later, by the trapezoidal rule."""
+    later = rate + pull * STEP_S
+    return value + 0.5 * (rate + later) * STEP_S, later
+
+
+def _start(first: Phase, position_m: npt.ArrayLike, yaw_deg: float, speed_m_s: float) -> _Drone:
+    """The drone at time 0: on the floor, or in the air and trimmed for its speed."""
+    x, y, z = (float(each) for each in np.asarray(position_m, float))
+    yaw = math.radians(yaw_deg)
+    if first.forward == "stand" or first.climb_m:
+        return _Drone(x, y, z, yaw=yaw, stands=True)
+    vx, vy = speed_m_s * math.cos(yaw), speed_m_s * math.sin(yaw)
+    pitch = -math.atan2(DRAG_1_S * speed_m_s, GRAVITY_M_S2)
+    thrust = GRAVITY_M_S2 / math.cos(pitch)
+    return _Drone(x, y, z, vx, vy, pitch=pitch, yaw=yaw, thrust=thrust)
+
+
+def _after_contact(
+    before: Stretch,
+    drone: _Drone,
+    contact_s: float,
+    gusts: Sequence[_Gust],
+    seed: int,
+    *,
+    agile: bool,
+) -> Stretch:
+    """The flight after contact at `contact_s`, with the gusts from then on."""
+    position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
+    drone.x, drone.y, drone.z = position
+    drone.roll, drone.pitch, drone.yaw = angles
+    speed = math.sqrt(sum(each * each for each in velocity))
+    back = [-each / speed if speed else 0.0 for each in velocity]
+    drone.vx, drone.vy, drone.vz = (RESTITUTION * speed * each for each in back)
+    # A rate impulse w turns a critically damped attitude of frequency W by w / (e W) at most.
+    kick = min(_MAX_KICK_DEG, _KICK_DEG_PER_M_S * speed) * _ATTITUDE_RAD_S * math.e
+    aside, swing = np.random.default_rng([seed, 1]).uniform(-0.5, 0.5, 2).tolist()
+    drone.roll_rate = rates[0] + math.radians(kick * aside)
+    drone.pitch_rate = rates[1] + math.radians(kick)
+    drone.yaw_rate = rates[2] + math.radians(kick * swing)
+    hold = drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
+    samples = _simulated(drone, _Pilot(drone, hold, agile=agile), {0: hover(1.0)}, gusts)
+    return Stretch(contact_s, STEP_S, samples)
+
+
+class _EasedAngle:
+    """An angle that follows its setpoint with limited rate and acceleration.
+
+    Near the setpoint the approach is exponential. Farther away, it is as fast as braking allows.
+    """
+
+    def __init__(self, angle: float) -> None:
+        self._angle, self._rate = angle, 0.0
+
+    def follow(self, goal: float) -> float:
+        """The angle after one time step, in rad."""
+        to_go = goal - self._angle
+        gap, near = abs(to_go), _LEAN_RAD_S2 * _EASE_S**2
+        fast = gap / _EASE_S if gap < near else math.sqrt(2.0 * _LEAN_RAD_S2 * (gap - near / 2.0))
+        rate = math.copysign(min(fast, _LEAN_RAD_S), to_go)
+        self._rate = _rate_limited(self._rate, rate, _LEAN_RAD_S2)
+        self._angle += self._rate * STEP_S
+        return self._angle
+
+
+def _rate_limited(value: float, goal: float, rate: float) -> float:
+    """`value` moved towards `goal` for one time step, at most at `rate`."""
+    return value + min(max(goal - value, -rate * STEP_S), rate * STEP_S)
+
+
+class _Pilot:
+    """The autopilot.
+
+    When holding a position, it holds the initially given one, (x, y), or else where it stopped.
+    """
+
+    def __init__(
+        self, drone: _Drone, hold_m: tuple[float, float] | None = None, *, agile: bool
+    ) -> None:
+        self._eased = None if agile else (_EasedAngle(drone.roll), _EasedAngle(drone.pitch))
+        self._turns = 0.0
+        self._height = drone.z
+        self._heading, self._heading_rate = drone.yaw, 0.0
+        self._hold = hold_m
+
+    def begin(self, phase: Phase, drone: _Drone, time_s: float) -> None:
+        """Begin a phase."""
+        self._phase = phase
+        self._yaw_rate = math.radians(phase.yaw_rate_deg_s)
+        self._pitch = math.radians(phase.pitch_deg)
+        # A climb from the floor begins once the propellers carry the weight.
+        wait = SPIN_UP_S if drone.stands else 0.0
+        self._climb_start_s, self._climb_s = time_s + wait, phase.seconds - wait
+        self._from_m = self._height
+        self._height += phase.climb_m
+        self._speed = math.cos(drone.yaw) * drone.vx + math.sin(drone.yaw) * drone.vy
+        stays = abs(self._speed) < _SLOW_M_S and phase.roll_deg is None
+        self._holds = phase.forward in ("hold", "brake") or (phase.forward == "keep" and stays)
+        if not self._holds:
+            self._hold = None
+
+    def steer(self, drone: _Drone, time_s: float) -> _Commands:
+        """The commands for the next time step."""
+        cos, sin = math.cos(drone.yaw), math.sin(drone.yaw)
+        ahead = cos * drone.vx + sin * drone.vy
+        left = cos * drone.vy - sin * drone.vx
+        most = _MAX_LEAN
+        if self._holds:
+            ax, ay = self._stay(drone)
+            forwards, leftwards = cos * ax + sin * ay, cos * ay - sin * ax
+            if self._phase.forward == "brake" and self._hold is None:
+                most = self._pitch
+        else:
+            forwards = _SPEED_GAIN * (self._speed - ahead) + DRAG_1_S * ahead
+            # The first term is the centripetal acceleration.
+            leftwards = drone.yaw_rate * ahead + (DRAG_1_S - _SPEED_GAIN) * left
+        pitch = min(max(-math.atan2(forwards, GRAVITY_M_S2), -_MAX_LEAN), most)
+        if self._phase.forward == "tilt":
+            pitch = self._pitch
+        roll = min(max(-math.atan2(leftwards, GRAVITY_M_S2), -_MAX_LEAN), _MAX_LEAN)
+        if self._phase.roll_deg is not None:
+            roll = math.radians(self._phase.roll_deg)
+        if self._eased:
+            roll, pitch = self._eased[0].follow(roll), self._eased[1].follow(pitch)
+        return _Commands(roll, pitch, self._turn(drone), self._lift(drone, time_s))
+
+    def _stay(self, drone: _Drone) -> tuple[float, float]:
+        """Acceleration along x and y that stops the drone and then holds its position."""
+        if self._hold is None and math.hypot(drone.vx, drone.vy) < _SLOW_M_S:
+            self._hold = drone.x + drone.vx / _SPEED_GAIN, drone.y + drone.vy / _SPEED_GAIN
+        to_x, to_y = self._hold or (drone.x, drone.y)
+        return (
+            _SPEED_GAIN * (_PLACE_GAIN * (to_x - drone.x) - drone.vx),
+            _SPEED_GAIN * (_PLACE_GAIN * (to_y - drone.y) - drone.vy),
+        )
+
+    def _turn(self, drone: _Drone) -> float:
+        """Yaw rate that keeps the heading of an undisturbed drone."""
+        eases = self._eased is not None
+        self._turns = _rate_limited(self._turns, self._yaw_rate, _YAW_RAD_S2 if eases else math.inf)
+        was = self._heading_rate
+        self._heading_rate += (self._turns - was) / _YAW_LAG_S * STEP_S
+        wanted = self._turns + _HEADING_GAIN * (self._heading - drone.yaw)
+        self._heading += 0.5 * (was + self._heading_rate) * STEP_S
+        return wanted
+
+    def _lift(self, drone: _Drone, time_s: float) -> float:
+        """Vertical acceleration that holds the height, or climbs on a minimum-jerk trajectory."""
+        if self._phase.forward == "stand":
+            return -GRAVITY_M_S2
+        height, speed, lift = self._height, 0.0, 0.0
+        if self._phase.climb_m:
+            start, seconds, climb = self._climb_start_s, self._climb_s, self._phase.climb_m
+            if drone.stands and time_s < start:
+                return GRAVITY_M_S2 * (time_s - start) / SPIN_UP_S
+            s = min(max((time_s - start) / seconds, 0.0), 1.0)
+            height = self._from_m + climb * (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+            speed = climb * (30.0 * s**2 * (1.0 - s) ** 2 / seconds)
+            lift = climb * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / seconds**2)
+        to_go = _HEIGHT_GAIN * (height - drone.z) + speed - drone.vz
+        return lift + _CLIMB_GAIN * to_go + DRAG_1_S * drone.vz

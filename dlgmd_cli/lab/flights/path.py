@@ -1,0 +1,150 @@
+"""The path of a flight, and its stage: the path with the world around it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dlgmd_cli.lab.flights.renderer.camera import FloatArray, Pose, rotation
+from dlgmd_cli.lab.flights.renderer.solids import Solid, World
+
+# Distance from the camera to the drone's hull: contact is at this distance.
+REACH_M = 0.1
+# Tolerance for rounding in times.
+_SAME_S = 1e-9
+
+
+@dataclass(frozen=True)
+class State:
+    """State of the drone at an instant.
+
+    For the angles, see `rotation` in renderer/camera.py; yaw exceeds 360 after a full turn. The
+    angular velocity, (3,), is in world coordinates.
+    """
+
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    angular_velocity_rad_s: FloatArray
+
+    @cached_property
+    def pose(self) -> Pose:
+        """Position and attitude of the camera."""
+        return Pose(self.position_m, rotation(self.roll_deg, self.pitch_deg, self.yaw_deg))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A smooth part of a flight, sampled every `step_s` seconds.
+
+    Each of the samples, (n, 12), holds position, velocity, roll, pitch and yaw, and the rates of
+    these angles, in m, rad and s.
+    """
+
+    start_s: float
+    step_s: float
+    samples: FloatArray
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Position, velocity, attitude and attitude rates, by cubic Hermite interpolation.
+
+        The velocity and the rates are the exact derivatives of the other two.
+        """
+        steps = (time_s - self.start_s) / self.step_s
+        index = min(max(math.floor(steps), 0), len(self.samples) - 2)
+        s, h = steps - index, self.step_s
+        before, after = self.samples[index : index + 2].reshape(2, 2, 2, 3)
+        (value0, slope0), (value1, slope1) = before.swapaxes(0, 1), after.swapaxes(0, 1)
+        rise = value1 - value0
+        value = (
+            value0
+            + s * s * (3.0 - 2.0 * s) * rise
+            + h * s * (1.0 - s) * ((1.0 - s) * slope0 - s * slope1)
+        )
+        slope = (
+            6.0 * s * (1.0 - s) / h * rise
+            + (1.0 - s) * (1.0 - 3.0 * s) * slope0
+            + s * (3.0 * s - 2.0) * slope1
+        )
+        return value[0], slope[0], value[1], slope[1]
+
+
+@dataclass(frozen=True)
+class Path:
+    """The path of a drone.
+
+    Each stretch is valid up to and including the start of the next. Phases are tuples of name,
+    start and end, in s, without gaps.
+    """
+
+    stretches: Sequence[Stretch]
+    phases: tuple[tuple[str, float, float], ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the flight."""
+        return self.phases[-1][2]
+
+    def phase(self, time_s: float) -> str:
+        """Name of the phase at a time; at a boundary, that of the later one."""
+        begun = [name for name, start, _ in self.phases if start <= time_s + _SAME_S]
+        return begun[-1] if begun else self.phases[0][0]
+
+    def state(self, time_s: float) -> State:
+        """State of the drone; at the time of contact, the state just before it.
+
+        Before the start and after the end, it is the first and the last state, since an exposure
+        may extend a little beyond the flight.
+        """
+        time = min(max(time_s, 0.0), self.duration_s)
+        begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
+        position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
+        roll, pitch, yaw = (math.degrees(angle) for angle in angles)
+        spin = _angular_velocity(angles, rates)
+        return State(position, velocity, roll, pitch, yaw, spin)
+
+    def pose(self, time_s: float) -> Pose:
+        """Position and attitude of the camera; see `state`."""
+        return self.state(time_s).pose
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A world, and a flight through it.
+
+    Attributes
+    ----------
+    target : str
+        Name of the target; all bodies of that name together are the target.
+    wall : Solid or None
+        The target if it is a side of the room.
+    contact_s : float or None
+        Time at which the drone hits something.
+    duration_s : float
+        Duration of the filmed part of the flight.
+    agile : bool
+        Whether the drone follows commands at once; see `fly`.
+    """
+
+    world: World
+    path: Path
+    target: str
+    contact_s: float | None
+    duration_s: float
+    agile: bool = False
+    wall: Solid | None = None
+
+
+def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """Angular velocity in world coordinates, from roll, pitch and yaw in rad and their rates."""
+    _, pitch, yaw = angles
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])
+    about_right = np.array([sin, -cos, 0.0])
+    spin: FloatArray = about_nose * rates[0] + about_right * rates[1]
+    spin[2] += rates[2]
+    return spin

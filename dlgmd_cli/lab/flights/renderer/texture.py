@@ -1,0 +1,169 @@
+"""Textures, and their projection from a plane into the picture.
+
+A texture is sampled by its exact homography, at the size at which it appears: smaller copies of it
+(mipmaps) prevent flicker in the distance.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.lab.flights.renderer.camera import FloatArray
+
+FloatImage = npt.NDArray[np.float32]
+# Left, top, right and bottom of a part of the picture, in px; the last two are excluded.
+Window = tuple[int, int, int, int]
+
+# Padding: OpenCV is ten times slower at sampling outside an image than inside.
+_MARGIN = 4
+# Weight of foreshortening in the choice of the texture size. With 0 the texture would be aliased in
+# one direction, with 1 it would be blurred in the other.
+_FORESHORTENING = 0.75
+# A texture is sampled finer than the pixels by this power of two. This makes up for the blur of
+# interpolation between texels, and agrees with the mean over each pixel.
+_SHARPENING = 0.5
+# A 1 / depth, in 1/m, that counts as infinitely far away.
+_VANISHING = 1e-9
+
+
+class Texture:
+    """Reflectance over a rectangle, (h, w) float32 in 0..1, linear in light.
+
+    A single number is a plain colour.
+    """
+
+    def __init__(self, image: npt.ArrayLike) -> None:
+        self.image: FloatImage = np.ascontiguousarray(np.atleast_2d(image), np.float32)
+
+    @cached_property
+    def mean(self) -> float:
+        """Mean reflectance."""
+        return float(self.image.mean())
+
+    @cached_property
+    def levels(self) -> tuple[FloatImage, ...]:
+        """The image and its copies at 1/2, 1/4, … of its size, down to a single pixel.
+
+        Each is padded with `_MARGIN` copies of its edge pixels.
+        """
+        levels = [self.image]
+        while max(levels[-1].shape) > 1:
+            height, width = ((side + 1) // 2 for side in levels[-1].shape)
+            small: FloatImage = np.asarray(
+                cv2.resize(levels[-1], (width, height), interpolation=cv2.INTER_AREA), np.float32
+            )
+            levels.append(small.reshape(height, width))
+        return tuple(np.pad(level, _MARGIN, mode="edge") for level in levels)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A convex polygon in the picture, and the textured plane that it shows.
+
+    Attributes
+    ----------
+    corners_xy : ndarray, shape (n, 2)
+        In px, clockwise on the screen.
+    plane : ndarray, shape (3,)
+        1 / depth at the point (x, y) of the picture is ``plane @ (x, y, 1)``, in 1/m.
+    distance_m : float
+        Distance from the camera to the plane.
+    texture_from_xy : ndarray, shape (3, 3)
+        Homography from (x, y, 1) to texture coordinates in 0..1.
+    texels_per_m : float
+        Resolution of the texture along its finer side.
+    texture : Texture
+    gain : float
+        Share of the light that reaches the plane.
+    """
+
+    corners_xy: FloatArray
+    plane: FloatArray
+    distance_m: float
+    texture_from_xy: FloatArray
+    texels_per_m: float
+    texture: Texture
+    gain: float
+
+    def sample(self, window: Window, focal_px: float) -> FloatImage:
+        """The projected texture in a window, without `gain`: (h, w) float32.
+
+        Adjacent texture sizes are blended by 1 / depth, so that neither ends abruptly.
+        """
+        levels = self.texture.levels
+        left, top, right, bottom = window
+        shape = bottom - top, right - left
+        if len(levels) == 1:
+            return np.full(shape, self.texture.mean, np.float32)
+        finest, coarsest = self._sizes_in(window, focal_px)
+        picture = self._warped(window, coarsest)
+        for size in range(coarsest - 1, finest - 1, -1):
+            finer = self._warped(window, size)
+            finer -= picture
+            finer *= self._share_of_finer(window, size, focal_px)
+            picture += finer
+        # On the horizon of the plane, zero times infinity gives NaN.
+        cv2.patchNaNs(picture, self.texture.mean)
+        return picture
+
+    def _warped(self, window: Window, size: int) -> FloatImage:
+        """The projection of one texture size in a window."""
+        left, top, right, bottom = window
+        level = self.texture.levels[size]
+        height, width = (side - 2 * _MARGIN for side in level.shape)
+        shift = _MARGIN - 0.5
+        texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
+        to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
+        warped: FloatImage = np.asarray(
+            cv2.warpPerspective(
+                level,
+                texel @ self.texture_from_xy @ to_window,
+                (right - left, bottom - top),
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=self.texture.mean,
+            ),
+            np.float32,
+        )
+        return warped
+
+    def _sizes_in(self, window: Window, focal_px: float) -> tuple[int, int]:
+        """The finest and the coarsest texture size that a window needs."""
+        left, top, right, bottom = window
+        a, b, c = self.plane
+        at_corners = self.corners_xy @ self.plane[:2] + c
+        least, most = max(float(at_corners.min()), _VANISHING), max(at_corners.max(), _VANISHING)
+        farthest = max(least, c + min(a * left, a * right) + min(b * top, b * bottom))
+        nearest = max(least, min(most, c + max(a * left, a * right) + max(b * top, b * bottom)))
+        last = len(self.texture.levels) - 1
+        finest = min(max(math.floor(self._size(nearest, focal_px)), 0), last)
+        coarsest = math.ceil(self._size(min(farthest, nearest), focal_px))
+        return finest, min(max(coarsest, finest), last)
+
+    def _share_of_finer(self, window: Window, size: int, focal_px: float) -> FloatImage:
+        """Weight of texture size `size` in the blend with the next coarser one, 0..1."""
+        left, top, right, bottom = window
+        whole, none = self._closeness(size, focal_px), self._closeness(size + 1, focal_px)
+        a, b, c = self.plane / (whole - none)
+        c -= none / (whole - none)
+        x, y = np.arange(left + 0.5, right), np.arange(top + 0.5, bottom)
+        share: FloatImage = np.add.outer((b * y + c).astype(np.float32), (a * x).astype(np.float32))
+        return np.clip(share, 0.0, 1.0, out=share)
+
+    def _size(self, closeness: float, focal_px: float) -> float:
+        """Texture size at a given 1 / depth, as log2 of the reduction."""
+        per_pixel = self.texels_per_m / (focal_px * closeness)
+        slant = max(1.0, 1.0 / (closeness * self.distance_m))
+        return math.log2(per_pixel) + _FORESHORTENING * math.log2(slant) - _SHARPENING
+
+    def _closeness(self, size: float, focal_px: float) -> float:
+        """1 / depth at which `_size` is `size`: the inverse function."""
+        facing = self.texels_per_m / (focal_px * 2.0 ** (size + _SHARPENING))
+        if facing * self.distance_m >= 1.0:
+            return facing
+        slanted = facing * self.distance_m**-_FORESHORTENING
+        return float(slanted ** (1.0 / (1.0 + _FORESHORTENING)))

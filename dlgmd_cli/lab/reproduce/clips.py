@@ -1,0 +1,221 @@
+"""The clips on which the paper's claims are checked, and the models' responses to them."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights.scenes import find_scene
+from dlgmd_cli.models.base import Grey, create_model
+from dlgmd_cli.parameters import (
+    FORMULATIONS,
+    MODELS,
+    Parameters,
+    load_model_preset,
+    load_set,
+    merge,
+)
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.runs.run import numbers_of
+from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.luma import resized
+from dlgmd_cli.video.prefetch import opencv_threads
+
+REFERENCE_FPS = 30.0
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A scene with its options by flag, or a folder of pictures."""
+
+    scene: str
+    flags: tuple[tuple[str, Any], ...] = ()
+    folder: str = ""
+
+    @classmethod
+    def of(cls, scene: str, **flags: Any) -> "Clip":
+        """A scene; `object_size=40` stands for ``--object-size 40``."""
+        return cls(scene, tuple((f"--{key.replace('_', '-')}", v) for key, v in flags.items()))
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """The parameters of a model, and the linear scale of its frames."""
+
+    params: Parameters
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class ClipResults:
+    """The results of models on a clip by label, and the scene's ground truth by column.
+
+    `phases` has the first and the last frame of each phase of a flight.
+    """
+
+    results: dict[str, Result]
+    truth: dict[str, Series]
+    phases: dict[str, tuple[int, int]]
+
+    @property
+    def collision_frame(self) -> int:
+        """The first frame at or after contact; without contact, the last frame."""
+        result = next(iter(self.results.values()))
+        found = result.collision_frame
+        return int(result.frame[-1]) if found is None else found
+
+
+@dataclass(frozen=True)
+class Job:
+    """A call, the key of its result, and whether its time is measured."""
+
+    key: Any
+    name: str
+    call: Callable[[], Any] = field(compare=False)
+    is_timed: bool = False
+
+
+def model(name: str, formulation: str = "default", **changes: Any) -> Parameters:
+    """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
+    if name in MODELS:
+        return merge(MODELS[name].parameters, load_model_preset(name), changes)
+    return load_set(name.removeprefix("set"), formulation=formulation, **changes)
+
+
+def all_formulations(*names: str, **changes: Any) -> dict[str, ModelSpec]:
+    """Sets of the D-LGMD in every formulation, by labels such as `set9/released`."""
+    return {
+        f"{name}/{f}": ModelSpec(model(name, f, **changes)) for name in names for f in FORMULATIONS
+    }
+
+
+def other_models(*names: str) -> dict[str, ModelSpec]:
+    """Models that the D-LGMD is compared with, by name."""
+    return {name: ModelSpec(model(name)) for name in names}
+
+
+def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
+    """Render a clip once, and run every model over it.
+
+    If the scene has a collision, the results' peaks end there.
+    """
+    frames, fps, collision_frame, truth, phases = _open_clip(clip)
+    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
+    rows: dict[str, list[tuple[float, ...]]] = {label: [] for label in models}
+    sizes: dict[str, tuple[int, int]] = {}
+    n_frames = 0
+    with opencv_threads(1):
+        for index, grey in enumerate(frames):
+            n_frames = index + 1
+            height, width = grey.shape
+            for label, one in models.items():
+                sizes[label] = max(1, round(width * one.scale)), max(1, round(height * one.scale))
+            at = {size: grey if size == (width, height) else resized(grey, size)
+                  for size in sizes.values()}  # fmt: skip
+            for label, each in created.items():
+                rows[label].append(numbers_of(each.step(at[sizes[label]])))
+    frame = np.arange(n_frames)
+    results = {}
+    for label, one in models.items():
+        width, height = sizes[label]
+        record: dict[str, Any] = {"processed": {"width": width, "height": height}}
+        if collision_frame is not None:
+            record["collision_frame"] = collision_frame
+        p_sum, s_sum, db, mp, g_x, g_y = np.array(rows[label]).T
+        columns = mp, p_sum, s_sum, db, g_x, g_y
+        results[label] = Result(frame, frame / fps, *columns, one.params, record)
+    return ClipResults(results, truth, phases)
+
+
+def _open_clip(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Series], Any]:
+    """Frames, frame rate, collision frame, ground truth and phases of a clip."""
+    if clip.folder:
+        return pictures(clip.folder), REFERENCE_FPS, None, {}, {}
+    scene = find_scene(clip.scene)
+    options = scene.configure(dict(clip.flags))
+    record = scene.record(options)
+    phases = {
+        one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
+    }
+    rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
+    truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
+    return scene.frames(options), options.fps, record.get("collision_frame"), truth, phases
+
+
+def pictures(folder: str) -> Iterator[Grey]:
+    """The pictures in a folder at full size, as grey levels."""
+    with open_video(folder, scale=1.0) as video:
+        for frame in video:
+            yield frame.grey
+
+
+def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
+    """The authors' frames of a scene if they are given, otherwise the tool's own scene."""
+    folder = None if reference is None else reference / scene.replace("-", "_")
+    if folder is not None and folder.is_dir():
+        return Clip(scene, folder=str(folder))
+    return Clip.of(scene, **flags)
+
+
+def check_reference(reference: Path | None) -> None:
+    """Raise ParameterError if the folder of reference frames has none of them."""
+    names = ("looming_ball", "ball_and_capsules")
+    if reference is not None and not any((reference / name).is_dir() for name in names):
+        why = f"{reference} holds neither {names[0]} nor {names[1]}"
+        raise ParameterError("--reference", why, "Give the folder that holds them.")
+
+
+# The objects of the paper's Fig. 8, in a picture 800 px wide. Of each capsule: offset below the
+# middle in px, and speed to the right in px/frame; then their start, and half the size of their
+# boxes. Of the ball: radius in px at frame 0, radius in m, distance in m on arrival, frame of the
+# arrival, and focal length in px.
+CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
+_START_PX, _HALF_PX = -312.0, (38.0, 48.0)
+_BALL_PX, _BALL_M, _ARRIVES_M, _ARRIVES_AT, _FOCAL_PX = 25.0, 0.5, 0.6, 61.0, 476.7
+# Last frame at which the boxes of the capsules and of the ball do not overlap.
+LAST_APART = 42
+
+
+def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series]:
+    """Sums of P and S within a box around each object, by label.
+
+    Shape (2, n_frames, 5): the ball, then the capsules. NaN until the model's first valid frame.
+    """
+    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
+    sums: dict[str, list[Series]] = {label: [] for label in models}
+    with opencv_threads(1):
+        for index, grey in enumerate(_open_clip(clip)[0]):
+            boxes = _boxes(grey.shape, index)
+            for label, each in created.items():
+                response = each.step(grey, layers=True)
+                found = np.full((2, len(boxes)), np.nan)
+                if response.is_valid and response.layers is not None:
+                    for row, layer in enumerate((response.layers.p, response.layers.s)):
+                        assert layer is not None
+                        found[row] = [float(np.abs(layer[box]).sum()) for box in boxes]
+                sums[label].append(found)
+    return {label: np.stack(found, axis=1) for label, found in sums.items()}
+
+
+def _boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
+    """Rows and columns of the boxes around the ball and each capsule at a frame."""
+    height, width = shape
+    px = width / 800.0
+    far_m = _FOCAL_PX * _BALL_M / _BALL_PX
+    distance = _ARRIVES_M + (far_m - _ARRIVES_M) * (1.0 - index / _ARRIVES_AT)
+    radius = _FOCAL_PX * _BALL_M / math.sqrt(distance**2 - _BALL_M**2) + 6.0
+    places = [(0.0, 0.0, radius, radius)]
+    places += [(_START_PX + speed * index, down, *_HALF_PX) for down, speed in CAPSULES]
+
+    def side(middle: float, center: float, half: float, length: int) -> slice:
+        low, high = middle + (center - half) * px, middle + (center + half) * px
+        return slice(max(0, round(low)), min(length, round(high)))
+
+    return [
+        (side(height / 2, y, half_y, height), side(width / 2, x, half_x, width))
+        for x, y, half_x, half_y in places
+    ]

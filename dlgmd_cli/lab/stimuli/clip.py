@@ -1,0 +1,300 @@
+"""Writing a scene as a clip: frames, one row of ground truth per frame, record, contact sheet.
+
+A clip with a record is complete if and only if the record exists: the record of an earlier clip is
+removed first, and the new one is written last.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import OutputExistsError
+from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, invalid
+from dlgmd_cli.results.csv import cell, text_cell, write_rows
+from dlgmd_cli.results.record import versions, yaml_text
+from dlgmd_cli.results.store import PREFIX, refuse_existing, unwritable
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
+
+N_STILLS = 12
+_SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
+# Least number of digits in a numbered name.
+_N_DIGITS = 4
+_PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Form:
+    """How frames are stored: as "mpeg4", "h264", "ffv1" or "png".
+
+    The last two are lossless; PNG is a folder of pictures.
+    """
+
+    codec: str
+
+    @classmethod
+    def choose(cls, *, lossless: bool = False, png: bool = False, playable: bool = False) -> "Form":
+        """PNG if `png`, else FFV1 if `lossless`, else a lossy video.
+
+        A `playable` video is H.264 if an encoder is installed, since most players support it; any
+        other is MPEG-4.
+        """
+        if png or lossless:
+            return cls("png" if png else "ffv1")
+        return cls(best_codec() if playable else "mpeg4")
+
+    @property
+    def is_video(self) -> bool:
+        """Whether the frames are in a single file."""
+        return self.codec != "png"
+
+    def check(self, options: ClipOptions) -> None:
+        """Raise ParameterError if a video cannot store the exact size or frame rate."""
+        if not self.is_video:
+            return
+        height, width = options.shape
+        if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
+            raise invalid(
+                "--size",
+                f"{width}x{height} is odd, and a video needs an even width and height",
+                f"Choose {width + width % 2}x{height + height % 2}, or --png.",
+            )
+        rounded = round(options.fps, 3)
+        if rounded != options.fps:
+            raise invalid(
+                "--fps",
+                f"{options.fps!r} has more than three decimals, which a video file does not keep",
+                f"Choose {rounded:g}, or --png.",
+            )
+        if self.codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
+            raise invalid(
+                "--fps", f"MPEG-4 cannot hold {rounded:g}", "Choose fewer decimals, or --lossless."
+            )
+
+
+@dataclass(frozen=True)
+class ContactSheet:
+    """Selected frames of a clip, with its properties.
+
+    The images, (H, W) uint8, are as rendered, without losses by a video codec; `rows` holds the
+    ground truth of each. `n_frames` is the length of the whole clip, `record` is `Scene.record`.
+    """
+
+    name: str
+    fps: float
+    n_frames: int
+    seed: int
+    record: dict[str, Any]
+    images: Sequence[GreyImage]
+    rows: Sequence[Any]
+
+
+# Draws a contact sheet into a PNG file.
+DrawSheet = Callable[[ContactSheet, Path], object]
+
+
+def clip_paths(
+    scene: Scene[Any], form: Form, folder: Path, name: str, *, sheet: bool = False
+) -> tuple[Path, ...]:
+    """The files of a clip: frames, truth, the record of a flight, and the sheet if wanted."""
+    paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
+    if scene.is_flight:
+        paths.append(folder / f"{name}.yaml")
+    return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
+
+
+def write_clip(
+    scene: Scene[OptionsT],
+    options: OptionsT,
+    folder: Path,
+    form: Form | None = None,
+    *,
+    name: str | None = None,
+    overwrite: bool = False,
+    on_frame: Callable[[int], None] = lambda n_rendered: None,
+    draw_sheet: DrawSheet | None = None,
+) -> tuple[Path, ...]:
+    """Render a scene to ``folder/NAME.mp4`` and its ground truth to ``folder/NAME.csv``.
+
+    A flight also gets ``folder/NAME.yaml`` with its options, phases and collision.
+
+    Parameters
+    ----------
+    form : Form, optional
+        Format other than the scene's default: ``NAME.avi`` in FFV1, or ``NAME/0000.png`` and so on.
+    name : str, optional
+        Stem of the files; the scene's name unless given.
+    overwrite : bool
+        Replace earlier files. A folder with files other than numbered pictures is never replaced.
+    on_frame : callable, optional
+        Called after each frame with the number of frames rendered.
+    draw_sheet : callable, optional
+        Draws the contact sheet ``NAME-sheet.png``; without it there is none.
+
+    Returns
+    -------
+    tuple of Path
+        The video or folder, the truth, the record of a flight, and the sheet if there is one.
+
+    Raises
+    ------
+    ParameterError
+        If the scene cannot be rendered, or a video cannot store it, with these options.
+    OutputExistsError, OutputError
+        If a file may not be replaced, or cannot be written.
+    Interrupted
+        If the user asks to stop. Incomplete files are removed.
+    """
+    form = form or Form.choose(playable=scene.is_flight)
+    n_frames = scene.n_frames(options)
+    form.check(options)
+    name = name or scene.name
+    paths = clip_paths(scene, form, folder, name, sheet=draw_sheet is not None)
+    refuse_existing_clip(paths, form, overwrite=overwrite)
+    temporary = [path.with_name(f"{PREFIX}{path.name}") for path in paths]
+    facts = scene.record(options)
+    stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        images = _watched(scene.frames(options), stills, on_frame)
+        if form.is_video:
+            shape, fps, codec = options.shape, options.fps, form.codec
+            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
+        else:
+            _write_pictures(temporary[0], images, n_digits(n_frames))
+        rows = list(scene.truth(options))
+        write_truth(temporary[1], scene.truth_type, rows)
+        if scene.is_flight:
+            sheet = {} if draw_sheet is None else {"sheet": paths[-1].name}
+            first = {"scene": scene.name, "seed": options.seed}
+            document = {**first, **facts, **sheet, **identity(scene, options, form)}
+            temporary[2].write_text(yaml_text(document), encoding="utf-8")
+        if draw_sheet is not None:
+            sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
+            draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
+        _commit(temporary, paths)
+    except OSError as error:
+        raise unwritable(paths[0], error) from None
+    finally:
+        for path in temporary:
+            shutil.rmtree(path, ignore_errors=True)
+            with suppress(OSError):
+                path.unlink()
+    return paths
+
+
+def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str, Any]:
+    """Everything that determines the files of a clip."""
+    return {
+        "scene": scene.name,
+        "seed": options.seed,
+        "options": options.to_dict(),
+        "codec": form.codec,
+        "versions": versions(*(["pyav"] if form.codec == "h264" else [])),
+    }
+
+
+def refuse_existing_clip(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
+    """Raise OutputExistsError if a file of a clip already exists and may not be replaced."""
+    frames, *others = paths
+    if form.is_video:
+        others.insert(0, frames)
+    elif os.path.lexists(frames):
+        why, mend = "", "Choose another --out."
+        if frames.is_symlink() or not frames.is_dir():
+            why = "this is not a folder of pictures"
+        elif strays := [
+            entry.name
+            for entry in frames.iterdir()
+            if not _PICTURE.fullmatch(entry.name) or not entry.is_file()
+        ]:
+            why = f"this folder holds other files, such as {min(strays)}"
+        elif not overwrite:
+            why, mend = "already exists", "Add --overwrite to replace it."
+        if why:
+            raise OutputExistsError(str(frames), why, mend)
+    for path in others:
+        refuse_existing(path, overwrite=overwrite)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of killed processes; no other process may write into the folder."""
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.suffix:  # the lock file has no suffix
+            path.unlink(missing_ok=True)
+
+
+def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
+    """Write ground truth as CSV with the fields of a dataclass as columns; NaN is left empty."""
+    names = [field.name for field in fields(columns)]
+    values = ([getattr(row, name) for name in names] for row in rows)
+    cells = ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values)
+    write_rows(path, names, cells)
+
+
+def chosen_frames(n_frames: int, collision_frame: int | None = None) -> tuple[int, ...]:
+    """Frames for a contact sheet: the first, the last, the collision, and others evenly between.
+
+    Spacing may differ before and after the collision, so that its frame is included.
+    """
+    if n_frames <= N_STILLS:
+        return tuple(range(n_frames))
+    last, n_steps = n_frames - 1, N_STILLS - 1
+    middle = collision_frame or 0
+    if not 0 < middle < last:
+        return tuple(_evenly(0, last, n_steps))
+    n_before = min(max(1, round(middle * n_steps / last)), n_steps - 1)
+    return (*_evenly(0, middle, n_before)[:-1], *_evenly(middle, last, n_steps - n_before))
+
+
+def n_digits(count: int) -> int:
+    """Number of digits to number `count` files from 0."""
+    return max(_N_DIGITS, len(str(count - 1)))
+
+
+def _evenly(first: int, last: int, n_steps: int) -> list[int]:
+    """Numbers from `first` to `last`, both included, in steps that differ by 1 at most."""
+    return [first + step * (last - first) // n_steps for step in range(n_steps + 1)]
+
+
+def _watched(
+    frames: Iterable[GreyImage], stills: dict[int, Any], on_frame: Callable[[int], None]
+) -> Iterator[GreyImage]:
+    """Pass the frames on, report their number, and copy those numbered in `stills` into it."""
+    for index, frame in enumerate(frames):
+        cancel.check()
+        if index in stills:
+            stills[index] = frame.copy()
+        yield frame
+        on_frame(index + 1)
+
+
+def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> None:
+    """Write frames, (H, W) uint8 each, as numbered PNG; OSError passes through."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for index, frame in enumerate(frames):
+        # cv2.imwrite would not report a full disk.
+        encoded = cv2.imencode(".png", frame)[1].tobytes()
+        (folder / f"{index:0{digits}d}.png").write_bytes(encoded)
+
+
+def _commit(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
+    """Rename the files: remove an earlier record first, rename the new one last."""
+    in_order = sorted(zip(temporary, paths, strict=True), key=lambda p: p[1].suffix == ".yaml")
+    if in_order[-1][1].suffix == ".yaml":
+        in_order[-1][1].unlink(missing_ok=True)
+    for file, path in in_order:
+        if path.is_dir():
+            shutil.rmtree(path)
+        file.replace(path)

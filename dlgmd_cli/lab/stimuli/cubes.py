@@ -1,0 +1,41 @@
+"""The translating cubes of a sweep, [Zhao2023] Fig. 11: one clip for each speed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
+from dlgmd_cli.runs.sweep import SweepInput
+from dlgmd_cli.video.reading import Frame
+
+
+def cube_input(
+    speeds_px: Sequence[float],
+    side_px: float,
+    n_frames: int | None,
+    size_wh: tuple[int, int],
+    reach_px: int,
+) -> SweepInput:
+    """Black cubes that translate over white; rows farther than `reach_px` from them are cut off.
+
+    By default, all clips are as long as the fastest cube stays in the picture, 75 frames at most.
+    """
+    scene = Translation("translating-cubes", "", TranslationOptions())
+    (width, height), speeds_px = size_wh, tuple(dict.fromkeys(speeds_px))
+    flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
+    flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
+    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
+    if n_frames is None:
+        n_frames = min(map(scene.n_frames, each))
+        # With an odd number, cubes with whole px/frame stay aligned to pixels.
+        n_frames -= 1 - n_frames % 2
+    above = max(0, int((height - side_px) / 2) - reach_px - 1)
+
+    def frames(options: TranslationOptions) -> Iterator[Frame]:
+        for index, picture in enumerate(scene.frames(options)):
+            yield Frame(index, index / options.fps, picture[above : height - above])
+
+    clips = [frames(replace(options, n_frames=n_frames)) for options in each]
+    record = {"frames": n_frames, "width": width, "height": height}
+    settings = {"cubes": {"speeds_px": list(speeds_px), "side_px": side_px, **record}}
+    return SweepInput(scene.name, size_wh, clips, settings, speeds_px)

@@ -1,0 +1,75 @@
+"""`dlgmd reproduce` as a program: flights, a sweep, Table IV and the timing, and Ctrl-C."""
+
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import pytest
+
+from dlgmd_cli.lab.reproduce.claims import COLUMNS, YES, load_claims, select
+from dlgmd_cli.lab.reproduce.plan import ANY
+from dlgmd_cli.parameters import FORMULATIONS
+from dlgmd_cli.plots.style import width_in
+
+pytestmark = pytest.mark.slow
+COMMAND = (sys.executable, "-m", "dlgmd_cli", "reproduce", "--quick")
+
+
+def test_a_quick_report(tmp_path):
+    only = "fig6,fig8,fig11,fig13,fig15,table4"
+    out = tmp_path / "paper"
+    subprocess.run([*COMMAND, "--only", only, "--out", out, "--jobs", "2"], check=True, timeout=600)
+    specs = select(load_claims()[0], only.split(","))
+    with (out / "claims.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    ids = [key for spec in specs.values() for key in spec.claims]
+    assert list(dict.fromkeys(row["id"] for row in rows)) == ids
+    verdict = {(row["id"], row["formulation"]): row["holds"] for row in rows}
+    for key in ids:
+        assert (key, "any") in verdict or all((key, f) in verdict for f in FORMULATIONS)
+    # What the formulations are known to differ in.
+    assert verdict["fig8-capsules", "default"] == "yes"
+    assert verdict["fig8-capsules", "equations"] == "no"
+    assert verdict["fig11-alone", "released"] == verdict["fig13a-emd-group1", "any"] == "yes"
+    for name in ("fig6.png", "fig11.pdf", "fig13b.png", "table4-da.png", "report.html"):
+        assert (out / name).stat().st_size > 1000
+    assert not [name for name in os.listdir(out) if name.startswith(".dlgmd")]
+
+
+def test_an_interruption_leaves_nothing(tmp_path):
+    process = subprocess.Popen(
+        [*COMMAND, "--out", tmp_path / "paper", "--jobs", "2"],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(8)
+    os.killpg(process.pid, signal.SIGINT)
+    assert "Interrupted." in process.communicate(timeout=60)[1]
+    assert process.returncode == 130 and not (tmp_path / "paper").exists()
+
+
+def test_latency_without_models(dlgmd, tmp_path):
+    common = ("reproduce", "--only", "fig5, fig3-size", "--quick", "--out", "paper")
+    result = dlgmd(*common, "--dpi", 60)
+    assert result.exit_code == 0, result.output
+    width_px = cv2.imread("paper/fig3.png").shape[1]
+    assert width_px == pytest.approx(60 * width_in("two"), abs=2)
+    with open("paper/claims.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["id"] for row in rows] == ["fig3-size", "fig5-rises", "fig5-centre", "fig5-limit"]
+    assert {row["formulation"] for row in rows} == {ANY} and {row["holds"] for row in rows} == {YES}
+    html = (tmp_path / "paper/report.html").read_text("utf-8")
+    assert not re.search(r'(?:src|href)="(?!data:|#)|http', html) and "url(" not in html
+    assert html.count("data:image/png;base64,") == 3 and "Group 5 ends" in html
+    for name in ("fig3.png", "fig5.pdf"):
+        assert (tmp_path / "paper" / name).stat().st_size > 1000
+    again = dlgmd("reproduce", "--only", "fig5", "--out", "paper")
+    assert again.exit_code == 2 and "already exists" in again.stderr
+    assert dlgmd("reproduce", "--only", "fig5", "--out", "paper", "--overwrite").exit_code == 0

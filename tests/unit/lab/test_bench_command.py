@@ -1,0 +1,111 @@
+"""`dlgmd bench`: what it measures adds up; how long things take is not tested."""
+
+import csv
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import N_FRAMES
+
+from dlgmd_cli.lab import benchmark
+from dlgmd_cli.lab.stimuli.pan import pan_frames
+
+ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
+
+
+def test_every_combination_is_measured(dlgmd, clips):
+    options = ["--radius", 3, "--radius", 2, "--scale", 1, "--scale", 0.5, "--repeat", 2]
+    result = dlgmd("bench", clips / "loom.avi", *options, "--json", "--csv", "b.csv")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["frames"] == N_FRAMES and found["decoding_alone_ms"] > 0.0
+    keys = [(row["radius"], row["scale"], row["width"], row["height"]) for row in found["rows"]]
+    assert keys == [(3, 1.0, 32, 24), (3, 0.5, 16, 12), (2, 1.0, 32, 24), (2, 0.5, 16, 12)]
+    for row in found["rows"]:
+        assert row["engine"] == "opencv"
+        assert row["paper_s"] is None and row["ratio"] is None  # not the paper's frames
+        assert min(row["core_ms"], row["decode_ms"], row["whole_ms"]) > 0.0
+        assert row["frames_per_s"] == pytest.approx(1000 / row["whole_ms"])
+        assert row["whole_s"] == pytest.approx(0.120 * row["whole_ms"])
+    with open("b.csv", newline="", encoding="ascii") as file:
+        rows = list(csv.DictReader(file))
+    for row, other in zip(rows, found["rows"], strict=True):
+        assert row["engine"] == other["engine"] and row["paper_s"] == row["ratio"] == ""
+        assert float(row["whole_ms"]) == pytest.approx(other["whole_ms"], rel=1e-8)
+
+
+def test_every_column_holds_what_it_says(dlgmd, clips, monkeypatch):
+    def ms_per_frame(video, act):
+        if act.func is benchmark.run_models:
+            return 5.0
+        return 3.0 if act.args[0] is video else 2.0
+
+    monkeypatch.setattr(benchmark, "_ms_per_frame", ms_per_frame)
+    found = json.loads(dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--json").stdout)
+    (row,) = found["rows"]
+    assert (row["whole_ms"], row["decode_ms"]) == (5.0, 3.0)
+    assert (row["frames_per_s"], row["whole_s"]) == (200.0, 0.6)
+    assert found["decoding_alone_ms"] == 2.0
+    shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
+    assert "alone takes 2.000 ms per frame (opencv)" in shown
+    assert "With r = 2, the whole pipeline takes 2.50 times as long at 16x12." in shown
+
+
+def test_own_clip_is_compared_with_the_paper(dlgmd):
+    options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
+    result = dlgmd("bench", *options)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == "Rendering 12 frames of 1920x1080.\n"
+    assert "38x22" in result.stdout and " 0.57 " in result.stdout
+    assert "Decoding 12 frames of 1920x1080 alone takes" in result.stdout
+
+
+def test_the_ratio_says_how_many_times_as_fast_as_the_paper():
+    video = SimpleNamespace(info=SimpleNamespace(width=1920, height=1080), size_wh=(1920, 1080))
+    row = benchmark._row(6, 1.0, video, "opencv", 2.0, 3.0, whole_ms=7.65)
+    assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))
+
+
+def test_too_few_frames(dlgmd, clips):
+    result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
+    assert result.exit_code == 1
+    assert "short.avi: 3 frames are too few to time, at least 7 are needed." in result.stderr
+
+
+def test_an_interruption_ends_it(dlgmd, clips, stop):
+    stop()
+    result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv")
+    assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
+
+
+def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, clips, tmp_path):
+    file = tmp_path / "b.csv"
+    file.write_text("mine")
+    command = ["bench", clips / "loom.avi", *ONE_CELL, "--csv"]
+    result = dlgmd(*command, "b.csv/b.csv")
+    assert result.exit_code == 1 and result.stdout == ""
+    assert "cannot be written" in result.stderr and "Choose another --csv" in result.stderr
+    result = dlgmd(*command, "b.csv")
+    assert result.exit_code == 2 and "b.csv: already exists" in result.stderr
+    assert file.read_text() == "mine"
+    assert dlgmd(*command, "b.csv", "--overwrite").exit_code == 0
+    assert file.read_text().startswith("radius,scale,")
+
+
+def test_warnings_about_the_input(dlgmd, clips, tmp_path):
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) * 7 // 10])
+    result = dlgmd("bench", "cut.avi", *ONE_CELL)
+    assert result.exit_code == 0
+    assert result.stderr.count("Warning: cut.avi: ") == 1 and "of about 20 frames" in result.stderr
+
+
+def test_pan_moves_and_repeats():
+    frames = list(pan_frames((54, 96), 5))
+    again = list(pan_frames((54, 96), 5))
+    other = next(pan_frames((54, 96), 1, seed=1))
+    assert all(frame.shape == (54, 96) and frame.dtype == np.uint8 for frame in frames)
+    assert all(np.array_equal(a, b) for a, b in zip(frames, again, strict=True))
+    assert np.abs(frames[0].astype(int) - frames[4]).mean() > 5.0
+    assert np.abs(frames[0].astype(int) - other).mean() > 5.0

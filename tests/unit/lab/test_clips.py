@@ -1,0 +1,330 @@
+"""Clips: a scene's frames, ground truth and record as files, whole or not at all."""
+
+import csv
+import math
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import flightscenes
+import numpy as np
+import pytest
+import yaml
+from conftest import read_video
+from flightscenes import SHAPE, Quick, stage_of
+
+from dlgmd_cli import __version__
+from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
+from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
+from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.truth import FlightTruth
+from dlgmd_cli.lab.stimuli.clip import Form, n_digits, write_clip, write_truth
+from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.writer import best_codec, write_video
+
+PNG, LOSSLESS = Form.choose(png=True), Form.choose(lossless=True)
+CUBE = SCENES["looming-cube"]
+SMALL = {"--size": (48, 64), "--frames": 6}
+needs_pyav = pytest.mark.skipif(best_codec() != "h264", reason="H.264 needs PyAV")
+
+
+@pytest.fixture
+def scene():
+    return Quick()
+
+
+@pytest.fixture
+def threads():
+    """Sets the number of OpenCV's threads, and puts it back."""
+    before = cv2.getNumThreads()
+    yield cv2.setNumThreads
+    cv2.setNumThreads(before)
+
+
+def record_of(path):
+    return yaml.safe_load(path.read_text("utf-8"))
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def decoded(path):
+    """Every frame of a video, one channel."""
+    return [frame[:, :, 1] for frame in read_video(path)[1]]
+
+
+# What is written
+
+
+def test_a_clip_of_a_flight(scene, tmp_path):
+    flightscenes.built.clear()
+    options = scene.configure({"--seed": 3, "--exposure": 5.0, "--frames": 15})
+    told = []
+    paths = write_clip(scene, options, tmp_path, on_frame=told.append)
+    assert [path.name for path in paths] == ["quick.mp4", "quick.csv", "quick.yaml"]
+    assert flightscenes.built == {3: 1} and told == list(range(1, 16))
+    rate, frames = read_video(paths[0])
+    assert (rate, len(frames), frames[0].shape[:2]) == (30.0, 15, SHAPE)
+    with paths[1].open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 15 and rows[8]["phase"] == "cruise" and rows[8]["frame"] == "8"
+    assert paths[2].read_text().startswith("# Written by dlgmd.\nscene: quick\nseed: 3\n")
+    record = record_of(paths[2])
+    assert record.pop("versions")["dlgmd"] == __version__
+    assert record == {
+        "scene": "quick",
+        "seed": 3,
+        "codec": best_codec(),
+        "options": options.to_dict(),
+        **scene.record(options),
+    }
+    assert record["options"] == {
+        "size": "32x16",
+        "fps": 30.0,
+        "frames": 15,
+        "fov": 80.0,
+        "seed": 3,
+        "exposure": 5.0,
+        "rolling-shutter": 0.0,
+        "agile": None,
+        "vignette": 0.3,
+        "noise": 0.002,
+        "shot-noise": 0.01,
+        "gamma": 2.2,
+    }
+    assert record["collision_frame"] == 13 and record["target"] == "wall"
+
+
+@needs_pyav
+def test_the_record_names_what_encoded_it(scene, tmp_path):
+    options = scene.configure({"--frames": 3})
+    coded_video, _, coded = write_clip(scene, options, tmp_path / "a")
+    *_, exact = write_clip(scene, options, tmp_path / "b", LOSSLESS)
+    assert "av" in record_of(coded)["versions"] and record_of(coded)["codec"] == "h264"
+    assert "av" not in record_of(exact)["versions"] and record_of(exact)["codec"] == "ffv1"
+    # Flights are what players show; flat scenes are the same everywhere.
+    flat, _ = write_clip(CUBE, CUBE.configure(SMALL), tmp_path)
+    assert b"avc1" in coded_video.read_bytes() and b"mp4v" in flat.read_bytes()
+
+
+def test_without_pyav_a_flight_is_mpeg4(scene, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    video, _, record = write_clip(scene, scene.defaults, tmp_path)
+    assert b"mp4v" in video.read_bytes()
+    assert record_of(record)["codec"] == "mpeg4" and "av" not in record_of(record)["versions"]
+
+
+@pytest.mark.parametrize("name", ["looming-cube", "translating-cubes"])
+def test_lossless_video_is_exact_and_the_other_close(tmp_path, name):
+    scene = SCENES[name]
+    options = scene.configure({**SMALL, "--noise": 0.02, "--fps": 12.5})
+    frames = list(scene.frames(options))
+    exact, _ = write_clip(scene, options, tmp_path / "a", LOSSLESS)
+    coded, _ = write_clip(scene, options, tmp_path / "b")
+    assert (exact.name, coded.name) == (f"{name}.avi", f"{name}.mp4")
+    np.testing.assert_array_equal(decoded(exact), frames)
+    rate, read = read_video(coded)
+    assert np.mean(np.abs(np.array(read, float)[..., 1] - frames)) < 8.0
+    assert rate == pytest.approx(12.5)
+
+
+def test_truth_reads_back(tmp_path):
+    options = CUBE.configure(SMALL)
+    _, path = write_clip(CUBE, options, tmp_path)
+    text = path.read_bytes().decode("ascii")
+    header = "frame,time_s,angular_size_deg,angular_velocity_deg_s,time_to_contact_s"
+    assert text.startswith(f"{header}\n0,0,") and "\r" not in text
+    lines = csv.DictReader(text.splitlines())
+    for cells, row in zip(lines, CUBE.truth(options), strict=True):
+        for column, cell in cells.items():
+            assert cell == f"{getattr(row, column):.9g}"
+
+
+def test_in_a_truth_nan_is_empty_and_text_is_no_formula(tmp_path):
+    values = dict.fromkeys(FlightTruth.__dataclass_fields__, 0.25)
+    row = FlightTruth(**{**values, "time_to_contact_s": math.nan, "phase": "=1,\n"})
+    write_truth(tmp_path / "x.csv", FlightTruth, [row])
+    header, line = (tmp_path / "x.csv").read_text().splitlines()
+    assert header.split(",") == list(values)
+    found = next(csv.DictReader([header, line]))
+    assert found["phase"] == "./=1,\\n" and found["time_to_contact_s"] == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "lossless", "why"),
+    [
+        ({"--size": (47, 64)}, False, "64x47 is odd, .* Choose 64x48"),
+        ({"--size": (48, 63)}, True, "63x48 is odd, .* Choose 64x48"),
+        ({"--fps": 30000 / 1001}, True, r"more than three decimals.* Choose 29\.97"),
+        ({"--fps": 119.999}, False, r"MPEG-4 cannot hold 119\.999"),
+    ],
+)
+def test_what_no_video_can_hold_is_refused_before_anything_is_written(
+    tmp_path, given, lossless, why
+):
+    with pytest.raises(ParameterError, match=why):
+        write_clip(CUBE, CUBE.configure(given), tmp_path / "x", Form.choose(lossless=lossless))
+    assert not (tmp_path / "x").exists()
+
+
+# Pictures
+
+
+def test_pictures_are_exact_and_read_as_a_video(scene, tmp_path):
+    options = scene.configure({"--size": (17, 33), "--fps": 30000 / 1001})
+    frames, *_ = write_clip(scene, options, tmp_path, PNG)
+    assert frames == tmp_path / "quick"
+    assert names(tmp_path) == ["quick", "quick.csv", "quick.yaml"]
+    assert names(frames) == [f"{index:04d}.png" for index in range(18)]
+    made = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted(frames.iterdir())]
+    np.testing.assert_array_equal(made, list(scene.frames(options)))
+    with open_video(frames, scale=1.0) as source:
+        assert sum(1 for _ in source) == 18
+    assert [n_digits(count) for count in (1, 10_000, 10_001, 1_000_000)] == [4, 4, 5, 6]
+
+
+def test_pictures_take_the_place_of_earlier_ones_only_when_told(scene, tmp_path):
+    write_clip(scene, scene.defaults, tmp_path, PNG)
+    for name in ("quick.csv", "quick.yaml"):
+        (tmp_path / name).unlink()
+    with pytest.raises(OutputExistsError, match=r"quick: already exists\. "):
+        write_clip(scene, scene.defaults, tmp_path, PNG)
+    write_clip(scene, scene.configure({"--frames": 3}), tmp_path, PNG, overwrite=True)
+    assert names(tmp_path) == ["quick", "quick.csv", "quick.yaml"]
+    assert names(tmp_path / "quick") == ["0000.png", "0001.png", "0002.png"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("stray", ["notes.txt", "0001.jpg", "1.png", "0001.png/"])
+def test_a_folder_with_other_files_is_never_replaced(scene, tmp_path, stray, overwrite):
+    folder = tmp_path / "quick"
+    folder.mkdir()
+    (folder / "0000.png").touch()
+    (folder / stray).mkdir() if stray.endswith("/") else (folder / stray).touch()
+    before = names(folder)
+    with pytest.raises(OutputExistsError, match=f"holds other files, such as {before[-1]}"):
+        write_clip(scene, scene.defaults, tmp_path, PNG, overwrite=overwrite)
+    assert names(folder) == before and names(tmp_path) == ["quick"]
+
+
+def test_what_is_not_a_folder_is_never_replaced_by_one(scene, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "quick").symlink_to("elsewhere")
+    with pytest.raises(OutputExistsError, match="this is not a folder of pictures"):
+        write_clip(scene, scene.defaults, tmp_path, PNG, overwrite=True)
+    (tmp_path / "quick").unlink()
+    (tmp_path / "quick").touch()
+    with pytest.raises(OutputExistsError, match="this is not a folder of pictures"):
+        write_clip(scene, scene.defaults, tmp_path, PNG, overwrite=True)
+
+
+# Whole or not at all
+
+
+@pytest.mark.parametrize("form", [None, PNG, LOSSLESS])
+@pytest.mark.parametrize("error", ["error", "bug", "interrupt"])
+def test_nothing_half_made_stays(tmp_path, form, error):
+    scene = Quick(at_0=error)
+    with pytest.raises((OutputError, IndexError, KeyboardInterrupt)):
+        write_clip(scene, scene.defaults, tmp_path / "new", form)
+    assert names(tmp_path / "new") == []
+
+
+def test_an_error_leaves_an_earlier_clip_as_it_was(scene, tmp_path):
+    write_clip(scene, scene.defaults, tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    broken = Quick(at_0="error")
+    with pytest.raises(OutputError):
+        write_clip(broken, broken.defaults, tmp_path, overwrite=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_clip_has_no_record_until_it_is_whole(scene, tmp_path, monkeypatch):
+    options = scene.configure({"--frames": 3})
+    write_clip(scene, options, tmp_path)
+    put, seen = Path.replace, []
+
+    def replace_file(path, target):
+        if Path(target).parent == tmp_path and not Path(target).name.startswith("."):
+            seen.append((Path(target).name, (tmp_path / "quick.yaml").exists()))
+        return put(path, target)
+
+    monkeypatch.setattr(Path, "replace", replace_file)
+    write_clip(scene, options, tmp_path, overwrite=True)
+    assert seen == [("quick.mp4", False), ("quick.csv", False), ("quick.yaml", False)]
+
+
+def test_a_stop_ends_rendering(scene, tmp_path, monkeypatch):
+    from dlgmd_cli import cancel
+
+    monkeypatch.setattr(cancel, "_requested", True)
+    with pytest.raises(cancel.Interrupted):
+        write_clip(scene, scene.defaults, tmp_path)
+    assert names(tmp_path) == []
+
+
+def test_earlier_files_are_kept_unless_told_otherwise(tmp_path):
+    options = CUBE.configure(SMALL)
+    (tmp_path / "looming-cube.csv").write_text("mine")
+    with pytest.raises(OutputExistsError, match=r"looming-cube\.csv"):
+        write_clip(CUBE, options, tmp_path)
+    assert names(tmp_path) == ["looming-cube.csv"]
+    write_clip(CUBE, options, tmp_path, overwrite=True)
+    assert names(tmp_path) == ["looming-cube.csv", "looming-cube.mp4"]
+    assert (tmp_path / "looming-cube.csv").read_text().startswith("frame,")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_pictures_that_find_no_room(scene, tmp_path, monkeypatch):
+    def write_bytes(path, data):
+        with open("/dev/full", "wb") as file:
+            file.write(data)
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    with pytest.raises(OutputError, match=r"quick: cannot be written \(No space left"):
+        write_clip(scene, scene.defaults, tmp_path, PNG)
+    assert names(tmp_path) == []
+
+
+# The same every time
+
+
+def test_a_flight_is_filmed_the_same_every_time(tmp_path, threads):
+    options = FlightOptions(shape=(24, 32), n_frames=4, exposure_ms=20.0, rolling_shutter_ms=10.0)
+    filmed = FlightScene("filmed", "a wall that comes closer", options, stage_of)
+    made = []
+    for n_threads in (1, 4):
+        threads(n_threads)
+        folder = tmp_path / str(n_threads)
+        write_clip(filmed, options, folder)
+        write_clip(filmed, options, folder, PNG, name="exact")
+        made.append({path.name: path.read_bytes() for path in folder.rglob("*.*")})
+    assert made[0] == made[1] and len(made[0]) == 3 + 2 + 4
+    other = list(filmed.frames(replace(options, seed=1)))
+    assert all(np.any(a != b) for a, b in zip(filmed.frames(options), other, strict=True))
+
+
+def waves(n_frames=12, shape=(64, 128)):
+    """Smooth pictures with every grey level, and a little noise."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    for k in range(n_frames):
+        wave = 127.5 + 130.0 * np.sin(x / 20.0 + y / 31.0 + 0.2 * k) + rng.normal(0, 1.5, shape)
+        yield np.rint(np.clip(wave, 0, 255)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("codec", ["mpeg4", "ffv1", pytest.param("h264", marks=needs_pyav)])
+def test_the_same_frames_make_the_same_file(tmp_path, threads, codec):
+    suffix = "avi" if codec == "ffv1" else "mp4"
+    made = []
+    for n_threads in (1, 4):
+        threads(n_threads)
+        path = tmp_path / f"{n_threads}.{suffix}"
+        write_video(path, waves(30), (64, 128), 30.0, codec=codec)
+        made.append(path.read_bytes())
+    assert made[0] == made[1]
+    if codec == "h264":  # what would make another file now and then
+        assert b" threads=1 " in made[0] and b" mbtree=0 " in made[0]

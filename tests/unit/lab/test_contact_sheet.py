@@ -1,0 +1,265 @@
+"""Contact sheets of clips: which frames, what is said of them, and the files of `synth --sheet`."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from flightscenes import Quick
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.plots.contact_sheet import plot_contact_sheet, save_contact_sheet
+from dlgmd_cli.lab.stimuli.clip import ContactSheet, chosen_frames
+
+ROOT = Path(__file__).parents[3]
+SMALL = ["--size", "64x48"]
+
+
+@dataclass
+class Row:
+    """What is true of a frame."""
+
+    frame: int
+    time_s: float
+    phase: str = ""
+    time_to_contact_s: float = math.nan
+    angular_size_deg: float = math.nan
+
+
+def make_sheet(n=12, shape=(27, 48), *, collision=None, phase="cruise", name="flight"):
+    """Frames of noise, ten apart; contact is in 1.234 s at first."""
+    rng = np.random.default_rng(n)
+    images = [rng.integers(0, 256, shape, np.uint8) for _ in range(n)]
+    rows = [
+        Row(10 * k, k / 3, phase, math.nan if k == collision else 1.234 - 0.1 * k, 10.04 + k)
+        for k in range(n)
+    ]
+    record = {"target": "wall", "collision_frame": None, "collision_time_s": None}
+    if collision is not None:
+        record |= {"collision_frame": 10 * collision, "collision_time_s": collision / 3}
+    return ContactSheet(name, 30.0, 10 * n, 7, record if phase else {}, images, rows)
+
+
+def captions(sheet):
+    """Lines under each frame."""
+    return [axes.get_xlabel().split("\n") for axes in plot_contact_sheet(sheet).axes]
+
+
+def title(sheet):
+    return plot_contact_sheet(sheet).get_suptitle().split("\n")
+
+
+@pytest.fixture
+def synth(dlgmd, monkeypatch):
+    """Call `dlgmd synth quick --sheet`, with some seeds at fault; sheets are quickly drawn."""
+
+    def draw(sheet, path, dpi):
+        path.write_bytes(cv2.imencode(".png", np.hstack(sheet.images))[1].tobytes())
+
+    monkeypatch.setattr("dlgmd_cli.lab.plots.contact_sheet.save_contact_sheet", draw)
+
+    def call(*arguments, **faults):
+        monkeypatch.setitem(SCENES, "quick", Quick(**faults))
+        return dlgmd("synth", "quick", "--sheet", *arguments)
+
+    return call
+
+
+# Which frames
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "collision", "expected"),
+    [
+        (1, None, (0,)),
+        (12, 11, tuple(range(12))),
+        (13, None, (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12)),
+        (156, 140, (0, 14, 28, 42, 56, 70, 84, 98, 112, 126, 140, 155)),
+        (111, 1, (0, 1, 11, 22, 33, 44, 55, 66, 77, 88, 99, 110)),
+        (111, 109, (0, 10, 21, 32, 43, 54, 65, 76, 87, 98, 109, 110)),
+    ],
+)
+def test_frames_of_a_sheet(n_frames, collision, expected):
+    assert chosen_frames(n_frames, collision) == expected
+
+
+# What is said of them
+
+
+def test_captions_of_a_flight():
+    first, second, third, fourth = captions(make_sheet(4, collision=2))
+    assert first == ["frame 0 · 0.000 s", "cruise", "contact in 1.23 s · 10.0° across"]
+    assert second == ["frame 10 · 0.333 s", "cruise", "contact in 1.13 s · 11.0° across"]
+    assert third == ["frame 20 · 0.667 s", "cruise", "collision frame · 12.0° across"]
+    assert fourth[2] == "contact in 0.93 s · 13.0° across"
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"time_to_contact_s": math.nan}, ["10.0° across"]),
+        ({"angular_size_deg": math.nan}, ["contact in 1.23 s"]),
+        ({"time_to_contact_s": 0.1}, ["contact in 0.10 s · 10.0° across"]),
+        ({"time_to_contact_s": 1 / 30}, ["contact in 0.033 s · 10.0° across"]),
+        ({"time_to_contact_s": math.nan, "angular_size_deg": math.nan}, []),
+    ],
+)
+def test_what_is_not_defined_is_left_out(changed, expected):
+    sheet = make_sheet(1)
+    rows = [replace(sheet.rows[0], **changed)]
+    assert captions(replace(sheet, rows=rows)) == [["frame 0 · 0.000 s", "cruise", *expected]]
+
+
+def test_title_and_outcome():
+    first = "flight · 48×27 px · 30 frames/s · 40 frames · seed 7"
+    sheet = make_sheet(4, collision=2)
+    assert title(sheet) == [first, "target: wall · collision at 0.667 s, frame 20"]
+    late = replace(sheet, record={**sheet.record, "collision_frame": None})
+    assert title(late)[1] == "target: wall · collision at 0.667 s, after the last frame"
+    assert title(make_sheet(4))[1] == "target: wall · no collision"
+    assert title(make_sheet(4, phase="")) == [first]
+    assert " · 29.97 frames/s · 1 frame · " in title(replace(sheet, fps=29.97, n_frames=1))[0]
+
+
+def test_the_collision_stands_out_without_colour():
+    figure = plot_contact_sheet(make_sheet(12, collision=7))
+    widths = [axes.spines["left"].get_linewidth() for axes in figure.axes]
+    assert widths[7] >= 5 * max(widths[:7] + widths[8:])
+    weights = [axes.xaxis.label.get_weight() for axes in figure.axes]
+    assert [weight == "bold" for weight in weights].index(True) == 7 and weights.count("bold") == 1
+
+
+# The picture
+
+
+def test_frames_are_shown_as_they_are_or_averaged_over_area():
+    small = make_sheet(5)
+    shown = plot_contact_sheet(small).axes[4].get_images()[0].get_array()
+    assert np.array_equal(shown, small.images[4])
+    large = make_sheet(5, (768, 1432))
+    shown = plot_contact_sheet(large).axes[4].get_images()[0].get_array()
+    assert shown.shape == (192, 358)
+    mean = large.images[4].reshape(192, 4, 358, 4).mean(axis=(1, 3))
+    assert np.abs(shown - mean).max() <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("n", "shape", "name", "phase"),
+    [
+        (12, (1080, 1920), "x" * 300, "a phase of many words, and some more words"),
+        (5, (640, 480), "flight", "hover"),
+        (1, (400, 16), "x" * 300, "hover"),
+    ],
+)
+def test_words_neither_overlap_nor_leave_the_figure(n, shape, name, phase):
+    figure = plot_contact_sheet(make_sheet(n, shape, collision=n - 1, phase=phase, name=name))
+    assert figure.get_size_inches()[0] <= 7.17 and figure.get_size_inches()[1] < 9.5  # of a page
+    FigureCanvasAgg(figure).draw()
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert len(shown) == n
+    tiles = [axes.get_window_extent() for axes in shown]
+    words = [axes.xaxis.label.get_window_extent() for axes in shown]
+    words.append(figure._suptitle.get_window_extent())
+    for number, box in enumerate(words):
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0 and box.y1 <= figure.bbox.y1
+        for other in (*words[:number], *tiles):
+            apart = box.x1 <= other.x0 or other.x1 <= box.x0
+            assert apart or box.y1 <= other.y0 + 1 or other.y1 <= box.y0 + 1
+    for box in tiles:
+        if min(box.width, box.height) > 10:
+            assert box.width / box.height == pytest.approx(shape[1] / shape[0], rel=0.05)
+    columns = {round(box.x0) for box in tiles}
+    assert len(columns) == min(n, 4)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_any_name_can_be_drawn_and_the_same_every_time(tmp_path):
+    sheet = make_sheet(2, name="$x^{$ · \x07飞行\n", phase="$\\frac{$")
+    for name in "ab":
+        save_contact_sheet(sheet, tmp_path / f"{name}.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert captions(sheet)[0][1] == "$\\frac{$"
+
+
+# The file
+
+
+def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
+    drawn = []
+
+    def draw(sheet, path, dpi):
+        drawn.append(sheet)
+        save_contact_sheet(sheet, path, dpi)
+
+    monkeypatch.setattr("dlgmd_cli.lab.plots.contact_sheet.save_contact_sheet", draw)
+    result = synth("--seed", 3, "--png", "--dpi", 100, "--out", Path("new", "folder"))
+    assert result.exit_code == 0 and result.stderr == ""
+    paths = [Path(line) for line in result.stdout.splitlines()]
+    names = ["quick", "quick.csv", "quick.yaml", "quick-sheet.png"]
+    assert paths == [Path("new", "folder", name) for name in names]
+    assert sorted(paths) == sorted(Path("new", "folder").iterdir())
+    assert cv2.imread(str(paths[-1])).shape[1] <= 716
+    record = yaml.safe_load(paths[2].read_text())
+    assert record["sheet"] == "quick-sheet.png"
+    (sheet,) = drawn
+    assert sheet.name == "quick" and len(sheet.images) == 12
+    for image, row in zip(sheet.images, sheet.rows, strict=True):
+        kept = cv2.imread(str(paths[0] / f"{row.frame:04d}.png"), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(image, kept)
+    assert 13 in [row.frame for row in sheet.rows] and record["collision_frame"] == 13
+
+
+def test_a_sheet_is_replaced_only_when_told(synth):
+    Path("quick-sheet.png").write_bytes(b"mine")
+    result = synth()
+    assert result.exit_code == 2 and result.stdout == ""
+    assert result.stderr.endswith(
+        "Error: quick-sheet.png: already exists. Add --overwrite to replace it.\n"
+    )
+    assert [path.name for path in Path().iterdir()] == ["quick-sheet.png"]
+    assert synth("--overwrite").exit_code == 0
+    assert cv2.imread("quick-sheet.png") is not None
+
+
+def test_a_sheet_that_cannot_be_written_keeps_all_files_away(synth, monkeypatch):
+    def full(sheet, path, dpi):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dlgmd_cli.lab.plots.contact_sheet.save_contact_sheet", full)
+    result = synth()
+    assert result.exit_code == 1 and result.stderr.count("\n") == 1
+    assert "cannot be written (No space left on device)" in result.stderr
+    assert not list(Path().iterdir())
+
+
+# Of many flights
+
+
+def many(folder="f"):
+    return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def test_every_flight_has_its_own_and_keeps_it(synth, dlgmd):
+    fleet = ["--count", 2, "--out", "f", "--jobs", 1]
+    result = synth(*fleet)
+    assert result.exit_code == 0 and result.stderr == ""
+    assert result.stdout.split() == [str(Path("f", "labels.csv"))]
+    before = many()
+    sheets = [name for name in before if name.endswith("-sheet.png")]
+    assert sorted(sheets) == ["quick-0000-sheet.png", "quick-0001-sheet.png"]
+    assert before[sheets[0]] != before[sheets[1]]
+    again = synth(*fleet, at_0="error", at_1="error")
+    assert again.exit_code == 0 and again.stderr == "2 of 2 flights were already there.\n"
+    assert dlgmd("synth", "quick", *fleet).exit_code == 0
+    assert many() == before
+    Path("f", sheets[0]).unlink()
+    result = synth(*fleet)
+    assert result.exit_code == 2 and "(without a sheet)" in result.stderr
+    assert synth(*fleet, "--overwrite").exit_code == 0 and many() == before
+
+
+# What it costs those who do not want it

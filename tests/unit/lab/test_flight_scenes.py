@@ -1,0 +1,114 @@
+"""Flights as scenes: their options, their length, and what is recorded of them."""
+
+import pytest
+from flightscenes import DURATION_S, Quick
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights.scenes import SCENES
+
+
+@pytest.fixture
+def scene():
+    return Quick()
+
+
+# Options
+
+
+@pytest.mark.parametrize("flag", ["--exposure", "--rolling-shutter"])
+def test_no_longer_than_a_frame(scene, flag):
+    assert scene.configure({flag: 1000 / 30, "--fps": 30.0})
+    with pytest.raises(ParameterError) as caught:
+        scene.configure({flag: 33.4, "--fps": 30.0})
+    assert str(caught.value) == (
+        f"Invalid value for '{flag}': 33.4 ms is longer than a frame at 30 frames/s. "
+        "Choose 33.33 or less, or a lower --fps."
+    )
+    assert scene.configure({flag: 33.4, "--fps": 29.9})
+
+
+@pytest.mark.parametrize(
+    ("flag", "value"),
+    [
+        ("--exposure", float("nan")),
+        ("--noise", -0.1),
+        ("--gamma", 4.1),
+    ],
+)
+def test_options_out_of_range(scene, flag, value):
+    with pytest.raises(ParameterError, match=rf"'{flag}': .*is out of range"):
+        scene.configure({flag: value})
+
+
+def test_an_agile_drone_is_another_flight_and_the_record_says_so(scene):
+    for agile in (True, False, None):
+        assert scene.record(scene.configure({"--agile": agile}))["agile"] is bool(agile)
+    with pytest.raises(ParameterError, match="'--agile': 1 is neither true nor false"):
+        scene.configure({"--agile": 1})
+
+
+def test_options_of_flat_scenes_are_none_of_a_flight(scene):
+    with pytest.raises(ParameterError, match=r"^--contrast: quick has no such option\. It takes "):
+        scene.configure({"--contrast": 0.5})
+    with pytest.raises(ParameterError, match="looming-cube has no such option"):
+        SCENES["looming-cube"].configure({"--exposure": 1.0})
+
+
+# Length and record
+
+
+@pytest.mark.parametrize(("fps", "n_frames"), [(30.0, 19), (10.0, 7), (12.5, 8), (1.0, 1)])
+def test_a_clip_is_as_long_as_the_flight(scene, fps, n_frames):
+    options = scene.configure({"--fps": fps})
+    assert scene.n_frames(options) == n_frames
+    assert (n_frames - 1) / fps <= DURATION_S + 1e-9 < n_frames / fps
+    assert len(list(scene.truth(options))) == scene.record(options)["frames"] == n_frames
+
+
+def test_a_clip_can_be_cut_but_not_drawn_out(scene):
+    assert scene.n_frames(scene.configure({"--frames": 19})) == 19
+    with pytest.raises(ParameterError, match=r"'--frames': the flight ends after 19 frames\. Choo"):
+        scene.configure({"--frames": 20})
+
+
+def test_more_frames_than_any_clip_has(scene, monkeypatch):
+    monkeypatch.setattr("dlgmd_cli.lab.flights.scene.MAX_FRAMES", 18)
+    with pytest.raises(
+        ParameterError, match=r"'--fps': the flight has 19 frames, and .* 18 at mos"
+    ):
+        scene.configure({})
+    assert scene.configure({"--frames": 18})
+
+
+@pytest.mark.parametrize(
+    ("seed", "fps", "frame", "time_s"),
+    [
+        (0, 30.0, None, None),
+        (1, 30.0, 12, 0.4),
+        (11, 25.0, 7, 0.28),  # 0.28 * 25 > 7 in floating point
+        (3, 30.0, 13, 0.41),
+        (3, 100.0, 41, 0.41),
+        (5, 30.0, 18, 0.6),
+        (7, 30.0, None, 0.601),
+    ],
+)
+def test_the_collision_is_the_first_frame_at_or_after_contact(scene, seed, fps, frame, time_s):
+    record = scene.record(scene.configure({"--seed": seed, "--fps": fps}))
+    assert (record["collision_frame"], record["collision_time_s"]) == (frame, time_s)
+
+
+def test_a_collision_beyond_the_clip_is_none_of_its_frames(scene):
+    cut = scene.record(scene.configure({"--seed": 1, "--frames": 12}))
+    assert (cut["collision_frame"], cut["collision_time_s"]) == (None, 0.4)
+    assert scene.record(scene.configure({"--seed": 1, "--frames": 13}))["collision_frame"] == 12
+
+
+@pytest.mark.parametrize("fps", [7.0, 30.0, 119.88])
+def test_phases_are_those_of_the_truth(scene, fps):
+    options = scene.configure({"--fps": fps})
+    spelled_out = [
+        phase["name"]
+        for phase in scene.record(options)["phases"]
+        for _ in range(phase["first_frame"], phase["last_frame"] + 1)
+    ]
+    assert spelled_out == [row.phase for row in scene.truth(options)]

@@ -1,0 +1,295 @@
+"""`dlgmd synth SCENE --count`: many flights, their labels, and what an early end leaves of them."""
+
+import pickle
+from pathlib import Path
+
+import cv2
+import pytest
+import yaml
+from flightscenes import SHORT, Quick
+
+from dlgmd_cli.errors import ResultError
+from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.results.labels import read_labels
+
+OUT = Path("flights")
+HEADER = "video,collision_frame,target\n"
+# Seeds 1 and 3 collide, in frames 12 and 13.
+LABELS_OF_4 = HEADER + (
+    "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\nquick-0002.mp4,,wall\nquick-0003.mp4,13,wall\n"
+)
+
+
+@pytest.fixture
+def synth(dlgmd, monkeypatch):
+    """Call `dlgmd synth quick --count 4 --out flights`, with some seeds at fault."""
+
+    def call(*arguments, count=4, jobs=1, **faults):
+        monkeypatch.setitem(SCENES, "quick", Quick(**faults))
+        fleet = ["quick", "--out", OUT, "--count", count, "--jobs", jobs]
+        return dlgmd("synth", *fleet, *arguments)
+
+    return call
+
+
+def labels():
+    return (OUT / "labels.csv").read_text("ascii")
+
+
+def contents(folder=OUT):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def identities():
+    """Which file each one is: another one after it was written anew."""
+    return {path.name: path.stat().st_ino for path in OUT.iterdir() if path.name != "labels.csv"}
+
+
+# Whole
+
+
+def test_flights_and_their_labels_do_not_depend_on_jobs(synth):
+    result = synth()
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"{OUT / 'labels.csv'}\n" and result.stderr == ""
+    assert labels() == LABELS_OF_4
+    names = [f"quick-000{i}.{suffix}" for i in range(4) for suffix in ("csv", "mp4", "yaml")]
+    assert sorted(path.name for path in OUT.iterdir()) == ["labels.csv", *names]
+    for number in range(4):
+        assert yaml.safe_load((OUT / f"quick-000{number}.yaml").read_text())["seed"] == number
+    alone = contents()
+    OUT.rename("alone")
+    assert synth(jobs=2).exit_code == 0
+    assert contents() == alone
+
+
+def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
+    synth("--seed", 10, count=3)
+    assert not yaml.safe_load((OUT / "quick-0002.yaml").read_text())["agile"]
+    single = dlgmd("synth", "quick", "--seed", 12)
+    assert single.stdout.split() == ["quick.mp4", "quick.csv", "quick.yaml"]
+    for suffix in ("mp4", "csv", "yaml"):
+        assert Path(f"quick.{suffix}").read_bytes() == (OUT / f"quick-0002.{suffix}").read_bytes()
+
+
+def test_folders_of_pictures(synth):
+    assert synth("--png", "--frames", 2, count=2).exit_code == 0
+    assert labels() == HEADER + "quick-0000,,wall\nquick-0001,,wall\n"
+    assert sorted(path.name for path in (OUT / "quick-0001").iterdir()) == ["0000.png", "0001.png"]
+
+
+def test_every_scene_goes_to_other_processes():
+    for scene in SCENES.values():
+        assert pickle.loads(pickle.dumps(scene)).name == scene.name
+
+
+# Going on
+
+
+def test_what_is_there_is_not_rendered_again(synth):
+    synth(count=2)
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+    before = identities()
+    result = synth()
+    assert result.exit_code == 0 and result.stderr == "2 of 4 flights were already there.\n"
+    assert before.items() <= identities().items() and labels() == LABELS_OF_4
+    for path in OUT.glob("quick-0002.*"):
+        path.unlink()
+    assert synth().stderr == "3 of 4 flights were already there.\n"
+    before = identities()
+    (OUT / "labels.csv").unlink()
+    result = synth("--overwrite", at_0="error", at_1="error")
+    assert result.exit_code == 0 and identities() == before and labels() == LABELS_OF_4
+    # Fewer flights do not take others off the list.
+    result = synth(count=2)
+    assert result.exit_code == 2 and "lists other videos, such as quick-0002.mp4" in result.stderr
+    assert labels() == LABELS_OF_4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "differing"),
+    [
+        (["--gamma", 2], "--gamma"),
+        (["--size", "48x16"], "--size"),
+        (["--frames", 10], "--frames"),
+        (["--agile"], "--agile"),
+        (["--seed", 1], "seed"),
+    ],
+)
+def test_flights_of_other_settings_are_refused(synth, arguments, differing):
+    synth(count=2)
+    before = contents()
+    result = synth(*arguments, count=2)
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {OUT / 'quick-0000.yaml'}: another flight already exists here ({differing}). "
+        "Add --overwrite to replace such flights, or choose another --out.\n"
+    )
+    assert contents() == before
+    assert synth(*arguments, "--overwrite", count=2).exit_code == 0
+    assert contents().keys() == before.keys() and contents() != before
+
+
+def test_flights_of_other_versions_are_refused(synth, monkeypatch):
+    synth(count=1)
+    monkeypatch.setattr(cv2, "__version__", "0.1")
+    result = synth(count=1)
+    assert result.exit_code == 2 and "already exists here (versions)" in result.stderr
+
+
+def test_files_of_others_are_refused(synth):
+    OUT.mkdir()
+    (OUT / "quick-0003.csv").write_text("mine")
+    result = synth()
+    assert result.exit_code == 2 and "quick-0003.csv: already exists" in result.stderr
+    assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
+
+
+@pytest.mark.parametrize("text", ["scene: [", "collision_frame: 3\n"])
+def test_a_record_that_says_nothing_is_no_flight(synth, text):
+    synth(count=2)
+    (OUT / "quick-0001.yaml").write_text(text)
+    result = synth(count=2)
+    assert result.exit_code == 2 and "quick-0001" in result.stderr
+    assert synth("--overwrite", count=2).exit_code == 0
+
+
+@pytest.mark.parametrize("fault", ["mp4", "csv", "x", "-3"])
+def test_a_damaged_flight_is_none(synth, fault):
+    synth(count=2)
+    record = OUT / "quick-0001.yaml"
+    if fault in ("mp4", "csv"):
+        record.with_suffix(f".{fault}").unlink()
+    else:
+        odd = record.read_text().replace("collision_frame: 12", f"collision_frame: {fault}")
+        record.write_text(odd)
+    result = synth(count=2)
+    assert result.exit_code == 2 and "already exists here (damaged)" in result.stderr
+    assert synth("--overwrite", count=2).exit_code == 0
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (HEADER + "quick-0001.mp4,3\nother.mp4,5\n", "lists other videos, such as other.mp4"),
+        ("", "contains no labels"),
+        (HEADER + "quick-0001.mp4,soon\n", "line 2 is not a label"),
+    ],
+)
+def test_labels_of_others_are_refused(synth, text, why):
+    OUT.mkdir()
+    (OUT / "labels.csv").write_text(text)
+    result = synth()
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {OUT / 'labels.csv'}: {why}. "
+        "Add --overwrite to replace it, or choose another --out.\n"
+    )
+    assert contents() == {"labels.csv": text.encode()}
+    assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
+
+
+# Ending before the end
+
+
+def test_one_that_fails_keeps_the_others(synth):
+    result = synth(at_1="error")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines() == [
+        "quick-0001: here: it cannot be. Mend it.",
+        f"Error: 1 of 4 flights failed; the other 3 are in {OUT}. "
+        "Fix what is named above, then run the same command again.",
+    ]
+    assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall\n", "")
+    assert not list(OUT.glob("quick-0001*"))
+    assert synth().exit_code == 0 and labels() == LABELS_OF_4
+
+
+def test_what_a_killed_process_left_is_removed(synth):
+    (OUT / ".dlgmd-abc").mkdir(parents=True)
+    (OUT / ".dlgmd-abc" / "video.mp4").touch()
+    (OUT / ".dlgmd-quick-0001.csv").touch()
+    assert synth(count=1).exit_code == 0
+    assert len(contents()) == 4
+
+
+def test_a_flight_too_short_for_the_frames_fails_alone(synth):
+    result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("quick-0001: Invalid value for '--frames': the flight ends aft")
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0002.mp4,,wall\n"
+
+
+def test_a_bug_keeps_what_is_there(synth):
+    result = synth(count=4, at_3="bug")
+    assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
+    listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
+    assert listed == sorted(path.name for path in OUT.glob("*.mp4")) and len(listed) == 3
+    assert f"{OUT} holds {len(listed)} of 4 flights; run the same command again" in result.stderr
+    assert len(contents()) == 3 * len(listed) + 1
+
+
+def test_an_interrupt_keeps_what_is_there(synth):
+    result = synth(at_2="interrupt")
+    assert result.exit_code == 130
+    assert result.stderr == (
+        f"Interrupted. {OUT} holds 2 of 4 flights; run the same command again for the others.\n"
+    )
+    assert result.stdout == f"{OUT / 'labels.csv'}\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+    assert len(contents()) == 7
+    before = identities()
+    again = synth()
+    assert again.exit_code == 0 and again.stderr == "2 of 4 flights were already there.\n"
+    assert labels() == LABELS_OF_4 and before.items() <= identities().items()
+
+
+def test_an_interrupt_before_the_first_flight_leaves_nothing(synth):
+    result = synth(at_0="interrupt")
+    assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
+    assert result.stdout == "" and not OUT.exists()
+
+
+# Usage
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
+        ("quick --jobs 2", "--jobs works only with --count. Add it."),
+        ("quick --count 0", "Invalid value for '--count': 0 is not in the range"),
+        ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
+        ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),
+        (f"quick --count 2 --seed {2**63 - 1}", "'--seed': 9223372036854775808 is out of range"),
+    ],
+)
+def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    result = dlgmd("synth", "--out", "new", *arguments.split())
+    assert result.exit_code == 2 and message in result.stderr
+    assert not Path("new").exists()
+
+
+# Labels
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\xff\xfe", "cannot be read (not a CSV file)"),
+        (b"video\na.mp4\n", "contains no labels"),
+        (b"video,collision_frame\na.mp4\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is not a label"),
+        (b"video,collision_frame\na.mp4,-1\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is not a label"),
+        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is not a label"),
+    ],
+)
+def test_what_holds_no_labels(tmp_path, data, why):
+    path = tmp_path / "x.csv"
+    path.write_bytes(data)
+    with pytest.raises(ResultError) as caught:
+        read_labels(path)
+    assert caught.value.why == why

@@ -1,0 +1,179 @@
+"""`dlgmd reproduce`: claims and thresholds, what ids stand for, the report, one-line errors."""
+
+import math
+import shlex
+import sys
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from dlgmd_cli.commands.app import cli
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.reproduce import clips, compute, flights, stimuli
+from dlgmd_cli.lab.reproduce.claims import (
+    COLUMNS,
+    NO,
+    UNDECIDED,
+    YES,
+    Claim,
+    ExhibitSpec,
+    Finding,
+    findings,
+    load_claims,
+    select,
+)
+from dlgmd_cli.lab.reproduce.clips import Clip, ModelSpec, all_formulations, model, other_models
+from dlgmd_cli.lab.reproduce.plan import Plan, clip_jobs, merged
+from dlgmd_cli.lab.reproduce.report import Section, number, page
+from dlgmd_cli.parameters import FORMULATIONS
+
+NAN = math.nan
+SPECS, INCONSISTENCIES = load_claims()
+
+
+def found(values, holds="at least", threshold=1.0):
+    claim = Claim("x", "It is so.", "what", threshold, holds, "because")
+    return Finding(claim, "Fig. 0", "default", tuple(values))
+
+
+@pytest.mark.parametrize(
+    ("values", "holds", "value", "verdict"),
+    [
+        ([2, 1], "at least", 1, YES),
+        ([2, 1], "above", 1, NO),
+        ([0, 1], "at most", 1, YES),
+        ([0, 1], "below", 1, NO),
+        ([NAN, 2], "above", 2, UNDECIDED),
+        ([NAN, 0.5], "above", 0.5, NO),  # one that fails is enough
+        ([NAN], "above", NAN, UNDECIDED),
+        ([math.inf], "above", math.inf, YES),
+    ],
+)
+def test_a_claim_holds_if_it_does_for_the_worst_seed(values, holds, value, verdict):
+    one = found(values, holds)
+    assert one.holds == verdict and (one.value == value or math.isnan(value))
+    assert one.row()[-1] == verdict and len(one.row()) == len(COLUMNS)
+
+
+def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
+    assert set(SPECS) == set(compute.EXHIBITS)
+    assert len(INCONSISTENCIES) >= 4
+    ids = [key for spec in SPECS.values() for key in spec.claims]
+    assert len(ids) == len(set(ids))
+    for spec in SPECS.values():
+        for key, claim in spec.claims.items():
+            assert key.startswith((spec.id, spec.id.rstrip("ab"))), key
+            found([0.0], claim.holds, claim.threshold)
+            for text in (claim.claim, claim.reason, spec.about):
+                assert text[-1] == "." and text[0] == text[0].upper(), text
+
+
+def test_commands_that_repeat_an_exhibit_exist():
+    for spec in SPECS.values():
+        for line in spec.repeat:
+            name, *words = shlex.split(line)[1:]
+            command = cli.get_command(None, name)
+            with cli.make_context("dlgmd", [name]) as ctx:
+                command.make_context(name, words, parent=ctx)  # raises UsageError
+
+
+@pytest.mark.parametrize(
+    ("only", "names"),
+    [
+        (["fig1"], ["fig1"]),
+        (["fig13", "fig3"], ["fig3", "fig13a", "fig13b"]),
+        (["table4"], ["table4-da", "table4-time"]),
+        ([], list(SPECS)),
+    ],
+)
+def test_ids_and_their_beginnings(only, names):
+    assert list(select(SPECS, only)) == names
+
+
+def test_single_claims():
+    chosen = select(SPECS, ["fig9b", "fig5-rises"])
+    assert {name: list(spec.claims) for name, spec in chosen.items()} == {
+        "fig5": ["fig5-rises"],
+        "fig9": ["fig9b-rest"],
+    }
+    with pytest.raises(ParameterError, match=r"'fig2' to reproduce.*Choose from fig1, fig3"):
+        select(SPECS, ["fig2"])
+
+
+def test_levels_that_are_held():
+    level = np.array([0, 0.9, 0, 0.5, 0.6, 0.2, 1.0])
+    assert flights.sustained(level, 0, 5) == 0.5
+    assert flights.sustained(level, 0, 6) == 0.5
+    assert flights.sustained(level, 0, 2) == 0.0
+
+
+def test_clips_are_rendered_once_for_all_their_models():
+    clip = Clip.of("looming-cube", size=(30, 40))
+    jobs = merged(
+        [*clip_jobs(other_models("lgmd"), clip), *clip_jobs(all_formulations("set3"), clip)]
+    )
+    found = jobs[0].call()
+    assert len(jobs) == 1 and set(found.results) == {"lgmd", *all_formulations("set3")}
+    assert np.array_equal(
+        found.results["set3/default"].mp,
+        clips.run_clip(clip, {"x": ModelSpec(model("set3"))}).results["x"].mp,
+        equal_nan=True,
+    )
+    assert stimuli.onset(found.results["lgmd"]) > 0 and found.truth["frame"][-1] == 74
+
+
+def test_boxes_hold_the_objects_of_fig_8():
+    clip = Clip.of("ball-and-capsules", size=(150, 200))
+    frames = [frame.astype(float) for frame in islice(clips._open_clip(clip)[0], 42)]
+    for index in (5, 20, 41):
+        change = np.abs(frames[index] - frames[index - 1]) > 12
+        boxes = clips._boxes(change.shape, index)
+        assert change.sum() > 50 and all(change[box].any() for box in boxes)
+        for box in boxes:
+            change[box] = False
+        assert not change.any()
+
+
+def test_texts_are_escaped():
+    claim = Claim("c", "<i>a</i>", "<b>", 1.0, "above", "<u>", "<s>")
+    spec = ExhibitSpec("fig1", "<script>", "&", "<img>", ["dlgmd run '<x>'"], {"c": claim})
+    section = Section(spec, [Finding(claim, "&", f, (0.5, 2.0)) for f in FORMULATIONS], {})
+    html = page([section], ["<em>"], Plan(quick=True), {}, "dlgmd --out '<y>'")
+    for raw in ("<i>", "<script>", "<img>", "<x>", "<u>", "<s>", "<em>", "<y>"):
+        assert raw not in html
+    assert html.count("1 of 2 seeds") == 3 and "&lt;script&gt;" in html
+
+
+def test_numbers_for_readers():
+    shown = [number(value) for value in (-1.2345, 9789.28, math.inf, NAN, 2e-7, 0.0)]
+    assert shown == ["−1.23", "9789", "∞", "–", "2e−07", "0"]
+
+
+def test_findings_of_every_formulation():
+    spec = select(SPECS, ["fig9b"])["fig9"]
+    rows = findings(spec, {"fig9b-rest": {f: [-1.0, -2.0] for f in FORMULATIONS}})
+    assert [(row.formulation, row.holds, row.value) for row in rows] == [
+        (f, YES, -1.0) for f in FORMULATIONS
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "line"),
+    [
+        (["--only", "fig99"], 2, "there is no 'fig99' to reproduce"),
+        (["--reference", "."], 2, "holds neither looming_ball nor ball_and_capsules"),
+        (["--reference", "nowhere"], 2, "does not exist"),
+        (["--jobs", 0], 2, "'--jobs'"),
+    ],
+)
+def test_errors_in_one_line(dlgmd, options, code, line):
+    result = dlgmd("reproduce", *options)
+    assert result.exit_code == code and line in result.stderr
+
+
+def test_without_jinja(dlgmd, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    result = dlgmd("reproduce", "--only", "fig5")
+    assert result.exit_code == 1
+    assert "Jinja2 is not installed. Run: pip install 'dlgmd[view]'." in result.stderr

@@ -1,0 +1,270 @@
+"""Rooms and furniture of rendered flights: what they look like, and that they can be painted."""
+
+import hashlib
+from collections import Counter
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from dlgmd_cli.lab.flights import pictures, rooms, textures
+from dlgmd_cli.lab.flights.bodies import Skin, block, placement
+from dlgmd_cli.lab.flights.furniture import catalogue, furniture, furniture_at_wall
+from dlgmd_cli.lab.flights.renderer.solids import Capsule, Solid
+from dlgmd_cli.lab.flights.renderer.texture import Texture
+from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder
+
+AXES = np.vstack([np.eye(3), -np.eye(3)])
+SIZE = (1.1, 0.8)
+SURFACES = (
+    *(textures.plaster, textures.brick, textures.parquet, textures.carpet),
+    *(textures.wood, textures.cloth),
+    *(pictures.poster, pictures.bookcase_front, pictures.whiteboard, pictures.carton_side),
+    *(pictures.notebook_screen, pictures.door_leaf, pictures.window_pane),
+    *(pictures.cupboard_front, pictures.ceiling_panels),
+)
+OBSTACLES = tuple(furniture("chair", np.random.default_rng(0), placement((5.0, 0.0), 170.0)))
+
+
+def seeded(seed=1):
+    return np.random.default_rng(seed)
+
+
+def fingerprint(bodies):
+    """Where everything is and what it looks like."""
+    digest = hashlib.sha256()
+    for face in (face for body in bodies for face in getattr(body, "faces", ())):
+        digest.update(face.corners_m.tobytes() + face.texture.image.tobytes())
+    return digest.hexdigest()
+
+
+def solids(bodies):
+    return [body for body in bodies if isinstance(body, Solid)]
+
+
+def reach_m(bodies):
+    """The box around bodies: its upper and its lower corner."""
+    ends = np.max([body.reach(AXES) for body in bodies], axis=0)
+    return ends[:3], -ends[3:]
+
+
+def area_of(face):
+    spread = face.corners_m - face.corners_m[0]
+    return np.linalg.norm(np.cross(spread[1:-1], spread[2:]).sum(axis=0)) / 2
+
+
+@pytest.fixture(scope="module")
+def furnished():
+    """Makes places around obstacles without walls to paint, which is what takes the time."""
+
+    @lru_cache
+    def made(name, seed, **options):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rooms, "room", lambda *_, **__: Solid("room", []))
+            size = {"length_m": 11.0, **options}
+            return getattr(rooms, name)(seeded(seed), obstacles=OBSTACLES, **size)
+
+    return made
+
+
+# Surfaces
+
+
+@pytest.mark.parametrize("made", SURFACES, ids=lambda made: made.__name__)
+def test_surfaces_reflect_what_things_do_and_come_from_the_seed(made):
+    image = made(seeded(), SIZE, 250.0)
+    assert image.dtype == np.float32 and image.shape == (200, 275)
+    assert image.min() >= 0.02 and image.max() <= 0.95
+    assert np.array_equal(image, made(seeded(), SIZE, 250.0))
+    assert not np.array_equal(image, made(seeded(2), SIZE, 250.0))
+    # What alternates from pixel to pixel would flicker.
+    alternating = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]) / 16.0)[1:-1, 1:-1]
+    assert alternating.std() < 0.12 * image.std()
+    # There is structure at several scales.
+    for times in (4, 16):
+        small = cv2.resize(image, None, fx=1 / times, fy=1 / times, interpolation=cv2.INTER_AREA)
+        assert small.std() > 0.012 * image.mean(), f"1/{times}"
+
+
+# Bodies
+
+
+def check_convex(body):
+    """Faces look outwards, are flat, and show their pictures the right way round."""
+    for face in body.faces:
+        beyond = (body.corners_m - face.corners_m[0]) @ face.normal
+        assert beyond.max() < 1e-9, body.name
+        assert (face.corners_m - face.corners_m[0]) @ face.normal == pytest.approx(0, abs=1e-9)
+        assert np.cross(face.down_m, face.right_m) @ face.normal > 0
+        assert face.right_m @ face.down_m == pytest.approx(0, abs=1e-9)
+        around = np.roll(face.corners_m, -1, axis=0) - face.corners_m
+        turns = np.cross(around, np.roll(around, -1, axis=0)) @ face.normal
+        assert (turns > 0).all()
+        assert 0.3 <= face.gain <= 1.0
+
+
+def test_a_block_shows_each_side_where_it_is():
+    sides = ("front", "back", "left", "right", "top", "bottom")
+    skins = {side: Skin(Texture(0.1 * number)) for number, side in enumerate(sides)}
+    corners = np.array([(-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
+    body = block("b", placement((0, 0)), corners, skins, None)
+    looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
+    expected = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    assert [tuple(looks[round(0.1 * i, 1)]) for i in range(6)] == expected
+    assert np.array_equal(reach_m([body]), corners[::-1])
+
+
+# Furniture
+
+
+@pytest.mark.parametrize("name", catalogue()["pieces"])
+def test_furniture_is_convex_bodies_apart_from_each_other(name):
+    bodies = furniture(name, seeded(), placement((2.0, -1.0), 137.0))
+    for body in solids(bodies):
+        check_convex(body)
+    assert PaintOrder(bodies).is_exact
+    high, low = reach_m(bodies)
+    assert low[2] >= -1e-9 and high[2] <= 2.8 + 1e-9
+    assert np.abs((high + low)[:2] / 2 - (2.0, -1.0)).max() < 0.3
+    named = {catalogue()["pieces"].get(name, {}).get("name", name)}
+    assert {body.name for body in bodies} & (named | {"notebook", "carton"})
+    again = furniture(name, seeded(), placement((2.0, -1.0), 137.0))
+    assert fingerprint(bodies) == fingerprint(again)
+
+
+@pytest.mark.parametrize("name", catalogue()["at_walls"])
+def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
+    entry = catalogue()["at_walls"][name]
+    for seed in range(2):
+        high, low = reach_m(furniture_at_wall(name, seeded(seed), placement((0, 0))))
+        assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
+        assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
+
+
+def test_a_person_is_one_thing_that_moves_and_casts_no_shadow_then():
+    def motion(time_s):
+        return (0.0, time_s, 0.0)
+
+    walker = furniture("person", seeded(), placement((2.0, 0.0)), motion=motion)
+    assert all(body.motion is motion for body in walker)
+    assert sum(isinstance(body, Capsule) for body in walker) == 1
+    high, low = reach_m(walker)
+    assert high[2] == pytest.approx(1.75, abs=0.03) and low[2] == pytest.approx(0, abs=0.03)
+    floor, light = rooms.Interior((4.0, 4.0, 2.5)).walls()["floor"], np.ones((100, 100), np.float32)
+    bare = rooms.shaded(light, floor, [])
+    assert np.array_equal(rooms.shaded(light, floor, walker), bare)
+    at_rest = furniture("person", seeded(), placement((2.0, 0.0)))
+    assert rooms.shaded(light, floor, at_rest).min() < 0.7 * bare[20:80, 20:80].min()
+
+
+# Rooms
+
+
+def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
+    interior = rooms.Interior((4.0, 3.0, 2.5))
+    inside = rooms.room(interior, seeded())
+    middle = np.array([2.0, 0.0, 1.25])
+    for (side, wall), face in zip(interior.walls().items(), inside.faces, strict=True):
+        assert (middle - face.corners_m[0]) @ face.normal > 0
+        assert np.cross(face.down_m, face.right_m) @ face.normal > 0
+        assert np.array_equal(face.origin_m, wall.origin_m)
+        if side in ("floor", "ceiling"):
+            continue
+        where = placement(*interior.stand(side, 1.0, 0.01))
+        assert where.axes[:, 0] == pytest.approx(face.normal)
+        assert (where.at_m - face.corners_m[0]) @ face.normal == pytest.approx(0.01)
+    assert sum(area_of(face) * face.normal for face in inside.faces) == pytest.approx(0, abs=1e-9)
+    high, low = reach_m([inside])
+    assert low == pytest.approx([0, -1.5, 0]) and high == pytest.approx([4, 1.5, 2.5])
+
+
+def test_furniture_darkens_the_floor_and_the_wall_behind_it():
+    interior = rooms.Interior((4.0, 4.0, 2.5))
+    walls = interior.walls()
+    stands = furniture("cupboard", seeded(), placement(*interior.stand("left", 1.0, 0.25)))
+    light = np.ones((400, 400), np.float32)
+    for side in ("floor", "left"):
+        bare, dark = (rooms.shaded(light, walls[side], bodies) for bodies in ([], stands))
+        # The cupboard stands at x = 0.5 to 1.5 m and y = 1.5 to 2 m, and is 1.9 m high.
+        rows, columns = np.nonzero(dark / bare < 0.75)
+        assert (columns.min(), columns.max()) == pytest.approx((50, 149), abs=4)
+        top, bottom = (0, 50) if side == "floor" else (0.6 / 2.5 * 400, 399)
+        assert (rows.min(), rows.max()) == pytest.approx((top, bottom), abs=5)
+        assert (dark / bare)[:, 200:] == pytest.approx(1.0, abs=1e-3)
+    # Rooms are darker in their corners.
+    assert bare[0, 0] < bare[0, 200] < bare[200, 200]
+    assert bare == pytest.approx(bare[:, ::-1], abs=1e-5)
+
+
+# Furnished places
+
+
+def check_place(place, free_m, end_m):
+    """All is in the room, apart, and out of the way of a drone up to `end_m` before its end."""
+    length, width, height = place.interior.size_m
+    high, low = reach_m(place.bodies)
+    assert (high <= np.array([length, width / 2, height]) + 1e-6).all()
+    assert (low >= np.array([0, -width / 2, 0]) - 1e-6).all()
+    assert PaintOrder([*place.bodies, *OBSTACLES]).is_exact
+    for body in place.bodies:
+        (x, y, _), (low_x, low_y, _) = reach_m([body])
+        is_beside = min(abs(y), abs(low_y)) >= free_m / 2 and y * low_y > 0
+        assert is_beside or low_x >= length - end_m or x <= 0.15, body.name
+    assert "chair" not in {body.name for body in place.bodies}
+
+
+@pytest.mark.parametrize(
+    ("name", "free_m", "end_m", "size"),
+    [
+        ("cluttered_room", 2.4, 1.1, {}),
+        ("cluttered_room", 2.0, 1.1, {"length_m": 8.0, "width_m": 3.6, "free_width_m": 2.0}),
+        ("cluttered_room", 2.6, 1.1, {"length_m": 10.0, "width_m": 7.0, "free_width_m": 2.6}),
+        ("simple_room", 2.6, 0.0, {}),
+        ("corridor", 2.1, 0.1, {}),
+    ],
+)
+def test_places_are_free_to_fly_through_and_can_be_painted_in_order(
+    name, free_m, end_m, size, furnished
+):
+    check_place(furnished(name, 0, **size), free_m, end_m)
+
+
+def test_clutter_is_clutter_but_not_too_much_to_paint(furnished):
+    for seed in range(2):
+        cluttered, simple = (furnished(name, seed) for name in ("cluttered_room", "simple_room"))
+        assert len({body.name for body in cluttered.bodies}) >= 8
+        assert 35 <= len(cluttered.bodies) <= 80
+        assert sum(len(body.faces) for body in cluttered.bodies) <= 260
+        assert len(simple.bodies) < len(cluttered.bodies) / 2
+        # Only a simple room is bare at its far wall.
+        at_far = [
+            sum(reach_m([body])[0][0] > 10.8 for body in place.bodies)
+            for place in (cluttered, simple)
+        ]
+        assert at_far[0] >= 3 and at_far[1] == 0
+    names = Counter(body.name for body in furnished("corridor", 0).bodies)
+    assert set(names) == {"door", "poster"} and names["door"] >= 8
+
+
+def test_nothing_is_put_where_something_stands():
+    def stool(x, y):
+        return furniture("stool", seeded(), placement((x, y)))
+
+    furnishing = rooms.Furnishing(rooms.Interior((5.0, 4.0, 2.5)), obstacles=stool(1.0, 1.8))
+    assert not furnishing.add(stool(1.2, 1.8)) and furnishing.bodies == []
+    free = stool(3.0, 1.8)
+    assert furnishing.add(free) and furnishing.bodies == free
+    assert not furnishing.add(stool(3.2, 1.6))
+    assert not furnishing.add(stool(4.9, 0.0)), "half in the wall"
+
+
+def test_a_place_comes_from_its_seed_and_reflects_what_things_do():
+    clutter, again, other = (rooms.cluttered_room(seeded(s), length_m=3.0) for s in (3, 3, 4))
+    assert fingerprint([clutter.room]) == fingerprint([again.room])
+    assert fingerprint(clutter.bodies) == fingerprint(again.bodies)
+    assert fingerprint([clutter.room]) != fingerprint([other.room])
+    assert fingerprint(clutter.bodies) != fingerprint(other.bodies)
+    for face in (face for body in [clutter.room, *clutter.bodies] for face in body.faces):
+        image = face.texture.image
+        assert image.dtype == np.float32 and image.min() >= 0.015 and image.max() <= 0.95

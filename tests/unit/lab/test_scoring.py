@@ -1,0 +1,223 @@
+"""What alarms are worth: hits, leads, false alarms; at one threshold and at all of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dlgmd_cli.lab.evaluation import measures, scoring
+from dlgmd_cli.lab.evaluation.scoring import KINDS, Signal
+from dlgmd_cli.models.detection import detect, onsets
+
+FPS = 30.0
+NAN = np.nan
+
+
+def signal(bursts, contacts=(), n=200, fps=FPS):
+    """A video whose strength is 1 in the frames `(first, last)` of each burst, and 0 elsewhere."""
+    strength = np.zeros(n)
+    for first, last in bursts:
+        strength[first : last + 1] = 1.0
+    return Signal(np.arange(n) / fps, strength, tuple(frame / fps for frame in contacts), 1 / fps)
+
+
+def verdict(one, n_sp=2):
+    """Kinds of the alarms at threshold 0.5."""
+    return [KINDS[kind] for _, kind in scoring.alarms(one, n_sp, 0.5)]
+
+
+# The alarm is raised at the second frame of a burst.
+@pytest.mark.parametrize(
+    ("bursts", "contacts", "expected", "lead_frames"),
+    [
+        ([(119, 121)], [150], ["hit"], [30]),  # a second before is within the horizon
+        ([(118, 121)], [150], ["early"], [None]),
+        ([(89, 91)], [150], ["early"], [None]),  # two seconds before
+        ([(88, 91)], [150], ["false"], [None]),
+        ([(148, 160)], [150], ["hit"], [1]),
+        ([(149, 151)], [150], ["contact"], [None]),
+        ([(152, 160)], [150], ["contact"], [None]),  # three frames after
+        ([(153, 160)], [150], ["ignored"], [None]),
+        ([(119, 119)], [150], [], [None]),  # one spike is no alarm
+        ([(125, 126), (140, 145)], [150], ["hit", "hit"], [24]),  # the first counts
+        ([(110, 160)], [150], ["early"], [None]),  # on since before the horizon
+        ([(110, 115), (122, 160)], [150], ["early"], [None]),  # a pause of less than 0.3 s
+        ([(110, 115), (124, 160)], [150], ["early", "hit"], [25]),
+        ([(10, 12), (125, 126), (149, 151)], [150], ["false", "hit", "contact"], [24]),
+        ([(10, 12), (30, 32), (198, 199)], [], ["false", "false", "false"], []),
+        # Of two collisions: what is between them is ignored up to the second one's horizon.
+        ([(65, 70), (90, 92), (140, 142)], [70, 150], ["hit", "ignored", "hit"], [4, 9]),
+        ([(71, 73), (140, 142)], [70, 80], ["contact", "ignored"], [None, None]),
+        ([(76, 79)], [70, 80], ["hit"], [None, 3]),
+    ],
+)
+def test_what_an_alarm_is(bursts, contacts, expected, lead_frames):
+    one = signal(bursts, contacts)
+    assert verdict(one) == expected
+    counted = scoring.tally(one, 2, 0.5)
+    leads = [NAN if lead is None else lead / FPS for lead in lead_frames]
+    np.testing.assert_allclose(counted.lead_s[:, 0], leads, atol=1e-9)
+    n_false = sum(kind in ("false", "early") for kind in expected)
+    assert (counted.n_false[0], counted.n_early[0]) == (n_false, expected.count("early"))
+    is_said = [lead is None and number == 0 for number, lead in enumerate(lead_frames)]
+    assert counted.at_contact[:, 0].tolist() == [one and "contact" in expected for one in is_said]
+
+
+@pytest.mark.parametrize(
+    ("contacts", "n_frames"), [([], 200), ([150], 150), ([70, 150], 70), ([205], 200)]
+)
+def test_minutes_run_to_contact_or_the_end(contacts, n_frames):
+    assert signal([], contacts).minutes == pytest.approx(n_frames / FPS / 60)
+
+
+def test_a_longer_horizon_leaves_less_that_is_false():
+    one = signal([(80, 90)], [150])
+    assert [KINDS[kind] for _, kind in scoring.alarms(one, 2, 0.5, horizon_s=3.0)] == ["hit"]
+    assert scoring.tally(one, 2, 0.5, horizon_s=3.0).n_false[0] == 0
+
+
+def plain(one, n_sp, threshold, horizon_s):
+    """Rows of the onsets and what they are, by the plain rules and one threshold."""
+    seen = ~one.repeated
+    alarms = detect(one.strength[seen], threshold, n_sp)[1][np.cumsum(seen) - 1]
+    rows = onsets(alarms, one.time_s)
+    found = []
+    for row in rows:
+        t, kind, over = one.time_s[row], "false", -np.inf
+        for number, contact in enumerate(one.contacts_s):
+            grace = contact + 3 * one.frame_s + 1e-6
+            if t <= over:
+                break
+            if contact - horizon_s - 1e-6 <= t < contact - 1e-6:
+                kind = "hit"
+            elif contact - 1e-6 <= t <= grace:
+                kind = "contact"
+            elif t > grace:
+                kind = "ignored"
+            elif number == 0 and t >= contact - 2 - 1e-6:
+                kind = "early"
+            over = grace
+        found.append((row, kind))
+    return found
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 4), st.sampled_from([0, 1, 2]))
+def test_all_thresholds_say_what_each_alone_does(seed, n_sp, n_contacts):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 120))
+    # Few levels, so that there are ties; steps between frames differ; some are undefined.
+    strength = rng.integers(0, 5, n) / 4.0
+    strength[: rng.integers(0, 3)] = NAN
+    time_s = np.cumsum(rng.choice([1 / 30, 1 / 60, 0.1, 0.5], n, p=[0.8, 0.15, 0.04, 0.01]))
+    last = float(time_s[-1])
+    contacts = tuple(sorted(rng.uniform(0.0, last + 0.1, n_contacts)))
+    repeated = rng.random(n) < rng.choice([0.0, 0.3])
+    repeated[0] = False
+    for row in np.flatnonzero(repeated):
+        strength[row] = strength[row - 1]
+    one = Signal(time_s, strength, contacts, 1 / 30, repeated)
+    at = np.array([0.1, 0.25, 0.5, 0.6, 1.0, 1.1])
+    counted = scoring.tally(one, n_sp, at)
+    for number, threshold in enumerate(at):
+        expected = plain(one, n_sp, threshold, 1.0)
+        assert [(r, KINDS[k]) for r, k in scoring.alarms(one, n_sp, threshold)] == expected
+        words = [kind for _, kind in expected]
+        assert counted.n_early[number] == words.count("early")
+        assert counted.n_false[number] == words.count("early") + words.count("false")
+        hits = [time_s[row] for row, kind in expected if kind == "hit"]
+        leads = []
+        for contact in contacts:
+            own = [contact - t for t in hits if min(c for c in contacts if c > t) == contact]
+            leads.append(max(own, default=NAN))
+        np.testing.assert_allclose(counted.lead_s[:, number], leads)
+
+
+def test_the_strongest_inside_and_outside_of_horizons():
+    strength = np.arange(200) / 200
+    one = Signal(np.arange(200) / FPS, strength, (150 / FPS,), 1 / FPS)
+    inside, outside = scoring.peaks(one, 2)
+    # The frame before contact; a run of two has the strength of its weaker frame.
+    np.testing.assert_allclose(inside, [148 / 200])
+    np.testing.assert_allclose(outside, [(last - 1) / 200 for last in (119, 89, 59, 29)])
+    inside, outside = scoring.peaks(signal([], n=50), 1)
+    assert inside.shape == (0,) and len(outside) == 2  # 1 s, and 0.67 s that is left
+
+
+def test_measures_of_several_videos():
+    counts = [
+        measures.count(signal(bursts, contacts), 2, 0.5)
+        for bursts, contacts in [
+            ([(119, 130)], [150]),  # 1 s
+            ([(143, 150)], [150]),  # 0.2 s
+            ([(20, 22), (134, 140)], [150]),  # 0.5 s, and a false alarm
+            ([(149, 160)], [150]),  # at contact
+            ([(50, 52), (90, 92)], []),  # two false alarms
+        ]
+    ]
+    found = measures.score(counts)
+    minutes = (4 * 150 + 200) / FPS / 60
+    assert (found.videos, found.collisions, found.hits, found.at_contact) == (5, 4, 3, 1)
+    assert (found.false_alarms, found.early) == (3, 0)
+    assert found.minutes == pytest.approx(minutes)
+    value = {name: one.value for name, one in found.measures.items()}
+    assert value["recall"] == 0.75 and value["precision"] == 0.5
+    assert value["false_alarms_per_min"] == pytest.approx(3 / minutes)
+    assert value["lead_s"] == pytest.approx(0.5)
+    assert value["lead_p10_s"] == pytest.approx(np.percentile([1, 0.2, 0.5], 10))
+    inside = [1, 1, 1, 0]
+    outside = [peak for one in counts for peak in one.outside]
+    pairs = [(a > b) + (a == b) / 2 for a in inside for b in outside]
+    assert value["auc"] == pytest.approx(np.mean(pairs)) and max(outside) == 1
+    for one in found.measures.values():
+        assert one.low <= one.value <= one.high and one.low < one.high
+    assert measures.score(counts) == found  # seeded
+
+
+def test_an_interval_is_that_of_resampled_videos():
+    rng = np.random.default_rng(5)
+    counts = [
+        measures.count(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
+        for _ in range(100)
+    ]
+    recall = measures.score(counts).measures["recall"]
+    half = 1.96 * np.sqrt(recall.value * (1 - recall.value) / 100)
+    assert recall.high - recall.low == pytest.approx(2 * half, rel=0.15)
+    nothing = measures.score([counts[0].only(np.array([False]))])
+    assert np.isnan(nothing.measures["recall"]).all() and nothing.collisions == 0
+
+
+def test_the_best_threshold():
+    # The stronger bursts announce; at 0.2 there are false alarms, at 0.6 one collision is missed.
+    signals = []
+    for level, noise in ((0.5, 0.2), (0.7, 0.25), (0.9, 0.1)):
+        one = signal([(130, 140)], [150])
+        one.strength[one.strength > 0] = level
+        one.strength[20:23] = noise
+        signals.append(one)
+    at = measures.thresholds(signals, 2)
+    found = measures.curve(signals, 2, at)
+    best = at[found.best(0.0)]
+    assert 0.25 < best <= 0.5
+    assert measures.curve(signals, 2, np.array([best])).recall[0] == 1.0
+    # Allowed 60 false alarms a minute, it is still this one: of equal recall, the fewest.
+    assert at[found.best(60.0)] == best
+    # Every threshold in between says the same as one of the curve.
+    grid = np.linspace(0.01, 1.2, 200)
+    dense = measures.curve(signals, 2, grid)
+    pairs = set(zip(found.recall, found.false_alarms_per_min, strict=True))
+    assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
+    assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
+    silent = [signal([], [150])]
+    at = measures.thresholds(silent, 2)
+    assert at[measures.curve(silent, 2, at).best(1.0)] > 0
+
+
+def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
+    monkeypatch.setattr(measures, "MAX_THRESHOLDS", 20)
+    rng = np.random.default_rng(2)
+    signals = [Signal(np.arange(400) / FPS, rng.random(400), (), 1 / FPS) for _ in range(3)]
+    at = measures.thresholds(signals, 1)
+    assert len(at) <= 21
+    monkeypatch.setattr(measures, "MAX_THRESHOLDS", 10**6)
+    assert set(at[-8:]) <= set(measures.thresholds(signals, 1))
