@@ -4,6 +4,7 @@
 >>> result = dlgmd_cli.run("flight.mp4", set=9)  # doctest: +SKIP
 """
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.result import read_result as read_result
     from dlgmd_cli.runs.run import run as run
     from dlgmd_cli.video.frames import open_video as open_video
+
+# Programs that do not configure logging see nothing of ours.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _HOMES = {

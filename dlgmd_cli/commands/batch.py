@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.pool import Outcome
     from dlgmd_cli.runs.batch import Job, Plan, Row, Task
     from dlgmd_cli.runs.find import Found
-    from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.video.options import InputOptions
 
 DONE = "done"
 # Longer tables show only the videos that failed.
@@ -64,7 +64,7 @@ def model_setups(
     engine: str | None,
 ) -> "list[Setup]":
     """Every model that the options ask for, each once; its label is a valid name of a folder."""
-    from dlgmd_cli.runs.run import DLGMD, choose
+    from dlgmd_cli.runs.setup import DLGMD, choose
 
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
         models = tuple(name for name in models if name != DLGMD)
@@ -122,7 +122,7 @@ def _outcomes(
     function = partial(run_video, replace(job, places=tuple(places), scratch=None))
     local = [Path(one) for one in places if not store.is_url(one)]
     folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
-    return dask.run_tasks(function, tasks, scheduler, folders=folders, tell=say)
+    return dask.run_tasks(function, tasks, scheduler, folders=folders)
 
 
 @click.command(
@@ -221,9 +221,9 @@ def batch(
 def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
     """How every video is read: by the options given, otherwise by those that configs record."""
     from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.runs import run as runs
+    from dlgmd_cli.runs.setup import input_options as recorded
 
-    every = [runs.input_options(one, given) for one in setups]
+    every = [recorded(one, given) for one in setups]
     for one, options in zip(setups, every, strict=True):
         create_model(one.params, engine=one.engine)  # raises if its engine is not installed
         if options != every[0]:

@@ -126,7 +126,6 @@ def bench(
                 repeats=repeats,
                 engine=engine or "auto",
                 on_step=on_step,
-                tell=say,
             )
         for warning in measured["warnings"]:
             warn(f"{input_path or 'the clip'}: {warning}")

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.measures import Scores
     from dlgmd_cli.lab.evaluation.scoring import Signal
     from dlgmd_cli.lab.evaluation.search import Range, Search
-    from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.video.options import InputOptions
 
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
@@ -128,7 +128,7 @@ def calibrate(
     from dlgmd_cli.lab.evaluation.crossvalidation import Rules
     from dlgmd_cli.lab.evaluation.search import parse_ranges
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.run import input_options as recorded
+    from dlgmd_cli.runs.setup import input_options as recorded
     from dlgmd_cli.threads import n_processors
 
     if given.get("normalise") == "sequence":

@@ -17,7 +17,6 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    say,
     warn,
 )
 from dlgmd_cli.commands.options import (
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.results.store import Write
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
 
 # The models with which the default is compared.
 COMPARED_MODELS = ("lgmd", "emd-lgmd")
@@ -55,7 +54,7 @@ def _setups(
 ) -> "list[Setup]":
     """Every model that the options ask for, each once, with distinct labels."""
     from dlgmd_cli.results.csv import text_cell
-    from dlgmd_cli.runs.run import choose
+    from dlgmd_cli.runs.setup import choose
 
     found = [choose(set=name) for name in dict.fromkeys(set_names)]
     files = list(dict.fromkeys(configs))
@@ -147,7 +146,7 @@ def compare(
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.video.options import InputOptions
 
     options = InputOptions(**given)
     with runs.open_input(input_path, setups, options) as video:
@@ -157,7 +156,7 @@ def compare(
         with store.locked(folder):
             with progress(video.info.name, options.n_expected(video.info)) as on_frame:
                 found = runs.run_models(
-                    video, setups, options, identity=identity, on_frame=on_frame, tell=say
+                    video, setups, options, identity=identity, on_frame=on_frame
                 )
             found = [one.until(annotations.collision_frame) for one in found]
             results = {one.label: result for one, result in zip(setups, found, strict=True)}

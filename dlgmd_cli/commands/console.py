@@ -1,6 +1,7 @@
 """Output for the user: messages, tables, and errors as one line with an exit code."""
 
 import json
+import logging
 import os
 import re
 import sys
@@ -151,7 +152,7 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
-        with errors_as_one_line(), warnings.catch_warnings():
+        with errors_as_one_line(), log_on_stderr(), warnings.catch_warnings():
             # Warnings of the library, such as letters missing from a figure's font, each once.
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
@@ -269,6 +270,29 @@ def say(message: str) -> None:
 def warn(message: str) -> None:
     """Print a warning on stderr, even with --quiet."""
     say(f"Warning: {message}.")
+
+
+class _Lines(logging.Handler):
+    """Shows what the library logs."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record; from a warning on, as one."""
+        (warn if record.levelno >= logging.WARNING else say)(record.getMessage())
+
+
+@contextmanager
+def log_on_stderr() -> Iterator[None]:
+    """Show what the library logs on stderr while a command runs."""
+    log, handler = logging.getLogger("dlgmd_cli"), _Lines()
+    before, log.propagate = log.level, False
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before)
+        log.propagate = True
 
 
 def show_traceback(

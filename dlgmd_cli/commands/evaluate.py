@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
     from dlgmd_cli.lab.evaluation.report import Report
     from dlgmd_cli.results.store import Write
-    from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.video.options import InputOptions
 
 RECORD = "evaluate.yaml"
 FIGURES = ("trade-off", "leads")
@@ -125,7 +125,7 @@ def evaluate(
     from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases
     from dlgmd_cli.lab.evaluation.report import make_report
     from dlgmd_cli.results import store
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.video.options import InputOptions
 
     if results is not None:
         _refuse_models()
@@ -176,8 +176,8 @@ def _asked(
     """The models to run, and how videos are read; each model at the size that its file records."""
     from dlgmd_cli.lab.evaluation.cases import with_flow
     from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.runs.run import input_options as recorded
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.runs.setup import input_options as recorded
+    from dlgmd_cli.video.options import InputOptions
 
     for one in setups:
         create_model(one.params, engine=one.engine)  # raises if its engine is not installed

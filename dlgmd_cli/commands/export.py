@@ -15,7 +15,7 @@ from dlgmd_cli.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
 
 
 @click.group(

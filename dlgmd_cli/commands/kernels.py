@@ -13,7 +13,7 @@ from dlgmd_cli.parameters import DistributedParameters
 if TYPE_CHECKING:
     from dlgmd_cli.models.kernels import Connections
     from dlgmd_cli.results.store import Write
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
 
 
 @click.command(

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.layers import LayerSheet
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.results.store import Write
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
     from dlgmd_cli.video.frames import Video
 
 # More frames are not readable at the width of two columns of a paper.
@@ -106,8 +106,9 @@ def layers(
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import absent, run_layers
+    from dlgmd_cli.runs.setup import input_options as recorded
 
-    options = runs.input_options(setup, given)
+    options = recorded(setup, given)
     with runs.open_input(input_path, [setup], options) as video:
         makes_sheet = bool(wanted) or film_path is None
         folder = store.result_folder(output.out, video.info.name) if makes_sheet else None
@@ -117,7 +118,7 @@ def layers(
         if folder is not None:
             is_new = store.check(folder, store.LAYERS, identity, overwrite=output.overwrite)
         with store.locked(folder) if folder else nullcontext():
-            model = create_model(setup.params, engine=setup.engine, tell=say)
+            model = create_model(setup.params, engine=setup.engine)
             n_expected = options.n_expected(video.info)
             frames = wanted or ()
             if makes_sheet and not frames:
@@ -168,7 +169,7 @@ def _strongest(
     with runs.open_input(input_path, [setup], options) as video:
         with progress(video.info.name, options.n_expected(video.info)) as on_frame:
             (first,) = runs.run_models(
-                video, [setup], options, identity=identity, on_frame=on_frame, tell=lambda _: None
+                video, [setup], options, identity=identity, on_frame=on_frame
             )
         if cancel.requested():
             raise cancel.Interrupted

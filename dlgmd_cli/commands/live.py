@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.hooks import Hook
     from dlgmd_cli.live.serve import Screen
     from dlgmd_cli.live.watch import Answer, Statistics
-    from dlgmd_cli.runs.run import Setup
-    from dlgmd_cli.video.frames import InputOptions
+    from dlgmd_cli.runs.setup import Setup
     from dlgmd_cli.video.live import LiveSource
+    from dlgmd_cli.video.options import InputOptions
 
 _BAR, _DRAW_S = 12, 0.2
 
@@ -131,13 +131,13 @@ def live(
     from dlgmd_cli.live.watch import Statistics, answers, warm_up
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.run import input_options
+    from dlgmd_cli.runs.setup import input_options
 
     if asked["events"] and not (asked["jsonl"] or asked["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
     options = input_options(setup, given)
     frames = _open(source, setup, options, asked)
-    alarm = Alarm(setup.params, repeats=options.repeats or "skip", engine=setup.engine, tell=say)
+    alarm = Alarm(setup.params, repeats=options.repeats or "skip", engine=setup.engine)
     statistics, status = Statistics(), Status(frames)
     with ExitStack() as stack:
         hooks = _hooks(asked, frames, status.tell)

@@ -24,7 +24,7 @@ from dlgmd_cli.parameters import (
 from dlgmd_cli.video.base import DECODERS, REPEATS, parse_crop, parse_size
 
 if TYPE_CHECKING:
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
 
 ENGINES = ("opencv", "numba")
 
@@ -278,7 +278,7 @@ def _setup(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options ask for."""
-    from dlgmd_cli.runs.run import choose  # brings in NumPy
+    from dlgmd_cli.runs.setup import choose  # brings in NumPy
 
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 

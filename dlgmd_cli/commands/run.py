@@ -13,7 +13,6 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    say,
     warn,
 )
 from dlgmd_cli.commands.options import (
@@ -28,7 +27,7 @@ from dlgmd_cli.commands.progress import progress
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
 
 
 @click.command(
@@ -53,8 +52,9 @@ def run(
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
+    from dlgmd_cli.runs.setup import input_options as recorded
 
-    options = runs.input_options(setup, given)
+    options = recorded(setup, given)
     with runs.open_input(input_path, [setup], options) as video:
         folder = store.result_folder(output.out, video.info.name)
         identity = runs.input_identity(video.info, input_path)
@@ -62,7 +62,7 @@ def run(
         with store.locked(folder):
             with progress(video.info.name, options.n_expected(video.info)) as on_frame:
                 (result,) = runs.run_models(
-                    video, [setup], options, identity=identity, on_frame=on_frame, tell=say
+                    video, [setup], options, identity=identity, on_frame=on_frame
                 )
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")

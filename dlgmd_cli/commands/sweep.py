@@ -37,7 +37,7 @@ from dlgmd_cli.parameters import Parameters, parse_overrides
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.sweep import Grid
-    from dlgmd_cli.runs.run import Setup
+    from dlgmd_cli.runs.setup import Setup
     from dlgmd_cli.runs.sweep import Sweep, SweepInput
 
 DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
@@ -127,8 +127,8 @@ def sweep(
     import numpy as np
 
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.run import input_options as options_of
     from dlgmd_cli.runs.run import open_input
+    from dlgmd_cli.runs.setup import input_options as options_of
     from dlgmd_cli.runs.sweep import FIGURE, Sweep, video_input
     from dlgmd_cli.threads import n_processors
 
@@ -143,7 +143,7 @@ def sweep(
             video = opened.enter_context(open_input(input_path, [setup], options))
             subject = video_input(input_path, video, options, false_positive_frame)
         folder = output.out / f"sweep-{store.fitting(subject.name)}"
-        swept = Sweep(folder, subject, grid, setup, say)
+        swept = Sweep(folder, subject, grid, setup)
         result, n_points = swept.result, len(swept.points)
         opened.enter_context(store.locked(folder))
         swept.resume(overwrite=output.overwrite)
@@ -200,7 +200,7 @@ def _refuse_others(input_path: str | None, cubes: dict[str, Any], of_input: dict
 
 def _setup(asked: dict[str, Any], *, sees_cubes: bool) -> "Setup":
     """The model that the options ask for; for cubes, by default that of the paper's Fig. 11."""
-    from dlgmd_cli.runs.run import DLGMD, choose
+    from dlgmd_cli.runs.setup import DLGMD, choose
 
     overrides = parse_overrides(asked["pairs"])
     origin = asked["set_name"], asked["config"]

@@ -17,8 +17,10 @@ from dlgmd_cli.errors import SourceError
 from dlgmd_cli.lab.stimuli.pan import pan_frames
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters
-from dlgmd_cli.runs.run import Setup, Tell, run_models
-from dlgmd_cli.video.frames import InputOptions, Video
+from dlgmd_cli.runs.run import run_models
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.frames import Video
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.writer import write_video
 
@@ -67,7 +69,6 @@ def measure(
     repeats: int,
     engine: str,
     on_step: Callable[[int], None],
-    tell: Tell,
 ) -> dict[str, Any]:
     """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 
@@ -96,7 +97,7 @@ def measure(
             n_before = repeat * len(combinations)
             for n_done, (radius, scale) in enumerate(combinations, start=n_before + 1):
                 changed, video = replace(params, r=radius), videos[scale]
-                core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine, tell)
+                core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine)
                 times_ms[radius, scale].append((core_ms, decode_ms[scale], whole_ms))
                 cancel.check()
                 on_step(n_done)
@@ -151,11 +152,9 @@ def _row(
     }
 
 
-def _model_ms(
-    video: Video, params: DlgmdParameters, engine: str, tell: Tell
-) -> tuple[float, float, str]:
+def _model_ms(video: Video, params: DlgmdParameters, engine: str) -> tuple[float, float, str]:
     """Time per frame of the model alone and of a complete run, in ms, and the engine's name."""
-    model = create_model(params, engine=engine, tell=tell)
+    model = create_model(params, engine=engine)
     kept = [frame.grey for frame in islice(video, MAX_KEPT)]
     n_cold = model.first_valid_frame + N_WARM
     if len(kept) <= n_cold:

@@ -11,10 +11,10 @@ from dlgmd_cli.live.watch import BEGIN, Answer
 from dlgmd_cli.models.detection import LEAST_PEAK, Alarm
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
-from dlgmd_cli.runs.run import Setup
+from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
-from dlgmd_cli.video.frames import InputOptions
 from dlgmd_cli.video.live import LiveSource, without_password
+from dlgmd_cli.video.options import InputOptions
 
 # Some three hours; these take a third of a second.
 _MAX_NORMALISED = 300_000

@@ -182,7 +182,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     params : Parameters
         Parameters of one of the `MODELS` or `BASELINES`.
     options
-        `engine` and `tell`, see `DLGMD`.
+        `engine`, see `DLGMD`.
 
     Raises
     ------

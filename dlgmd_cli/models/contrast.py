@@ -1,7 +1,6 @@
 """The contrast-relative D-LGMD: it counts cells that change strongly relative to the contrast."""
 
 import math
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -55,7 +54,7 @@ class ContrastDLGMD(Distributed):
     ----------
     params : ContrastParameters, optional
         The published defaults unless given.
-    engine, tell
+    engine
         See `DLGMD`.
 
     Examples
@@ -74,10 +73,9 @@ class ContrastDLGMD(Distributed):
         self,
         params: ContrastParameters | None = None,
         engine: str = AUTO,
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         params = checked_params(params, ContrastParameters)
-        super().__init__(params, engine, tell, least_delay=1)  # F(t) needs M(t-1)
+        super().__init__(params, engine, least_delay=1)  # F(t) needs M(t-1)
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None
 

@@ -1,7 +1,6 @@
 """Normalisation of the membrane potential, spikes and alarms, the same for every model."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -172,7 +171,7 @@ class Alarm:
     repeats : {"skip", "keep"}
         Treatment of frames that repeat the previous one: `skip` returns the previous response,
         `keep` passes them to the model.
-    engine, tell
+    engine
         See `DLGMD`.
 
     Attributes
@@ -194,12 +193,11 @@ class Alarm:
         *,
         repeats: str = "skip",
         engine: str = "auto",
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         if repeats not in ("skip", "keep"):
             raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
         params = params if params is not None else parameters_of(load_config(PRESETS[0]))
-        self.model: Model = create_model(params, engine=engine, tell=tell)
+        self.model: Model = create_model(params, engine=engine)
         self.params = params
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None

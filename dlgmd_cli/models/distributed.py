@@ -1,6 +1,5 @@
 """The base of models with the D-LGMD's distributed connections: kernels, engine, warm-up."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +28,7 @@ class Distributed(Model):
     ----------
     params : DistributedParameters
         Parameters of the model.
-    engine, tell
+    engine
         See `DLGMD`.
     least_delay : int
         Number of earlier P that the model needs even if its connections do not.
@@ -46,12 +45,10 @@ class Distributed(Model):
         self,
         params: DistributedParameters,
         engine: str,
-        tell: Callable[[str], None],
         least_delay: int = 0,
     ) -> None:
         self.params = params
         self.engine_name = self._asked_engine = engine
-        self._tell = tell
         choose_engine(engine)  # raises now, not at the first frame
         self.connections = connect(params)
         # P is defined from frame 1 on.
@@ -88,10 +85,8 @@ class Distributed(Model):
         if kind == self._engine_is_for:
             return
         self._engine_is_for = kind
-        self.engine_name = choose_engine(self._asked_engine, n_cells, self._tell)
-        self._engine = create_engine(
-            self.engine_name, self.connections, self._receptors, self._tell
-        )
+        self.engine_name = choose_engine(self._asked_engine, n_cells)
+        self._engine = create_engine(self.engine_name, self.connections, self._receptors)
 
     def _p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""

@@ -1,7 +1,6 @@
 """The D-LGMD of [Zhao2023]."""
 
 import math
-from collections.abc import Callable
 
 from dlgmd_cli.models.base import Response, centroid, checked_params
 from dlgmd_cli.models.distributed import Distributed, Images
@@ -23,8 +22,6 @@ class DLGMD(Distributed):
     engine : str
         Engine for the layers: `opencv`, `numba` (a fused loop, compiled on first use), or `auto`,
         which uses Numba for large frames if it is installed.
-    tell : callable, optional
-        Called with a message before the engine is compiled, which takes some seconds.
 
     Attributes
     ----------
@@ -52,13 +49,12 @@ class DLGMD(Distributed):
         self,
         params: DlgmdParameters | None = None,
         engine: str = AUTO,
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         params = checked_params(params, DlgmdParameters)
         self._released = params.formulation == "released"
         # FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code.
         self._ffi_delay = 2 if self._released else 1
-        super().__init__(params, engine, tell, self._ffi_delay)
+        super().__init__(params, engine, self._ffi_delay)
 
     def _respond(self, images: Images | None) -> Response:
         """S and G of the newest frame, and their sums."""

@@ -1,7 +1,6 @@
 """An LGMD with elementary motion detectors, another model that the D-LGMD is compared with."""
 
 import math
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -39,8 +38,8 @@ class EmdLGMD(Model):
     ----------
     params : EmdLgmdParameters, optional
         The defaults unless given.
-    engine, tell
-        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
+    engine
+        See `DLGMD`; the only one is `opencv`.
     """
 
     name = "emd-lgmd"
@@ -52,7 +51,6 @@ class EmdLGMD(Model):
         self,
         params: EmdLgmdParameters | None = None,
         engine: str = AUTO,
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.params = checked_params(params, EmdLgmdParameters)
         self.engine_name = require_opencv(engine, self.name)

@@ -1,7 +1,5 @@
 """The conventional LGMD, a model that the D-LGMD is compared with."""
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 
@@ -39,8 +37,8 @@ class LGMD(Model):
     ----------
     params : LgmdParameters, optional
         The published values unless given.
-    engine, tell
-        See `DLGMD`; the only engine is `opencv`, and `tell` is not used.
+    engine
+        See `DLGMD`; the only one is `opencv`.
     """
 
     name = "lgmd"
@@ -52,7 +50,6 @@ class LGMD(Model):
         self,
         params: LgmdParameters | None = None,
         engine: str = AUTO,
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.params = checked_params(params, LgmdParameters)
         self.engine_name = require_opencv(engine, self.name)

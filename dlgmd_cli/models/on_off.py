@@ -1,7 +1,6 @@
 """The D-LGMD with ON and OFF pathways, as proposed in the last section of [Zhao2023]."""
 
 import math
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -39,7 +38,7 @@ class OnOffDLGMD(DLGMD):
     ----------
     params : OnOffParameters, optional
         The published defaults unless given.
-    engine, tell
+    engine
         See `DLGMD`. The engine computes S_on and S_off; the grouping always uses OpenCV.
     """
 
@@ -50,9 +49,8 @@ class OnOffDLGMD(DLGMD):
         self,
         params: OnOffParameters | None = None,
         engine: str = AUTO,
-        tell: Callable[[str], None] = lambda message: None,
     ) -> None:
-        super().__init__(checked_params(params, OnOffParameters), engine, tell)
+        super().__init__(checked_params(params, OnOffParameters), engine)
         depth = self.first_valid_frame
         self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
 

@@ -16,8 +16,9 @@ from dlgmd_cli.plots.heat import BgrImage, FloatImage
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.layers import run_layers
-from dlgmd_cli.runs.run import OnFrame, Setup, open_input
-from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.runs.run import OnFrame, open_input
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.reading import Picture
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer

@@ -14,8 +14,9 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
-from dlgmd_cli.runs.run import Setup, open_input, require_response, run_models
-from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.runs.run import open_input, require_response, run_models
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.options import InputOptions
 
 if TYPE_CHECKING:
     from pathlib import Path

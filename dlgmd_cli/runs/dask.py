@@ -21,6 +21,8 @@ from dlgmd_cli.errors import MissingExtraError, ParameterError, WorkerError
 from dlgmd_cli.pool import DONE, FAILED, KILLED, Outcome
 from dlgmd_cli.threads import limit_threads
 
+_log = logging.getLogger(__name__)
+
 TaskT = TypeVar("TaskT")
 
 CONNECT_S, _CLOSE_S = 10.0, 5.0
@@ -37,7 +39,6 @@ def run_tasks(
     scheduler: str,
     *,
     folders: Sequence[Path] = (),
-    tell: Callable[[str], None] = lambda message: None,
 ) -> Iterator[tuple[TaskT, Outcome]]:
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
@@ -52,8 +53,6 @@ def run_tasks(
         Address of the Dask scheduler, or the name of its scheduler file.
     folders : sequence of Path
         Locked result folders, see `store.locked`, which every worker must see.
-    tell : callable
-        Called with a message before a wait.
 
     Yields
     ------
@@ -77,7 +76,7 @@ def run_tasks(
         return
     client = _connect(scheduler)
     try:
-        _wait_for_workers(client, scheduler, tell)
+        _wait_for_workers(client, scheduler)
         _check_workers(client, [str(folder) for folder in folders])
         suspects: list[TaskT] = []
         yield from _work(client, scheduler, function, tasks, suspects)
@@ -190,10 +189,10 @@ def address_of(scheduler: str) -> str:
     raise WorkerError(scheduler, why, "Write it with: dask scheduler --scheduler-file FILE.")
 
 
-def _wait_for_workers(client: Any, scheduler: str, tell: Callable[[str], None]) -> None:
+def _wait_for_workers(client: Any, scheduler: str) -> None:
     """Wait until there is a worker."""
     if not _asked(scheduler, client.nthreads):
-        tell("Waiting for workers of the cluster.")
+        _log.info("Waiting for workers of the cluster.")
     while not _asked(scheduler, client.nthreads):
         cancel.check()
         with suppress(TimeoutError):

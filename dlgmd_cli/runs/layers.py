@@ -12,8 +12,10 @@ from dlgmd_cli import cancel
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, Setup, build_result, numbers_of
-from dlgmd_cli.video.frames import Frame, InputOptions, Video
+from dlgmd_cli.runs.run import OnFrame, build_result, numbers_of
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.frames import Frame, Video
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 # Number of frames to choose, preferably with responses of at least this share of the peak.

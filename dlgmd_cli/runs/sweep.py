@@ -29,8 +29,10 @@ from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, Setup, Tell, input_identity, input_record, silent, too_short
-from dlgmd_cli.video.frames import Frame, InputOptions, Video
+from dlgmd_cli.runs.run import OnFrame, input_identity, input_record, silent, too_short
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.frames import Frame, Video
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 
 RECORD, TABLE, FIGURE = "sweep.yaml", "sweep.csv", "sweep"
@@ -116,14 +118,14 @@ class _Probe:
     false_positive_frame: int | None
     hidden: npt.NDArray[np.bool_] | None = None
 
-    def __call__(self, batch: Sequence[Point], tell: Tell = silent) -> list[tuple[int, Values]]:
+    def __call__(self, batch: Sequence[Point]) -> list[tuple[int, Values]]:
         """Compute some points: their numbers, and for each clip the values of the columns."""
         with opencv_threads(1):
-            return [(point, self._values(params, tell)) for point, params in batch]
+            return [(point, self._values(params)) for point, params in batch]
 
-    def _values(self, params: Parameters, tell: Tell) -> Values:
+    def _values(self, params: Parameters) -> Values:
         """For each clip, the values of the columns."""
-        model = create_model(params, engine=self.engine, tell=tell)
+        model = create_model(params, engine=self.engine)
         model.ignore(self.hidden)
         values = []
         for clip in self.clips:
@@ -172,20 +174,18 @@ def _mean_attenuation(attenuation_db: Series) -> float:
     return -math.inf if np.isneginf(attenuation_db).any() else math.nan
 
 
-def _computed(
-    waiting: list[Point], probe: _Probe, jobs: int, tell: Tell
-) -> Iterator[tuple[int, Values]]:
+def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
     """Points with their values in order of completion; the values do not depend on `jobs`."""
     if probe.engine == "numba" and jobs > 1:
         # Compile in this process first: the others load the code from disk.
-        yield from probe(waiting[:1], tell)
+        yield from probe(waiting[:1])
         waiting = waiting[1:]
     n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
     size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
     batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
     if jobs == 1 or len(batches) == 1:
         for one in waiting:
-            yield from probe([one], tell)
+            yield from probe([one])
         return
     for _, outcome in run_tasks(probe, batches, min(jobs, len(batches))):
         if isinstance(outcome.error, WorkerError):
@@ -193,20 +193,20 @@ def _computed(
         yield from outcome.result()
 
 
-def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int], tell: Tell) -> str:
+def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int]) -> str:
     """The engine that `run` would use for this frame size; raises what `create_model` raises."""
     model = create_model(params, engine=asked)
     if not isinstance(params, DistributedParameters):
         return model.engine_name
-    return choose_engine(asked, size_wh[0] * size_wh[1], tell)
+    return choose_engine(asked, size_wh[0] * size_wh[1])
 
 
 class Sweep:
     """A sweep of the model `setup` over a grid, stored in a folder.
 
     `points` holds the parameters of all valid points, and `fault` the error of the first invalid
-    one. `result` holds what is computed so far, `warnings` the doubts about the input. `tell` is
-    called before slow steps. Raises ParameterError if no point is valid.
+    one. `result` holds what is computed so far, `warnings` the doubts about the input. Raises
+    ParameterError if no point is valid.
     """
 
     def __init__(
@@ -215,10 +215,9 @@ class Sweep:
         subject: SweepInput,
         grid: Grid,
         setup: Setup,
-        tell: Tell = silent,
     ) -> None:
         self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
-        self.tell, self.engine = tell, engine_for(setup.params, setup.engine, subject.size_wh, tell)
+        self.engine = engine_for(setup.params, setup.engine, subject.size_wh)
         self.points: dict[int, Parameters] = {}
         self.fault: ParameterError | None = None
         for point in range(len(grid)):
@@ -298,7 +297,7 @@ class Sweep:
                     (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
                 ):
                     table = csv.writer(file, lineterminator="\n")
-                    for point, values in _computed(missing, probe, jobs, self.tell):
+                    for point, values in _computed(missing, probe, jobs):
                         self.result.put(point, values)
                         table.writerows(self.result.rows([point]))
                         file.flush()

@@ -22,8 +22,8 @@ from dlgmd_cli.live.serve import Screen
 from dlgmd_cli.live.watch import Answer, Statistics
 from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.video.frames import InputOptions
 from dlgmd_cli.video.live import LiveFrame, LiveSource
+from dlgmd_cli.video.options import InputOptions
 
 pytestmark = pytest.mark.slow
 THRESHOLD = 0.4

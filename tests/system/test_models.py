@@ -79,11 +79,12 @@ def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, formulation
 def test_an_engine_announces_its_compilation(numba, tmp_path):
     # With two bands, neither of which may compile on its own in the background.
     program = (
-        "import numpy as np\n"
+        "import logging, sys, numpy as np\n"
+        "logging.basicConfig(level='INFO', format='%(message)s', stream=sys.stdout)\n"
         "from dlgmd_cli.models.engines import numba\n"
         "from dlgmd_cli import DLGMD\n"
         "numba.MIN_BAND_PX, numba.n_threads = 1, lambda: 2\n"
-        "model = DLGMD(engine='numba', tell=print)\n"
+        "model = DLGMD(engine='numba')\n"
         "for t in range(6): model.step(np.full((40, 50), t, np.uint8))\n"
         "assert len(model._engine._bands) == 3\n"
     )

@@ -18,8 +18,9 @@ import numpy as np
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters import load_set
 from dlgmd_cli.results.result import read_result
-from dlgmd_cli.runs.run import Setup, run_models
-from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.runs.run import run_models
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.reading import Frame, Picture, Progress, VideoInfo
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22

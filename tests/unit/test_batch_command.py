@@ -418,7 +418,7 @@ def test_a_folder_of_others_is_left_alone(dlgmd, flights, here, monkeypatch):
     stranger = Path("dlgmd-out/loom/thesis.tex")
     stranger.parent.mkdir(parents=True)
     stranger.touch()
-    monkeypatch.setattr("dlgmd_cli.video.frames.InputOptions.open", lambda *_: pytest.fail("read"))
+    monkeypatch.setattr("dlgmd_cli.video.options.InputOptions.open", lambda *_: pytest.fail("read"))
     assert dlgmd("batch", flights / "a/loom.avi", *QUICK).exit_code == 1
     row = summary()["loom.avi"]
     assert row["status"] == "failed"

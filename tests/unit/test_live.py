@@ -25,11 +25,11 @@ from dlgmd_cli.live import hooks, watch
 from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import Answer, Events, Statistics, answers
 from dlgmd_cli.models.detection import onsets
-from dlgmd_cli.runs.run import choose
+from dlgmd_cli.runs.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.frames import InputOptions
 from dlgmd_cli.video.live import LiveFrame, LiveSource, Pace, Shot
+from dlgmd_cli.video.options import InputOptions
 
 SOON_S = 5.0
 UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))

@@ -603,7 +603,7 @@ def test_models_of_several_widths_share_a_decoding(dlgmd, tmp_path):
 
 def test_a_formulation_of_a_default_without_any(dlgmd, clips, monkeypatch):
     lgmd = replace(load_config("flight"), model="lgmd", values={})
-    monkeypatch.setattr("dlgmd_cli.runs.run.load_config", lambda path: lgmd)
+    monkeypatch.setattr("dlgmd_cli.runs.setup.load_config", lambda path: lgmd)
     result = dlgmd("run", clips / "loom.avi", "--formulation", "released")
     assert result.exit_code == 2
     assert "--formulation works only with the D-LGMD model. Add --set 9." in result.stderr

@@ -19,8 +19,8 @@ from dlgmd_cli.lab.evaluation.crossvalidation import (
 from dlgmd_cli.lab.evaluation.measures import Scores, count, score
 from dlgmd_cli.lab.evaluation.scoring import Signal
 from dlgmd_cli.lab.evaluation.search import Trial, best_trial, with_values
-from dlgmd_cli.runs.run import Setup
-from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.options import InputOptions
 
 
 @dataclass(frozen=True)

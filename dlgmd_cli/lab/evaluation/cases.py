@@ -17,8 +17,9 @@ from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import Label, read_labels
 from dlgmd_cli.results.result import Result, read_result
-from dlgmd_cli.runs.run import Setup, run_input
-from dlgmd_cli.video.frames import InputOptions
+from dlgmd_cli.runs.run import run_input
+from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.options import InputOptions
 
 SUMMARY = "summary.csv"
 P_SUM, FLOW = "ΣP alone", "flow divergence"

@@ -11,7 +11,7 @@ from typing import Any
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.evaluation.crossvalidation import Choice, Choices
 from dlgmd_cli.parameters import Parameters, shown
-from dlgmd_cli.runs.run import Setup
+from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
 _NAME = "calibrate"

@@ -438,7 +438,6 @@ def time_model(formulation: str, quick: bool) -> list[dict[str, Any]]:
                 repeats=1,
                 engine="auto",
                 on_step=lambda done: None,
-                tell=lambda message: None,
             )
             rows += found["rows"]
     return rows

@@ -36,7 +36,7 @@ from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
-from dlgmd_cli.runs.run import Setup
+from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.runs.sweep import Sweep
 
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.

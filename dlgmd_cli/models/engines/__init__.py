@@ -1,7 +1,7 @@
 """The two engines that compute the summation and the grouping layer from the latest P."""
 
+import logging
 import math
-from collections.abc import Callable
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
@@ -11,6 +11,8 @@ from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models.base import FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters import ENGINES, require_known
+
+_log = logging.getLogger(__name__)
 
 AUTO = "auto"
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
@@ -57,13 +59,11 @@ class Engine(Protocol):
         ...
 
 
-def choose_engine(
-    name: str, n_cells: int = 0, tell: Callable[[str], None] = lambda message: None
-) -> str:
+def choose_engine(name: str, n_cells: int = 0) -> str:
     """Resolve `auto` to the best engine for `n_cells` = H · W; other names are returned unchanged.
 
     Raises ParameterError if there is no such engine, and MissingExtraError if its package is not
-    installed. `tell` is called if Numba would be best but cannot be loaded.
+    installed. Logs a warning if Numba would be best but cannot be loaded.
     """
     require_known("engine", name, (*ENGINES, AUTO))
     if name == "opencv" or (name == AUTO and n_cells < WORTH_COMPILING_PX):
@@ -78,7 +78,7 @@ def choose_engine(
             "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.",
         )
     if fault != NOT_INSTALLED:
-        tell(f"The package 'numba' {fault}; the engine is opencv.")
+        _log.warning("the package 'numba' %s; the engine is opencv", fault)
     return "opencv"
 
 
@@ -91,15 +91,10 @@ def require_opencv(name: str, model: str) -> str:
     return "opencv"
 
 
-def create_engine(
-    name: str, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
-) -> Engine:
-    """An engine, imported on first use, for frames like those of `receptors`.
-
-    `tell` is called with a message before slow steps.
-    """
+def create_engine(name: str, connections: Connections, receptors: Photoreceptors) -> Engine:
+    """An engine, imported on first use, for frames like those of `receptors`."""
     kind = getattr(import_module(f"{__name__}.{name}"), f"{name.title()}Engine")
-    engine: Engine = kind(connections, receptors, tell)
+    engine: Engine = kind(connections, receptors)
     return engine
 
 

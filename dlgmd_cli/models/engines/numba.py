@@ -7,6 +7,7 @@ vectorises. The images, sums and S of a block are contiguous in memory.
 All loops are in this module because Numba's cache on disk detects only changes of this file.
 """
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -23,6 +24,8 @@ from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.threads import n_threads
+
+_log = logging.getLogger(__name__)
 
 MAX_ROWS = 32  # per block
 # Each band of rows has its own thread, if it is large enough.
@@ -237,10 +240,7 @@ def _compiled(on_disk: bool) -> Callable[..., Any]:
 class NumbaEngine:
     """Computes S and G by compiled loops; see `Engine`, and `fuse` for the sums."""
 
-    def __init__(
-        self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
-    ) -> None:
-        self._tell = tell
+    def __init__(self, connections: Connections, receptors: Photoreceptors) -> None:
         sums = fuse(connections.signed(), connections.gaussians)
         self._sources = sources_of(sums)
         _, height, width = receptors.stack.shape
@@ -299,7 +299,7 @@ class NumbaEngine:
 
     def _load(self, work: Callable[..., Any]) -> Callable[..., tuple[float, ...]]:
         """Compile or load the loops, in this thread: others cannot be interrupted meanwhile."""
-        with install_listener("numba:compile", Announcement(self._tell)):
+        with install_listener("numba:compile", Announcement()):
             try:
                 work(_compiled(True))
                 return _compiled(True)
@@ -312,14 +312,13 @@ class NumbaEngine:
 class Announcement(Listener):
     """Announces the first compilation, but not the loading of compiled code."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell: Callable[[str], None] | None = tell
+    _is_due = True
 
     def on_start(self, event: Event) -> None:
         """A compilation begins, perhaps within another one."""
-        if self._tell is not None:
-            self._tell("Compiling the numba engine; about ten seconds, the first time.")
-            self._tell = None
+        if self._is_due:
+            _log.info("Compiling the numba engine; about ten seconds, the first time.")
+            self._is_due = False
 
     def on_end(self, event: Event) -> None:
         """A compilation has ended."""

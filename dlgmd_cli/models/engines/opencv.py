@@ -4,7 +4,6 @@ Everything outside the frame is zero. `cv2.filter2D` computes a correlation, whi
 convolution for the model's symmetric kernels.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -46,9 +45,7 @@ class Tile(NamedTuple):
 class OpencvEngine:
     """Computes S and G with OpenCV; see `Engine`, and `plan` for the filters."""
 
-    def __init__(
-        self, connections: Connections, receptors: Photoreceptors, tell: Callable[[str], None]
-    ) -> None:
+    def __init__(self, connections: Connections, receptors: Photoreceptors) -> None:
         kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
         self._filters = plan(kernels, connections.gaussians)
         _, height, width = receptors.stack.shape

@@ -24,7 +24,7 @@ from dlgmd_cli.lab.evaluation.scoring import Signal
 from dlgmd_cli.lab.evaluation.search import Search, best_trial, parse_ranges, with_values
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
-from dlgmd_cli.runs.run import Setup
+from dlgmd_cli.runs.setup import Setup
 
 pytestmark = pytest.mark.slow
 

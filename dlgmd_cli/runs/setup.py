@@ -1,0 +1,156 @@
+"""The models of a run: from a set, a file or a name to checked parameters and options."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import (
+    DEFAULT_MODEL_FPS,
+    DEFAULT_WIDTH_PX,
+    ENGINES,
+    MODELS,
+    PRESETS,
+    Config,
+    DlgmdParameters,
+    Parameters,
+    load_config,
+    load_model_preset,
+    load_preset,
+    merge,
+    require_known,
+)
+from dlgmd_cli.video.frames import Video, processed_size
+from dlgmd_cli.video.options import InputOptions
+
+DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One model of a run: its parameters and their origin.
+
+    Attributes
+    ----------
+    params : Parameters
+        Parameters of the model.
+    label : str
+        Name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
+    engine : str
+        `opencv`, `numba` or `auto`.
+    named : dict
+        Entry for the record: ``{"set": 9}`` or ``{"preset": "flight"}`` if one was named.
+    origin : str
+        File of the parameters, for error messages.
+    options : InputOptions
+        Options of the run that wrote that file, if it is a `run.yaml`.
+    width_px, model_fps : int, float
+        Frame width in px and frame rate that the parameters are designed for; the defaults unless
+        an option is given.
+    """
+
+    params: Parameters
+    label: str
+    engine: str = "auto"
+    named: dict[str, Any] = field(default_factory=dict)
+    origin: str = ""
+    options: InputOptions = field(default_factory=InputOptions)
+    width_px: int = DEFAULT_WIDTH_PX
+    model_fps: float = DEFAULT_MODEL_FPS
+
+    def size_on(self, video: Video, options: InputOptions) -> tuple[int, int]:
+        """Size of the processed frames, (width, height) in px: by option, else the model's own."""
+        asked = self.options if options.scale is None and options.size is None else options
+        return processed_size(
+            *video.source_wh,
+            scale=asked.scale,
+            size_wh=asked.size,
+            width_px=self.width_px,
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """Entries of the model in a record, without the engine and the options."""
+        design = {"width_px": self.width_px, "model_fps": self.model_fps}
+        return {"model": self.params.model, **design, **self.params.to_dict()}
+
+
+def choose(
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    formulation: str | None = None,
+    engine: str | None = None,
+) -> Setup:
+    """The model given by a set, a file or a name, with single parameters overridden.
+
+    `overrides` and `formulation` take precedence over the set or file, and that over the defaults.
+    Without any name, the preset `flight` is used; `dlgmd` alone means set 9.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such set, file, model or engine, or a parameter is not valid.
+    """
+    if set is not None and config is not None:
+        raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
+    if set is not None and model not in (DLGMD, None):
+        raise ParameterError(
+            "", "--set works only with the D-LGMD model", f"Leave out --set or --model {model}."
+        )
+    is_default = set is None and config is None and model is None
+    file, label = _named_config(set, DEFAULT_PRESET if is_default else config, model)
+    name, chosen = model or file.model or DLGMD, engine or file.engine
+    require_known("model", name, MODELS, file.name if model is None else "")
+    if chosen not in (None, "auto"):
+        require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
+    kind = MODELS[name].parameters
+    values = dict(overrides or {})
+    if formulation is not None:
+        if "formulation" not in kind.specs():
+            mend = "Add --set 9." if is_default else ""
+            raise ParameterError("", "--formulation works only with the D-LGMD model", mend)
+        values["formulation"] = formulation
+    return Setup(
+        merge(kind, file, values),
+        label,
+        chosen or "auto",
+        file.named if set is None else {"set": int(str(set).removeprefix("set"))},
+        file.name,
+        InputOptions.from_record(file.options, file.name),
+        file.width_px,
+        file.model_fps,
+    )
+
+
+def _named_config(
+    set: str | int | None, config: str | os.PathLike[str] | None, model: str | None
+) -> tuple[Config, str]:
+    """The configuration that the arguments of `choose` name, and the model's label."""
+    if config is not None:
+        return load_config(os.fspath(config)), Path(config).stem
+    if model != DLGMD and model in MODELS:
+        return load_model_preset(model), model
+    number = str(DEFAULT_SET if set is None else set)
+    try:
+        return load_preset(number), f"set{number.removeprefix('set')}"
+    except ParameterError as error:
+        mend = f"{error.mend.rstrip('.')}, or give a file with --config."
+        raise ParameterError("Invalid value for '--set'", error.why, mend) from None
+
+
+def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
+    """The given options, supplemented by those in the file of the setup.
+
+    Raises
+    ------
+    ParameterError
+        If options exclude each other or are not valid.
+    """
+    explicit = {key: value for key, value in given.items() if value is not None}
+    recorded = setup.options
+    if explicit.keys() & {"scale", "size"}:
+        recorded = replace(recorded, scale=None, size=None)
+    return replace(recorded, **explicit)

@@ -1,0 +1,164 @@
+"""The options of an input: which part of it is read, and how."""
+
+import hashlib
+import math
+import numbers
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, shown
+from dlgmd_cli.video.base import (
+    DECODERS,
+    DEFAULT_DECODER,
+    REPEATS,
+    Crop,
+    parse_crop,
+    parse_size,
+)
+from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.reading import Video, VideoInfo
+
+_ABOVE_0 = math.ulp(0.0)
+# Lowest and highest value of each numeric option, and the range in words.
+_RANGES = {
+    "scale": (_ABOVE_0, 1.0, "above 0 and up to 1"),
+    "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0, or all"),
+    "input_fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
+    "start": (0.0, 1e9, "a time in seconds"),
+    "end": (0.0, 1e9, "a time in seconds"),
+}
+_CHOICES = {
+    "decoder": DECODERS,
+    "normalise": ("absolute", "sequence"),
+    "repeats": REPEATS,
+}
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """Which part of an input is read, and which normalised membrane potential is thresholded.
+
+    None stands for the default. Most options are those of `open_video`; `fps` may also be `all`,
+    and `normalise` is `absolute` or `sequence`. `crop` may be given as text, and `mask` is stored
+    as an absolute path. `mask_sha256` is always computed from the file: stored in run.yaml, it
+    shows whether the mask has changed since.
+
+    Raises
+    ------
+    ParameterError
+        If an option is not valid, or two options exclude each other.
+    """
+
+    scale: float | None = None
+    size: tuple[int, int] | None = None
+    fps: float | str | None = None
+    repeats: str | None = None
+    input_fps: float | None = None
+    decoder: str | None = None
+    start: float | None = None
+    end: float | None = None
+    crop: Crop | None = None
+    mask: str | None = None
+    mask_sha256: str | None = field(default=None, repr=False)
+    normalise: str | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.size, tuple | None):
+            text = self.size if isinstance(self.size, str) else shown(self.size)
+            object.__setattr__(self, "size", parse_size(text))
+        if not isinstance(self.crop, Crop | None):
+            text = self.crop if isinstance(self.crop, str) else shown(self.crop)
+            object.__setattr__(self, "crop", parse_crop(text))
+        if isinstance(self.mask, str | os.PathLike):
+            object.__setattr__(self, "mask", os.path.abspath(self.mask))
+        object.__setattr__(self, "mask_sha256", _digest(self.mask))
+        for name, value in vars(self).items():
+            expected = "" if value is None else _expected(name, value)
+            if expected:
+                option = f"--{name.replace('_', '-')} {shown(value)}"
+                raise ParameterError("", f"{option} is not {expected}")
+        if self.scale is not None and self.size is not None:
+            raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise ParameterError("", f"--end {self.end:g} is not after --start {self.start:g}")
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
+        """The options in a record; a ParameterError names `origin`."""
+        known = {one.name for one in fields(cls)}
+        for key in record:
+            if key not in known:
+                raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
+        try:
+            return cls(**record)
+        except ParameterError as error:
+            raise ParameterError(origin, f"options: {error.why}", error.mend) from None
+
+    def n_expected(self, info: VideoInfo) -> int | None:
+        """Expected number of frames up to the requested end; None if the input states none."""
+        if info.n_frames is None or self.end is None:
+            return info.n_frames
+        return min(info.n_frames, math.ceil(self.end * info.fps))
+
+    def to_record(self) -> dict[str, Any]:
+        """The options that are set, as a record stores them."""
+        values = {key: value for key, value in vars(self).items() if value is not None}
+        if self.size is not None:
+            values["size"] = "{}x{}".format(*self.size)
+        if self.crop is not None:
+            values["crop"] = str(self.crop)
+        return values
+
+    def open(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        width_px: int = DEFAULT_WIDTH_PX,
+        model_fps: float | None = None,
+    ) -> Video:
+        """Open an input with these options; raises what `open_video` raises.
+
+        `width_px` and `model_fps` apply where no option sets the size or the rate. Without
+        `model_fps` every frame is processed by default, repeats included.
+        """
+        return open_video(
+            path,
+            scale=self.scale,
+            size_wh=self.size,
+            width_px=width_px,
+            start_s=self.start or 0.0,
+            end_s=math.inf if self.end is None else self.end,
+            max_fps=math.inf if self.fps == "all" else self.fps,  # type: ignore[arg-type]
+            model_fps=model_fps,
+            repeats=self.repeats or (None if model_fps else "keep"),
+            input_fps=self.input_fps,
+            decoder=self.decoder or DEFAULT_DECODER,
+            crop=self.crop,
+            mask=self.mask,
+        )
+
+
+def _digest(mask: Any) -> str | None:
+    """The SHA-256 of a file; None if it cannot be read, which `open_video` reports."""
+    try:
+        return hashlib.sha256(Path(mask).read_bytes()).hexdigest()
+    except (OSError, TypeError, ValueError):
+        return None
+
+
+def _expected(name: str, value: Any) -> str:
+    """The kind of value that an option takes, in words; empty if `value` is valid."""
+    if name == "fps" and value == "all":
+        return ""
+    if name in _RANGES:
+        low, high, words = _RANGES[name]
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        return "" if is_number and low <= value <= high else words
+    if name == "mask":
+        return "" if isinstance(value, str) else "a picture's file"
+    choices = _CHOICES.get(name, (value,))
+    return "" if value in choices else f"one of {', '.join(choices)}"
