@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.result import read_comparison as read_comparison
     from dlgmd_cli.results.result import read_result as read_result
     from dlgmd_cli.runs.run import run as run
-    from dlgmd_cli.video.frames import open_video as open_video
+    from dlgmd_cli.video.opening import open_video as open_video
 
 # Programs that do not configure logging see nothing of ours.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
@@ -47,7 +47,7 @@ _HOMES = {
     "Result": "results.result",
     "load_config": "parameters",
     "load_set": "parameters",
-    "open_video": "video.frames",
+    "open_video": "video.opening",
     "read_comparison": "results.result",
     "read_result": "results.result",
     "run": "runs.run",

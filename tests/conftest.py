@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from dlgmd_cli import cancel
 from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import rows_of
 
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
@@ -75,9 +76,9 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
     }
     db = np.zeros(n) if attenuation_db is None else np.asarray(attenuation_db, float)
     time_s = frame / FPS if time_s is None else np.asarray(time_s, float)
-    ones, nowhere = np.ones(n), np.full(n, np.nan)
-    params = DlgmdParameters()
-    return Result(frame, time_s, mp, ones, ones, db, nowhere, nowhere, params, record)
+    columns = {"frame": frame, "time_s": time_s, "mp": mp, "attenuation_db": db}
+    rows = rows_of({**columns, "p_sum": 1.0, "s_sum": 1.0})
+    return Result(rows, DlgmdParameters(), record)
 
 
 def result_of_level(level, **options):

@@ -105,7 +105,7 @@ def bench(
     from dlgmd_cli.lab.benchmark import RADII, SCALES, measure
     from dlgmd_cli.parameters import load_set
     from dlgmd_cli.results.store import appearing, refuse_existing
-    from dlgmd_cli.video.frames import open_video
+    from dlgmd_cli.video.opening import open_video
 
     radii = tuple(dict.fromkeys(radii)) or RADII
     scales = tuple(dict.fromkeys(scales)) or SCALES

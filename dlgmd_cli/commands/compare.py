@@ -151,16 +151,14 @@ def compare(
     options = InputOptions(**given)
     with runs.open_input(input_path, setups, options) as video:
         folder = store.result_folder(output.out, video.info.name)
-        identity = runs.input_identity(video.info, input_path)
+        identity = video.info.identity
         is_new = store.check(folder, store.COMPARISON, identity, overwrite=output.overwrite)
         with store.locked(folder):
             with progress(video.info.name, options.n_expected(video.info)) as on_frame:
-                found = runs.run_models(
-                    video, setups, options, identity=identity, on_frame=on_frame
-                )
+                found = runs.run_models(video, setups, options, on_frame=on_frame)
             found = [one.until(annotations.collision_frame) for one in found]
             results = {one.label: result for one, result in zip(setups, found, strict=True)}
-            runs.require_response(input_path, video, setups, found, options)
+            runs.require_response(video, setups, found, options)
             warnings = _warnings(setups, results)
             warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
             for warning in warnings:

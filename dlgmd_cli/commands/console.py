@@ -20,7 +20,7 @@ from dlgmd_cli import __version__, cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.video.frames import Video
+    from dlgmd_cli.video.source import Video
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 INFINITE_DISTINGUISHABILITY = (

@@ -22,14 +22,20 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
-    from dlgmd_cli.models.base import Model
+    from collections.abc import Callable, Iterator
+
+    from dlgmd_cli.frame import Frame
+    from dlgmd_cli.models.base import Response
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.plots.overlay import Overlay
     from dlgmd_cli.results.layers import LayerSheet
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.results.store import Write
+    from dlgmd_cli.runs.layers import LayerRun
     from dlgmd_cli.runs.setup import Setup
-    from dlgmd_cli.video.frames import Video
+    from dlgmd_cli.video.source import Video
+
+    Steps = Iterator[tuple[Frame, list[Response]]]
 
 # More frames are not readable at the width of two columns of a paper.
 MAX_FRAMES = 12
@@ -102,7 +108,6 @@ def layers(
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
     if not wanted and film_path is not None and npz:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    from dlgmd_cli.models.base import create_model
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import absent, run_layers
@@ -114,24 +119,24 @@ def layers(
         folder = store.result_folder(output.out, video.info.name) if makes_sheet else None
         if film_path is not None:
             _check_film(film_path, folder, video.info.path, overwrite=output.overwrite)
-        identity, is_new = runs.input_identity(video.info, input_path), False
+        is_new = False
         if folder is not None:
+            identity = video.info.identity
             is_new = store.check(folder, store.LAYERS, identity, overwrite=output.overwrite)
         with store.locked(folder) if folder else nullcontext():
-            model = create_model(setup.params, engine=setup.engine)
             n_expected = options.n_expected(video.info)
             frames = wanted or ()
             if makes_sheet and not frames:
-                frames = _strongest(input_path, setup, options, identity)
+                frames = _strongest(input_path, setup, options)
             if film_path is None:
                 n_expected = min(max(frames) + 1, n_expected or max(frames) + 1)
             with progress(video.info.name, n_expected) as on_frame:
-                result, sheet, ranges = run_layers(
-                    *(video, setup, model, options, frames),
+                ran = run_layers(
+                    *(video, setup, options, frames),
                     whole=film_path is not None,
-                    identity=identity,
                     on_frame=on_frame,
                 )
+            result, sheet = ran.result, ran.sheet
             if not cancel.requested():
                 why_not = absent(sorted({*frames} - {*result.record["frames"]}), video, options.end)
                 if frames and sheet is None:
@@ -153,28 +158,25 @@ def layers(
     if film_path is None:
         return
     if not result.n_valid:
-        raise runs.too_short(input_path, video, setup.label, model.first_valid_frame + 1, options)
+        raise runs.too_short(video, setup.label, ran.model.first_valid_frame + 1, options)
     with runs.open_input(input_path, [setup], options) as again:
-        film = _film(result, ranges, again, model, setup.label, overlay=overlay)
-        _render(film, again, model, len(result), film_path)
+        film = _film(ran, again, setup.label, overlay=overlay)
+        steps = partial(runs.responses, again, [runs.stepper_on(again, setup, options)])
+        _render(film, again, steps, len(result), film_path)
 
 
-def _strongest(
-    input_path: str, setup: "Setup", options: Any, identity: dict[str, Any]
-) -> tuple[int, ...]:
+def _strongest(input_path: str, setup: "Setup", options: Any) -> tuple[int, ...]:
     """Choose the frames of a sheet, by running the model over the whole input."""
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import strongest_frames
 
     with runs.open_input(input_path, [setup], options) as video:
         with progress(video.info.name, options.n_expected(video.info)) as on_frame:
-            (first,) = runs.run_models(
-                video, [setup], options, identity=identity, on_frame=on_frame
-            )
+            results = runs.run_models(video, [setup], options, on_frame=on_frame)
         if cancel.requested():
             raise cancel.Interrupted
-        runs.require_response(input_path, video, [setup], [first], options)
-    return strongest_frames(first)
+        runs.require_response(video, [setup], results, options)
+    return strongest_frames(results[0])
 
 
 def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: bool) -> None:
@@ -210,55 +212,45 @@ def _files(result: "Result", sheet: "LayerSheet", output: Output, npz: bool) -> 
     }
 
 
-def _film(
-    result: "Result", ranges: Any, video: "Video", model: "Model", label: str, *, overlay: bool
-) -> "Film | Overlay":
-    """The film of a result; `ranges` are the extremes of `s` and `g`."""
+def _film(ran: "LayerRun", video: "Video", label: str, *, overlay: bool) -> "Film | Overlay":
+    """The film of a run over the whole video."""
     from dlgmd_cli.plots.film import Film
     from dlgmd_cli.plots.heat import Scale
     from dlgmd_cli.plots.overlay import Overlay
 
-    scales = Scale.over(*ranges["s"]), Scale.over(*ranges["g"])
+    scales = Scale.over(*ran.ranges["s"]), Scale.over(*ran.ranges["g"])
     if overlay:
-        return Overlay(result, video.source_wh[::-1], scales[1].high)
+        return Overlay(ran.result, video.source_wh[::-1], scales[1].high)
     label = f"{video.info.name} · {label}"
-    return Film(result, video.size_wh[::-1], scales, model.layer_units[1:], label)
+    return Film(ran.result, video.size_wh[::-1], scales, ran.model.layer_units[1:], label)
 
 
 def _render(
-    film: "Film | Overlay", video: "Video", model: "Model", n_frames: int, path: Path
+    film: "Film | Overlay", video: "Video", steps: "Callable[..., Steps]", n_frames: int, path: Path
 ) -> None:
     """Write the film while the model runs over the input again; an interruption cuts it short."""
     from dlgmd_cli.plots.film import Film
-    from dlgmd_cli.runs.layers import shown_frames
-    from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
     from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
     fps = playable_fps(video.rate_fps)
     if abs(fps / video.rate_fps - 1.0) > 0.01:
         warn(f"{path} plays at {fps:g} frames a second, not at {video.rate_fps:g}")
     n_rendered = 0
-    model.reset()
+    picture_wh = None if isinstance(film, Film) else video.source_wh
+    look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
     with (
         progress(f"{video.info.name} → {path.name}", n_frames) as on_frame,
-        opencv_threads(1),
-        read_ahead(shown_frames(video)) as frames,
-        video_writer(
-            path, film.shape, fps, codec=best_codec(), is_colour=True, option="--video"
-        ) as write,
+        video_writer(path, film.shape, fps, **look) as write,
     ):
-        for n_rendered, (frame, image) in zip(range(1, n_frames + 1), frames, strict=False):
-            if not frame.is_repeat:
-                if frame.after_gap:
-                    model.reset()
-                layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
+        found = steps(layers=lambda frame: True, picture_wh=picture_wh)
+        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), found, strict=False):
+            layers: Any = response.layers
+            picture: Any = frame.picture
             if isinstance(film, Film):
                 write(film.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
             else:
-                write(film.picture(n_rendered - 1, image, layers.g))
+                write(film.picture(n_rendered - 1, picture, layers.g))
             on_frame(n_rendered)
-            if cancel.requested():
-                break
     print_path(path)
     if cancel.requested() and n_rendered < n_frames:
         say(f"Interrupted. {path} holds the first {n_rendered} of {n_frames} frames.")

@@ -57,19 +57,17 @@ def run(
     options = recorded(setup, given)
     with runs.open_input(input_path, [setup], options) as video:
         folder = store.result_folder(output.out, video.info.name)
-        identity = runs.input_identity(video.info, input_path)
+        identity = video.info.identity
         is_new = store.check(folder, store.RUN, identity, overwrite=output.overwrite)
         with store.locked(folder):
             with progress(video.info.name, options.n_expected(video.info)) as on_frame:
-                (result,) = runs.run_models(
-                    video, [setup], options, identity=identity, on_frame=on_frame
-                )
+                (result,) = runs.run_models(video, [setup], options, on_frame=on_frame)
             for warning in result.warnings:
                 warn(f"{input_path}: {warning}")
             note_sampling(input_path, video, options.fps)
             for line in details(result):
                 detail(line)
-            runs.require_response(input_path, video, [setup], [result], options)
+            runs.require_response(video, [setup], [result], options)
             files = result.files(output.formats, output.dpi)
             store.commit(folder, store.RUN, files, is_new_input=is_new)
     _show(result, folder, as_json)

@@ -19,9 +19,9 @@ from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.runs.run import run_models
 from dlgmd_cli.runs.setup import Setup
-from dlgmd_cli.video.frames import Video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import write_video
 
 RADII = (6, 4, 3, 2)

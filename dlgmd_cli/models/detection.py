@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.base import Grey, Model, Response, create_model, undefined
+from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
+from dlgmd_cli.models.base import Grey, Response, undefined
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of, shown
-from dlgmd_cli.repeats import GapDetector, RepeatDetector
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -196,59 +197,58 @@ class Alarm:
     ) -> None:
         if repeats not in ("skip", "keep"):
             raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
-        params = params if params is not None else parameters_of(load_config(PRESETS[0]))
-        self.model: Model = create_model(params, engine=engine)
-        self.params = params
+        self.params = parameters_of(load_config(PRESETS[0])) if params is None else params
+        self._stepper = Stepper(self.params, engine=engine)
+        self.model = self._stepper.model
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
-        self._last = Detection(**vars(undefined()))
+        self._index, self._last = -1, Detection(**vars(undefined()))
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        self._begin_anew()
+        self._stepper.reset()
+        self._spikes.reset()
         self._gaps.reset()
         if self._repeats is not None:
             self._repeats.reset()
 
-    def _begin_anew(self) -> None:
-        """Forget what the model saw."""
-        self.model.reset()
-        self._spikes.reset()
-
     def ignore(self, hidden: Flags | None) -> None:
-        """Leave out some cells of all frames to come, see `Model.ignore`."""
-        self.model.ignore(hidden)
+        """Ignore some cells of all frames from now on, see `Model.ignore`."""
+        self._stepper.ignore(hidden)
         if self._repeats is not None:
             self._repeats = RepeatDetector(hidden)
 
     def step(self, frame: Grey, time_s: float | None = None, *, layers: bool = False) -> Detection:
-        """Take the next frame and say whether the alarm is on.
+        """Process the next frame and say whether the alarm is on.
 
-        After a gap in time, which frames were lost in, the model begins anew: it has no answer
-        until its history is full again.
+        After a gap in time, in which frames were lost, the model restarts: it has no response until
+        its history is full again.
 
         Parameters
         ----------
         frame : ndarray, shape (H, W), float32 or uint8
             Luminance in 0..1, or grey levels in 0..255.
         time_s : float, optional
-            When the frame was taken; without it gaps go unnoticed.
+            Time of the frame; without it, gaps go unnoticed.
         layers : bool
-            Return copies of P, S and G as well.
+            Also return copies of P, S and G.
 
         Raises
         ------
         FrameError
-            If the frame is no such image, or not of the same size and type as the one before.
+            If the frame is not such an image, or differs in size or type from the previous one.
         MissingExtraError
-            If the engine asked for needs a package that is not installed.
+            If the requested engine needs a package that is not installed.
         """
         is_gap = time_s is not None and self._gaps.step(time_s)
-        if self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame):
+        is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
+        if is_gap:  # what comes after a gap is new, even if it looks the same
+            self._spikes.reset()
+        elif is_repeat:
             return self._last
-        if is_gap:
-            self._begin_anew()
-        response = self.model.step(frame, time_s, layers=layers)
+        self._index += 1
+        one = Frame(self._index, math.nan if time_s is None else time_s, frame, after_gap=is_gap)
+        response = self._stepper.step(one, layers=layers)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self._spikes.step(mp_abs)
         self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)

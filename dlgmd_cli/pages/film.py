@@ -11,16 +11,13 @@ import numpy as np
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.models.base import create_model
-from dlgmd_cli.plots.heat import BgrImage, FloatImage
+from dlgmd_cli.plots.heat import BgrImage
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.layers import run_layers
-from dlgmd_cli.runs.run import OnFrame, open_input
+from dlgmd_cli.runs.run import OnFrame, open_input, responses, stepper_on
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.reading import Picture
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
 # Masked parts of the picture are darker by this factor.
@@ -96,53 +93,42 @@ def render(
         size=(processed["width"], processed["height"]),
     )
     setups = [_setup(one) for one in (result, *peers)]
-    model = create_model(result.params)
     n_expected = int(result.record["input"].get("frames") or len(result))
     with open_input(path, setups, options) as video:
-        again, _, ranges = run_layers(
-            *(video, setups[0], model, options, ()),
-            whole=True,
-            identity={},
-            on_frame=on_frame,
-        )
+        again, _, ranges, _ = run_layers(video, setups[0], options, on_frame=on_frame)
     is_as_stored = _is_same(again, result, path)
     strongest_g = max(abs(bound) for bound in ranges["g"])
     if not np.isfinite(strongest_g):  # G is undefined in every frame
         strongest_g = 0.0
-    model.reset()
     thumbnail = b""
     with (
         open_input(path, setups, options) as video,
         tempfile.TemporaryDirectory(prefix="dlgmd-") as folder,
-        opencv_threads(1),
     ):
         size_wh = _film_size(*video.source_wh, width_px)
         hidden = video.hidden(size_wh)
         fps, file = playable_fps(video.rate_fps), Path(folder) / "film.mp4"
-        pictures = ((video.frame(one), _shown(one, size_wh)) for one in video.pictures())
-        g: FloatImage | None = None
-        with (
-            read_ahead(pictures) as ahead,
-            video_writer(
-                *(file, size_wh[::-1], fps), codec="h264", is_colour=True, x264=PAGE_FILM
-            ) as write,
-        ):
-            for row, (frame, picture) in zip(range(len(result)), ahead, strict=False):
-                if not frame.is_repeat:
-                    if frame.after_gap:
-                        model.reset()
-                    layers: Any = model.step(frame.grey, frame.time_s, layers=True).layers
-                    g = layers.g
+        steps = responses(
+            video,
+            [stepper_on(video, setups[0], options)],
+            layers=lambda frame: True,
+            picture_wh=size_wh,
+            on_frame=lambda n_done: on_frame(n_expected + n_done),
+        )
+        look: Any = {"codec": "h264", "is_colour": True, "x264": PAGE_FILM}
+        with video_writer(file, size_wh[::-1], fps, **look) as write:
+            for row, (frame, (response,)) in zip(range(len(result)), steps, strict=False):
+                picture = frame.picture
+                assert picture is not None
                 if hidden is not None:
                     picture[hidden] //= _DIMMED
+                g = None if response.layers is None else response.layers.g
                 shown = tinted(picture, g, strongest_g)
                 mark_centroid(shown, again.g_x[row], again.g_y[row])
                 if row == thumbnail_row:
                     thumbnail = _jpeg(shown)
                 write(shown)
-                on_frame(n_expected + frame.index + 1)
-                if cancel.requested():
-                    raise cancel.Interrupted
+                cancel.check()
         data = file.read_bytes()
     return Film(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
 
@@ -172,19 +158,6 @@ def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
     """Width and height of the film: even, and at most one pixel larger than the input."""
     scale = min(1.0, width_px / max(width, 1))
     return max(2, round(width * scale / 2) * 2), max(2, round(height * scale / 2) * 2)
-
-
-def _shown(picture: Picture, size_wh: tuple[int, int]) -> BgrImage:
-    """A picture as 8-bit BGR at the film's size."""
-    image: Any = picture.image
-    shrinks = image.shape[1] >= size_wh[0] and image.shape[0] >= size_wh[1]
-    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    image = cv2.resize(image, size_wh, interpolation=interpolation)
-    if picture.levels is not None or image.dtype != np.uint8:
-        black, white = picture.levels or (0, 255 if image.dtype == np.uint8 else 65_535)
-        levels = (image.astype(np.float32) - black) * (255.0 / (white - black))
-        image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-    return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
 
 
 def _jpeg(picture: BgrImage) -> bytes:

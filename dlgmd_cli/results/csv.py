@@ -24,6 +24,8 @@ TABLES = {
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }
+# Columns without which a table is not read; others are undefined where an older file lacks them.
+_NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
 COMPARISON = ("label", "frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db")
 
@@ -89,38 +91,42 @@ def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]
 def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
     """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
 
+    Columns that an older file lacks, and those that only a newer version knows, are left out.
+
     Raises
     ------
     ResultError
-        If the file cannot be read, has another header, or does not contain frames in order.
+        If the file cannot be read, is another table, or does not contain frames in order.
     """
-    return _checked(path, header, [row for _, row in _rows(path, header)])
+    found, rows = _read(path, header)
+    return {name: one for name, one in _checked(path, found, rows).items() if name in header}
 
 
 def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
     """Read the columns of a compare.csv by label, in its order; raises ResultError."""
+    found, rows = _read(path, COMPARISON)
     by_label: dict[str, list[list[str]]] = {}
-    for _, row in _rows(path, COMPARISON):
+    for row in rows:
         by_label.setdefault(row[0], []).append(row[1:])
-    return {label: _checked(path, COMPARISON[1:], rows) for label, rows in by_label.items()}
+    return {label: _checked(path, found[1:], rows) for label, rows in by_label.items()}
 
 
-def _rows(path: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of every line below the header."""
+def _read(path: Path, header: tuple[str, ...]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """The header of a table that should have `header`, and the cells of every line below it."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = iter(lambda: file.readline(_MAX_LINE), "")
             rows = csv.reader(lines)
-            if tuple(next(rows, ())) != header:
+            found = tuple(next(rows, ()))
+            is_whole = _NEEDED.intersection(header) <= set(found) and found[0] == header[0]
+            if not is_whole or len(set(found)) < len(found):
                 raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
-            for row in rows:
-                if len(row) != len(header):
-                    raise ResultError(
-                        str(path),
-                        f"line {rows.line_num} does not have {len(header)} cells",
-                        _REMAKE,
-                    )
-                yield rows.line_num, row
+            cells = list(rows)
+            for number, row in enumerate(cells, start=2):
+                if len(row) != len(found):
+                    why = f"line {number} does not have {len(found)} cells"
+                    raise ResultError(str(path), why, _REMAKE)
+            return found, cells
     except FileNotFoundError:
         raise ResultError(str(path), "this file is missing", _REMAKE) from None
     except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8

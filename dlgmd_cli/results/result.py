@@ -16,6 +16,7 @@ from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, seq
 from dlgmd_cli.parameters import MODELS, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
+from dlgmd_cli.results.rows import ROW, Rows, rows_of
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Figure
@@ -33,22 +34,25 @@ _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The response of a model to a video; arrays of shape (n,), one entry per processed frame.
+    """The response of a model to a video.
+
+    Every column of the rows is an attribute, an array of shape (n,) with one entry per processed
+    frame:
+
+    ==================  ===========================================================================
+    frame               number of the frame in the input, from 0
+    time_s              time of the frame, in seconds
+    is_repeat           whether the frame repeats the one before; its numbers are copies
+    mp                  raw membrane potential K, [Zhao2023] Eq. (13); NaN while undefined
+    p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
+    attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
+    g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN where none is
+    ==================  ===========================================================================
 
     Attributes
     ----------
-    frame : int array
-        Number of the frame in the input, from 0.
-    time_s : array
-        Time of the frame, in seconds.
-    mp : array
-        Raw membrane potential K, [Zhao2023] Eq. (13); NaN in the first frames, where undefined.
-    p_sum, s_sum : array
-        Sums of the photoreceptor and the summation layer, in the model's own units.
-    attenuation_db : array
-        10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN where undefined.
-    g_x, g_y : array
-        Centroid of the active cells, from -1 (left, top) to 1; NaN where none is active.
+    rows : ndarray, shape (n,), of type `rows.ROW`
+        The rows.
     params : Parameters
         Parameters of the model.
     record : dict
@@ -60,24 +64,27 @@ class Result:
     use only the frames up to it: later frames show the recoil.
     """
 
-    frame: npt.NDArray[np.int64]
-    time_s: Series
-    mp: Series
-    p_sum: Series
-    s_sum: Series
-    attenuation_db: Series
-    g_x: Series
-    g_y: Series
+    rows: Rows
     params: Parameters
     record: dict[str, Any] = field(repr=False)
 
+    def __getattr__(self, name: str) -> Any:
+        """A column of the rows, shape (n,)."""
+        if name not in (ROW.names or ()):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return self.rows[name]
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *(ROW.names or ())})
+
     def __len__(self) -> int:
-        return len(self.frame)
+        return len(self.rows)
 
     @property
     def name(self) -> str:
         """Name of the input."""
-        return Path(str(self.record.get("input", {}).get("path", ""))).stem
+        source = self.record.get("input", {})
+        return str(source.get("name") or Path(str(source.get("path", ""))).stem)
 
     @property
     def warnings(self) -> list[str]:
@@ -111,7 +118,8 @@ class Result:
         """The result with the collision of the camera set to a frame, None for no change."""
         if collision_frame is None:
             return self
-        return replace(self, record={**self.record, "collision_frame": collision_frame})
+        record = {**self.record, "warnings": [*self.warnings], "collision_frame": collision_frame}
+        return replace(self, record=record)
 
     @cached_property
     def _mp_before(self) -> Series:
@@ -144,15 +152,9 @@ class Result:
         return self.params.t_mp
 
     @cached_property
-    def repeated(self) -> Flags:
-        """Rows of repeats, which the model did not see; they copy the numbers of the row before."""
-        text = self.record.get("input", {}).get("repeated_rows")
-        return np.zeros(len(self), np.bool_) if text is None else unpacked_flags(text, len(self))
-
-    @cached_property
     def _detected(self) -> tuple[Flags, Flags]:
         """Spikes and alarms over the frames that the model saw, held during repeats."""
-        seen = ~self.repeated
+        seen = ~self.is_repeat
         seen[:1] = True
         flags = detect(self.level[seen], self.params.t_mp, self.params.n_sp)
         row_seen = np.cumsum(seen) - 1
@@ -183,7 +185,7 @@ class Result:
         `mean_attenuation_db` over the frames where it is finite.
         """
         peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
-        passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.repeated]
+        passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
         first_alarm = int(onsets[0]) if onsets.size else None
         return {
             "mp_max": None if peak is None else float(self.mp[peak]),
@@ -205,7 +207,7 @@ class Result:
         are compared on the same frames. NaN if no frame is valid, or if the membrane potential is
         only rounding, see `detection.LEAST_PEAK`.
         """
-        common = self._mp_before[~self.repeated][FIRST_COMMON_ROW:]
+        common = self._mp_before[~self.is_repeat][FIRST_COMMON_ROW:]
         valid = common[~np.isnan(common)]
         peak = float(valid.max()) if valid.size else 0.0
         return float((valid / peak).mean()) if peak >= LEAST_PEAK else math.nan
@@ -337,7 +339,7 @@ def read_result(folder: str | Path) -> Result:
 def read_comparison(folder: str | Path) -> dict[str, Result]:
     """Read the results that `dlgmd compare` wrote, by label, in its order.
 
-    A comparison stores neither sums nor centroids: `p_sum`, `s_sum`, `g_x` and `g_y` are NaN.
+    A comparison stores neither sums nor centroids nor repeats: these are undefined.
 
     Raises
     ------
@@ -357,13 +359,12 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
     results = {}
     for label, columns in by_label.items():
         own = described[label]
-        unknown = np.full(len(columns["frame"]), np.nan)
         shared = ("input", "options", "collision_frame")
         common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {key: own[key] for key in ("width", "height", "cells") if key in own}
         results[label] = _result(
             folder / store.COMPARISON,
-            {**columns, **dict.fromkeys(("p_sum", "s_sum", "g_x", "g_y"), unknown)},
+            columns,
             {**common, **own, "processed": size},
             own,
         )
@@ -406,20 +407,11 @@ def _result(
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):
         raise ResultError(str(path), "does not state the processed size", "Run again.") from None
-    result = Result(
-        columns["frame"].astype(np.int64),
-        columns["time_s"],
-        columns["mp"],
-        columns["p_sum"],
-        columns["s_sum"],
-        columns["attenuation_db"],
-        columns["g_x"],
-        columns["g_y"],
-        params,
-        record,
-    )
+    repeated = record.get("input", {}).get("repeated_rows")
+    flags = {}
     try:
-        result.repeated  # noqa: B018, raises if the text is damaged
+        if repeated is not None:
+            flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
     except (AttributeError, TypeError, ValueError):
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return result
+    return Result(rows_of({**columns, **flags}), params, record)

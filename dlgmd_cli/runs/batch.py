@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli import __version__
@@ -281,11 +282,12 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
             local_copy(video.path, job.scratch) as path,
             open_input(path, setups, job.options) as opened,
         ):
-            identity = {"path": video.path, **video.identity}
+            name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
+            identity = {"path": video.path, "name": name, **video.identity}
             results = run_models(opened, setups, job.options, identity=identity)
             for number, result in zip(task.wanted, results, strict=True):
                 try:
-                    require_response("", opened, [job.setups[number]], [result], job.options)
+                    require_response(opened, [job.setups[number]], [result], job.options)
                     rows[number] = _save(job, number, video, result, began)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)

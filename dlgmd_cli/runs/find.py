@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.names import told_apart
 from dlgmd_cli.results.store import failure_text, is_url, place
-from dlgmd_cli.video.frames import fingerprint
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.images import read_image
+from dlgmd_cli.video.opening import fingerprint
 
 if TYPE_CHECKING:
     from upath import UPath

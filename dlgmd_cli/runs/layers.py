@@ -1,85 +1,105 @@
 """Running a model for its layers, at selected frames or at all frames."""
 
 import math
-from array import array
-from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli import cancel
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Model, Response
 from dlgmd_cli.results.layers import FloatImage, LayerSheet
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.run import OnFrame, build_result, numbers_of
+from dlgmd_cli.results.rows import RowList
+from dlgmd_cli.runs.run import (
+    OnFrame,
+    build_result,
+    input_record,
+    responses,
+    silent,
+    stepper_on,
+)
 from dlgmd_cli.runs.setup import Setup
-from dlgmd_cli.video.frames import Frame, Video
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.source import Video
 
 # Number of frames to choose, preferably with responses of at least this share of the peak.
 N_CHOSEN, _RESPONDING = 5, 0.01
 
 # Lowest and highest value of a layer.
 Range = tuple[float, float]
-BgrImage = npt.NDArray[np.uint8]
+
+
+class LayerRun(NamedTuple):
+    """A run of a model that kept layers.
+
+    Attributes
+    ----------
+    result : Result
+        All processed frames. Its record lists the `frames` of the sheet, and is `complete` unless
+        the stop flag left out some of them.
+    sheet : LayerSheet or None
+        The layers of the requested frames; None if there are none.
+    ranges : dict
+        The extremes of `s` and `g` over all frames, if the whole input was run.
+    model : Model
+        The model.
+    """
+
+    result: Result
+    sheet: LayerSheet | None
+    ranges: dict[str, Range]
+    model: Model
 
 
 def run_layers(
     video: Video,
     setup: Setup,
-    model: Model,
     options: InputOptions,
-    frames: Collection[int],
+    frames: Collection[int] = (),
     *,
-    whole: bool,
-    identity: Mapping[str, Any],
-    on_frame: OnFrame,
-) -> tuple[Result, LayerSheet | None, dict[str, Range]]:
-    """Run `model` on `video` until all of `frames` are processed or, if `whole`, to the end.
+    whole: bool = True,
+    on_frame: OnFrame = silent,
+) -> LayerRun:
+    """Run a model until all of `frames` are processed or, if `whole`, to the end of the input.
 
-    Returns the result, the sheet and the ranges. The result covers all processed frames; its record
-    lists the `frames` of the sheet, and is `complete` unless the stop flag left out some of them.
-    The sheet holds the layers of the requested frames, None if there are none. The ranges are the
-    extremes of `s` and `g` over all frames if `whole`. Raises Interrupted if the stop flag ended
-    the run before the first requested frame.
+    Raises Interrupted if the stop flag ended the run before the first requested frame.
     """
-    rows: array[float] = array("d")
+    stepper, rows = stepper_on(video, setup, options), RowList()
     kept: list[tuple[Frame, Response]] = []
     ranges = dict.fromkeys("sg", (math.inf, -math.inf))
-    repeated = bytearray()
-    stops_early = False
-    model.ignore(video.hidden())
-    # OpenCV's threads would only compete with those of the decoder.
-    with opencv_threads(1), read_ahead(video) as ahead:
-        for frame in ahead:
-            is_kept = frame.index in frames and not frame.is_repeat
-            if not frame.is_repeat:
-                if frame.after_gap:
-                    model.reset()
-                response = model.step(frame.grey, frame.time_s, layers=whole or is_kept)
-            rows.extend((frame.index, frame.time_s, *numbers_of(response)))
-            repeated.append(frame.is_repeat)
-            if is_kept:
-                kept.append((frame, response))
-            if whole:
-                _widen(ranges, response)
+    last = -1 if whole else max(frames)
+    is_read = True
+
+    def is_kept(frame: Frame) -> bool:
+        return frame.index in frames and not frame.is_repeat
+
+    steps = responses(video, [stepper], layers=lambda one: whole or is_kept(one), on_frame=on_frame)
+    for frame, (response,) in steps:
+        rows.append(frame, response)
+        if is_kept(frame):
+            kept.append((frame, response))
+        if whole:
+            _widen(ranges, response)
+        elif frame.index >= last:
+            is_read = False
             on_frame(frame.index + 1)
-            is_last = not whole and frame.index >= max(frames)
-            stops_early = is_last or cancel.requested()
-            if stops_early:
-                break
-    if cancel.requested() and not kept:
+            break
+    stopped = cancel.requested()
+    if stopped and not kept:
         raise cancel.Interrupted
+    size_wh = stepper.size_wh or video.size_wh
+    facts = input_record(video, size_wh, rows.rows(), is_read=is_read and not stopped)
     result = build_result(
-        *(rows, repeated, video, video.size_wh, setup, model, options, identity),
-        was_read=not stops_early,
+        *(setup, stepper, rows.rows(), options, facts),
+        complete=not stopped or len(kept) == len(frames),
         frames=[one.index for one, _ in kept],
-        complete=not cancel.requested() or len(kept) == len(frames),
     )
+    result.warnings.extend(video.progress.warnings)
     label = f"{video.info.name} · {setup.label}"
-    return result, _sheet(kept, model.layer_units, label) if kept else None, ranges
+    sheet = _sheet(kept, stepper.model.layer_units, label) if kept else None
+    return LayerRun(result, sheet, ranges, stepper.model)
 
 
 def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...]:
@@ -88,7 +108,7 @@ def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...
     Frames are chosen by decreasing response, skipping those near a chosen one. If there is no
     response, they are spread over the whole result.
     """
-    strength = np.where(result.repeated, 0.0, np.nan_to_num(result.mp))
+    strength = np.where(result.is_repeat, 0.0, np.nan_to_num(result.mp))
     n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
     n_candidates = min(max(int(n_strong), n_frames), np.count_nonzero(strength))
     rows = np.sort(np.argsort(-strength, kind="stable")[:n_candidates])
@@ -101,18 +121,6 @@ def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...
         if len(chosen) < n_frames and all(abs(place - other) >= gap for other in chosen):
             chosen.append(int(place))
     return tuple(int(result.frame[rows[place]]) for place in sorted(chosen))
-
-
-def shown_frames(video: Video) -> Iterator[tuple[Frame, BgrImage]]:
-    """Every frame as processed, and as a picture of full size, (H, W, 3) BGR."""
-    for picture in video.pictures():
-        image = picture.image
-        if image.ndim == 2 or image.dtype != np.uint8:
-            full = video.frame(picture, (image.shape[1], image.shape[0])).luminance
-            grey = np.rint(255.0 * full).astype(np.uint8)
-            yield video.frame(picture), np.repeat(grey[:, :, None], 3, axis=2)
-        else:
-            yield video.frame(picture), image.copy()  # the original is valid until the next one
 
 
 def absent(missing: list[int], video: Video, end_s: float | None) -> str:

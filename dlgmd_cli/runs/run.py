@@ -2,7 +2,6 @@
 
 import math
 import os
-from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, overload
@@ -11,18 +10,20 @@ import numpy as np
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.models.base import Model, Response, create_model
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.models.base import Response, create_model
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import MODELS, PRESETS, Parameters
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import RowList, Rows
 from dlgmd_cli.runs.setup import Setup, choose, input_options
-from dlgmd_cli.video.frames import Frame, Video, VideoInfo, fingerprint
+from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.source import Source, Video
 
 OnFrame = Callable[[int], None]
-# Columns of a row: frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y.
-_N_COLUMNS = 8
 
 
 def silent(*_: Any) -> None:
@@ -30,17 +31,17 @@ def silent(*_: Any) -> None:
 
 
 @overload
-def run(video: str | os.PathLike[str], models: None = None, **options: Any) -> Result: ...
+def run(video: Openable, models: None = None, **options: Any) -> Result: ...
 
 
 @overload
 def run(
-    video: str | os.PathLike[str], models: Sequence[Parameters | str | int], **options: Any
+    video: Openable, models: Sequence[Parameters | str | int], **options: Any
 ) -> list[Result]: ...
 
 
 def run(
-    video: str | os.PathLike[str],
+    video: Openable,
     models: Sequence[Parameters | str | int] | None = None,
     *,
     set: str | int | None = None,
@@ -56,8 +57,10 @@ def run(
 
     Parameters
     ----------
-    video : str or path
-        A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``.
+    video : str, path, or iterable of ndarray
+        A video file, a folder of pictures, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
+        or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
+        Of images, `fps` is the frame rate, 30 unless given; all of them are processed.
     models : sequence, optional
         The models: parameters, or names of sets (``9``), models (``"lgmd"``) and presets
         (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
@@ -97,6 +100,8 @@ def run(
     for name in options.keys() - {one.name for one in fields(InputOptions)}:
         known = ", ".join(one.name for one in fields(InputOptions))
         raise ParameterError("run", f"there is no option {name!r}", f"Choose from {known}.")
+    if not isinstance(video, str | os.PathLike) and options.get("input_fps") is None:
+        options["input_fps"] = options.pop("fps", None)
     if models is None:
         setup = choose(set, config, model, param, formulation, engine)
         return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]
@@ -116,22 +121,16 @@ def _setup(model: Parameters | str | int, engine: str | None) -> Setup:
 
 
 def run_input(
-    path: str | os.PathLike[str],
-    setups: Sequence[Setup],
-    options: InputOptions,
-    *,
-    on_frame: OnFrame = silent,
+    source: Openable, setups: Sequence[Setup], options: InputOptions, *, on_frame: OnFrame = silent
 ) -> list[Result]:
     """Open an input, run every model on it and close it; raises what `run` raises."""
-    with open_input(path, setups, options) as video:
-        results = run_models(video, setups, options, identity=fingerprint(path), on_frame=on_frame)
-        require_response(os.fspath(path), video, setups, results, options)
+    with open_input(source, setups, options) as video:
+        results = run_models(video, setups, options, on_frame=on_frame)
+        require_response(video, setups, results, options)
     return results
 
 
-def open_input(
-    path: str | os.PathLike[str], setups: Sequence[Setup], options: InputOptions
-) -> Video:
+def open_input(source: Openable, setups: Sequence[Setup], options: InputOptions) -> Video:
     """Open an input for models; raises what `open_video` raises.
 
     By default, the frame size is that of the first model and the frame rate that of the fastest. If
@@ -139,7 +138,47 @@ def open_input(
     """
     is_released = any(one.params.to_dict().get("formulation") == "released" for one in setups)
     model_fps = None if is_released else max(one.model_fps for one in setups)
-    return options.open(path, width_px=setups[0].width_px, model_fps=model_fps)
+    return options.open(source, width_px=setups[0].width_px, model_fps=model_fps)
+
+
+def responses(
+    source: Source,
+    steppers: Sequence[Stepper],
+    *,
+    layers: Callable[[Frame], bool] = lambda frame: False,
+    picture_wh: tuple[int, int] | None = None,
+    on_frame: OnFrame = silent,
+) -> Iterator[tuple[Frame, list[Response]]]:
+    """Step models through a source that is read once; the loop of all commands.
+
+    Parameters
+    ----------
+    source : Source
+        Where the frames come from; a thread reads ahead.
+    steppers : sequence of Stepper
+        The models, each with its frame size, or None for the source's.
+    layers : callable
+        Whether the responses to a frame have the layers.
+    picture_wh : (int, int), optional
+        Also give the pictures, at this size, see `Video.frames`.
+    on_frame : callable
+        Called after each frame with the number of input frames done.
+
+    Yields
+    ------
+    frame, responses : Frame, list of Response
+        Each frame with one response per stepper. The stop flag ends the loop after a frame.
+    """
+    sizes = [one.size_wh or source.size_wh for one in steppers]
+    frames = source.frames(*sizes, picture_wh=picture_wh)
+    # OpenCV's threads would only compete with those of the decoder.
+    with opencv_threads(1), read_ahead(frames) as ahead:
+        for frame in ahead:
+            wants_layers = layers(frame)
+            yield frame, [one.step(frame, layers=wants_layers) for one in steppers]
+            on_frame(frame.index + 1)
+            if cancel.requested():
+                return
 
 
 def run_models(
@@ -147,10 +186,10 @@ def run_models(
     setups: Sequence[Setup],
     options: InputOptions,
     *,
-    identity: Mapping[str, Any],
+    identity: Mapping[str, Any] | None = None,
     on_frame: OnFrame = silent,
 ) -> list[Result]:
-    """Decode `video` once and step every model; the loop of all commands.
+    """Read `video` once and run every model on it.
 
     Parameters
     ----------
@@ -160,8 +199,8 @@ def run_models(
         At least one model.
     options : InputOptions
         Options of the video, for the records and the normalisation.
-    identity : mapping
-        Identity of the input for the records, see `fingerprint`.
+    identity : mapping, optional
+        Identity of the input for the records, if it is not the video's own.
     on_frame : callable
         Called after each frame with the number of input frames done.
 
@@ -176,171 +215,114 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     """
-    models = [create_model(one.params, engine=one.engine) for one in setups]
-    sizes = [one.size_on(video, options) for one in setups]
-    for model, size_wh in zip(models, sizes, strict=True):
-        model.ignore(video.hidden(size_wh))
-    rows, repeated = [array("d") for _ in setups], bytearray()
-    complete = _step_models(video, models, sizes, rows, repeated, on_frame)
-    if not complete and not rows[0]:
+    steppers = [stepper_on(video, one, options) for one in setups]
+    collected = [RowList() for _ in setups]
+    for frame, found in responses(video, steppers, on_frame=on_frame):
+        for one, response in zip(collected, found, strict=True):
+            one.append(frame, response)
+    complete = not cancel.requested()
+    if not complete and not collected[0]:
         raise cancel.Interrupted
     results = []
-    for setup, model, size_wh, values in zip(setups, models, sizes, rows, strict=True):
-        result = build_result(
-            *(values, repeated, video, size_wh, setup, model, options, identity),
-            was_read=complete,
-            complete=complete,
-        )
-        result.warnings.extend(result.doubts())
+    for setup, stepper, one in zip(setups, steppers, collected, strict=True):
+        rows, size_wh = one.rows(), stepper.size_wh or video.size_wh
+        facts = input_record(video, size_wh, rows, identity, is_read=complete)
+        result = build_result(setup, stepper, rows, options, facts, complete=complete)
+        result.warnings.extend([*video.progress.warnings, *result.doubts()])
         results.append(result)
     return results
 
 
-def build_result(
-    rows: "array[float]",
-    repeated: bytearray,
-    video: Video,
-    size_wh: tuple[int, int],
-    setup: Setup,
-    model: Model,
-    options: InputOptions,
-    identity: Mapping[str, Any],
-    *,
-    was_read: bool,
-    complete: bool,
-    **facts: Any,
-) -> Result:
-    """Build the result of a model from the numbers of its frames.
+def stepper_on(video: Video, setup: Setup, options: InputOptions) -> Stepper:
+    """A model at its frame size on a video, without the cells that the mask hides."""
+    size_wh = setup.size_on(video, options)
+    stepper = Stepper(setup.params, engine=setup.engine, size_wh=size_wh)
+    stepper.ignore(video.hidden(size_wh))
+    return stepper
 
-    `rows` holds eight numbers per frame, `repeated` whether each frame repeats the previous one.
-    `was_read` tells whether the video was read to the requested end. `complete` and `facts` are
-    entries of the record.
-    """
-    columns = np.array(rows).reshape(-1, _N_COLUMNS).T.copy()
-    frame, time_s, p_sum, s_sum, attenuation_db, mp, g_x, g_y = columns
-    n_read = None if was_read else (int(frame[-1]) + 1, float(time_s[-1]))
+
+def build_result(
+    setup: Setup,
+    stepper: Stepper,
+    rows: Rows,
+    options: InputOptions,
+    facts: Mapping[str, Any],
+    *,
+    complete: bool,
+    **more: Any,
+) -> Result:
+    """The result of a model; `facts` (see `input_record`) and `more` are entries of its record."""
     record = {
-        **input_record(video, size_wh, len(frame), identity, n_read, repeated),
+        **facts,
         **setup.named,
         **setup.settings(),
-        "engine": model.engine_name,
+        "engine": stepper.model.engine_name,
         "options": options.to_record(),
-        **facts,
-        "warnings": list(video.progress.warnings),
+        **more,
+        "warnings": [],
         "complete": complete,
     }
-    numbers = time_s, mp, p_sum, s_sum, attenuation_db, g_x, g_y
-    return Result(frame.astype(np.int64), *numbers, setup.params, record)
-
-
-def _step_models(
-    video: Video,
-    models: Sequence[Model],
-    sizes: Sequence[tuple[int, int]],
-    rows: Sequence["array[float]"],
-    repeated: bytearray,
-    on_frame: OnFrame,
-) -> bool:
-    """Step every model with every frame and store the numbers; False if the stop flag ended it.
-
-    Models do not see repeats: the row of a repeat is a copy of the previous row. After a gap in
-    time, the models are reset.
-    """
-    distinct = list(dict.fromkeys(sizes))
-
-    def frames() -> Iterator[dict[tuple[int, int], Frame]]:
-        for picture in video.pictures():
-            yield {size: video.frame(picture, size) for size in distinct}
-
-    # OpenCV's threads would only compete with those of the decoder.
-    with opencv_threads(1), read_ahead(frames()) as ahead:
-        for by_size in ahead:
-            for model, size_wh, values in zip(models, sizes, rows, strict=True):
-                frame = by_size[size_wh]
-                if frame.is_repeat:
-                    sums = tuple(values[2 - _N_COLUMNS :])
-                else:
-                    if frame.after_gap:
-                        model.reset()
-                    sums = numbers_of(model.step(frame.grey, frame.time_s))
-                values.extend((frame.index, frame.time_s, *sums))
-            repeated.append(frame.is_repeat)
-            on_frame(frame.index + 1)
-            if cancel.requested():
-                return False
-    return True
-
-
-def numbers_of(response: Response) -> tuple[float, ...]:
-    """The columns of a row after the frame and its time."""
-    sums = response.p_sum, response.s_sum, response.attenuation_db
-    return *sums, response.mp, response.g_x, response.g_y
+    return Result(rows, setup.params, record)
 
 
 def input_record(
     video: Video,
     size_wh: tuple[int, int],
-    n_processed: int,
-    identity: Mapping[str, Any],
-    n_read: tuple[int, float] | None = None,
-    repeated: bytes | bytearray = b"",
+    rows: Rows,
+    identity: Mapping[str, Any] | None = None,
+    *,
+    is_read: bool = True,
 ) -> dict[str, Any]:
     """The entries `input` and `processed` of a record.
 
-    If reading was stopped, `n_read` is the number of processed frames and the time of the last one,
-    since decoding may be ahead. `repeated` tells which processed frames repeat the previous one.
+    If the video was not read to the requested end (`is_read`), the counts are those of the rows,
+    since decoding may be ahead.
     """
     info, progress = video.info, video.progress
-    frames, last_s = n_read or (progress.n_decoded, progress.last_time_s)
-    repeats: dict[str, Any] = {}
-    if progress.n_repeats is not None:
-        repeats["repeats"] = sum(repeated) if n_read else progress.n_repeats
-    processed = {"width": size_wh[0], "height": size_wh[1], "frames": n_processed}
+    width, height = size_wh
+    n_frames, last_s = progress.n_decoded, progress.last_time_s
+    if not is_read:
+        n_frames, last_s = int(rows["frame"][-1]) + 1, float(rows["time_s"][-1])
+    processed = {"width": width, "height": height, "frames": len(rows)}
     if (hidden := video.hidden(size_wh)) is not None:
         processed["cells"] = int(np.count_nonzero(~hidden))
-    if any(repeated):
-        repeats["repeated_rows"] = packed_flags(repeated)
+    repeats: dict[str, Any] = {}
+    if progress.n_repeats is not None:
+        n_repeated = int(rows["is_repeat"].sum())
+        repeats["repeats"] = progress.n_repeats if is_read else n_repeated
+    if rows["is_repeat"].any():
+        repeats["repeated_rows"] = packed_flags(rows["is_repeat"].tobytes())
     return {
         "input": {
             "path": info.path,
+            "name": info.name,
             "width": info.width,
             "height": info.height,
             "fps": info.fps,
-            "frames": frames,
+            "frames": n_frames,
             "duration_s": last_s + 1.0 / info.fps,
             "decoder": info.decoder,
             **repeats,
-            **identity,
+            **(info.identity if identity is None else identity),
         },
         "processed": processed,
     }
 
 
-def input_identity(info: VideoInfo, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Identity of an input: its path, size and modification time, see `fingerprint`."""
-    return {"path": info.path, **fingerprint(path)}
-
-
 def require_response(
-    name: str,
-    video: Video,
-    setups: Sequence[Setup],
-    results: Sequence[Result],
-    options: InputOptions,
+    video: Video, setups: Sequence[Setup], results: Sequence[Result], options: InputOptions
 ) -> None:
     """Raise SourceError if the input ended before any model had a full history."""
     if any(result.n_valid for result in results) or not results[0].record["complete"]:
         return
     needs = [create_model(one.params).first_valid_frame + 1 for one in setups]
     n_needed = min(needs)
-    raise too_short(name, video, setups[needs.index(n_needed)].label, n_needed, options)
+    raise too_short(video, setups[needs.index(n_needed)].label, n_needed, options)
 
 
-def too_short(
-    name: str, video: Video, label: str, n_needed: int, options: InputOptions
-) -> SourceError:
+def too_short(video: Video, label: str, n_needed: int, options: InputOptions) -> SourceError:
     """The error for an input with fewer frames than a model needs."""
-    n_read, n_new = video.progress.n_decoded, video.progress.n_new
+    name, n_read, n_new = video.info.given, video.progress.n_decoded, video.progress.n_new
     if options.start or options.end is not None or options.fps not in (None, "all"):
         last_s = video.progress.last_time_s
         end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."

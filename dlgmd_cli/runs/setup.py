@@ -22,8 +22,9 @@ from dlgmd_cli.parameters import (
     merge,
     require_known,
 )
-from dlgmd_cli.video.frames import Video, processed_size
+from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.source import Video
 
 DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
 

@@ -20,20 +20,23 @@ import yaml
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import DistributedParameters, Parameters
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.rows import RowList, Rows, rows_of
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, input_identity, input_record, silent, too_short
+from dlgmd_cli.runs.run import OnFrame, input_record, silent, too_short
 from dlgmd_cli.runs.setup import Setup
-from dlgmd_cli.video.frames import Frame, Video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.source import Video
 
 RECORD, TABLE, FIGURE = "sweep.yaml", "sweep.csv", "sweep"
 PRODUCTS = frozenset({RECORD, TABLE, *(f"{FIGURE}.{suffix}" for suffix in store.PLOT_FORMATS)})
@@ -78,6 +81,13 @@ def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent)
 def _mapped(clip: Clip) -> npt.NDArray[np.void]:
     """The memory-mapped frames of a clip: number, time, gap flag and picture of each."""
     return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
+
+
+def _frames(clip: Clip) -> Iterator[Frame]:
+    """The frames of a clip."""
+    for one in _mapped(clip):
+        is_gap = bool(one["after_gap"])
+        yield Frame(int(one["frame"]), float(one["time_s"]), one["grey"], after_gap=is_gap)
 
 
 @dataclass(frozen=True)
@@ -125,39 +135,29 @@ class _Probe:
 
     def _values(self, params: Parameters) -> Values:
         """For each clip, the values of the columns."""
-        model = create_model(params, engine=self.engine)
-        model.ignore(self.hidden)
+        stepper = Stepper(params, engine=self.engine)
+        stepper.ignore(self.hidden)
         values = []
         for clip in self.clips:
-            model.reset()
-            frames, rows = _mapped(clip), []
-            for grey, time_s, after_gap in zip(
-                frames["grey"], frames["time_s"], frames["after_gap"], strict=True
-            ):
+            stepper.reset()
+            rows = RowList()
+            for frame in _frames(clip):
                 cancel.check()
-                if after_gap:
-                    model.reset()
-                one = model.step(grey, time_s)
-                sums = one.mp, one.p_sum, one.s_sum, one.attenuation_db
-                rows.append((*sums, one.g_x, one.g_y))
-            values.append(self._measured(frames, params, np.array(rows).T))
+                rows.append(frame, stepper.step(frame))
+            values.append(self._measured(frame.grey.shape, params, rows.rows()))
         return values
 
     def _measured(
-        self, frames: npt.NDArray[np.void], params: Parameters, rows: Series
+        self, shape: tuple[int, ...], params: Parameters, rows: Rows
     ) -> tuple[float, ...]:
         """The values of the columns; NaN where undefined."""
-        mp, p_sum, s_sum, attenuation_db, g_x, g_y = rows
-        attenuation = _mean_attenuation(attenuation_db)
+        attenuation = _mean_attenuation(rows["attenuation_db"])
         if self.columns == ATTENUATION_COLUMNS:
             return (attenuation,)
-        height, width = frames["grey"].shape[1:]
+        height, width = shape
         n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
         size = {"width": width, "height": height, "cells": width * height - n_hidden}
-        record = {"processed": size, "options": self.options}
-        clock = frames["frame"], frames["time_s"]
-        sums = p_sum, s_sum, attenuation_db, g_x, g_y
-        result = Result(*clock, mp, *sums, params, record)
+        result = Result(rows, params, {"processed": size, "options": self.options})
         facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
         if self.false_positive_frame is not None:
             facts["distinguishability"] = result.distinguishability(self.false_positive_frame)
@@ -232,7 +232,7 @@ class Sweep:
         self._identity: dict[str, Any] = {}
         if subject.video is not None:
             info = subject.video.info
-            self._identity = {**input_identity(info, subject.path), "decoder": info.decoder}
+            self._identity = {**info.identity, "decoder": info.decoder}
         self.facts: dict[str, Any] = {}
         self.warnings: list[str] = []
 
@@ -332,7 +332,9 @@ class Sweep:
         else:
             raise self._too_short(n_frames, n_needed)
         if video is not None:
-            self.facts = input_record(video, video.size_wh, n_frames, self._identity)
+            first = _mapped(clips[0])
+            rows = rows_of({name: first[name] for name in ("frame", "time_s")})
+            self.facts = input_record(video, video.size_wh, rows)
             self.warnings = list(video.progress.warnings)
         pictures = _mapped(clips[0])["grey"]
         if all(np.array_equal(one, pictures[0]) for one in pictures):
@@ -343,7 +345,7 @@ class Sweep:
         """The error for fewer frames than the model needs."""
         subject, label = self.subject, self.setup.label
         if subject.video is not None:
-            return too_short(subject.path, subject.video, label, n_needed, subject.asked)
+            return too_short(subject.video, label, n_needed, subject.asked)
         frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
         why = f"{frames} of each cube, but {label} needs at least {n_needed}"
         return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")

@@ -29,6 +29,7 @@ class ImageDecoder:
     """
 
     is_damaged = False
+    takes_every_frame = True
 
     def __init__(self, paths: list[Path], fps: float) -> None:
         self._paths, self._path, self._fps = paths, paths[0], fps
@@ -40,7 +41,9 @@ class ImageDecoder:
                 "Remove it from the sequence or convert it to PNG.",
             )
         kind = self._path.suffix[1:].lower()
-        self.stream_info = StreamInfo(first.shape[1], first.shape[0], fps, len(paths), codec=kind)
+        self.stream_info: StreamInfo = StreamInfo(
+            first.shape[1], first.shape[0], fps, len(paths), codec=kind
+        )
 
     def stamps(self) -> Iterator[float]:
         """The time of each picture in seconds."""

@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
-from dlgmd_cli.video.frames import processed_size
 from dlgmd_cli.video.luma import Levels, to_grey
 from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.reading import Video
 from dlgmd_cli.video.region import Region, read_mask
+from dlgmd_cli.video.source import Video
 
 Image = npt.NDArray[Any]
 Tell = Callable[[str], None]

@@ -50,7 +50,7 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
 
     Parameters
     ----------
-    image : ndarray, (H, W) or (H, W, 3), uint8 or uint16
+    image : ndarray, (H, W) or (H, W, 3), uint8, uint16, or float32 in 0..1
         Grey or BGR.
     size_wh : (int, int)
         Width and height of the result, in px.
@@ -74,6 +74,23 @@ def to_grey(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Im
         # Rounds to the nearest level and clips, twice as fast as a lookup table.
         return cv2.addWeighted(grey, gain, grey, 0.0, -black * gain)
     return grey.copy() if np.may_share_memory(grey, image) else grey
+
+
+def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Image:
+    """A picture to look at: BGR of 8 bits, (height, width, 3), newly allocated.
+
+    The arguments are those of `to_grey`.
+    """
+    if image.ndim == 2:
+        image = to_grey(image, size_wh, levels)
+    elif (image.shape[1], image.shape[0]) != size_wh:
+        shrinks = size_wh[0] <= image.shape[1] and size_wh[1] <= image.shape[0]
+        way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        image = cv2.resize(image, size_wh, interpolation=way)
+    if image.dtype != np.uint8:
+        highest = 65535.0 if image.dtype == np.uint16 else 1.0
+        image = np.clip(np.rint(image * (255.0 / highest)), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
 
 
 def resized(image: Image, size_wh: tuple[int, int]) -> Image:

@@ -42,6 +42,8 @@ class OpenCVDecoder:
         If no frame can be decoded.
     """
 
+    takes_every_frame = False
+
     def __init__(self, name: str) -> None:
         self.is_damaged = False
         self._image: Image | None = None

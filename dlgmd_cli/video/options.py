@@ -19,8 +19,8 @@ from dlgmd_cli.video.base import (
     parse_crop,
     parse_size,
 )
-from dlgmd_cli.video.frames import open_video
-from dlgmd_cli.video.reading import Video, VideoInfo
+from dlgmd_cli.video.opening import Openable, open_video
+from dlgmd_cli.video.source import SourceInfo, Video
 
 _ABOVE_0 = math.ulp(0.0)
 # Lowest and highest value of each numeric option, and the range in words.
@@ -98,7 +98,7 @@ class InputOptions:
         except ParameterError as error:
             raise ParameterError(origin, f"options: {error.why}", error.mend) from None
 
-    def n_expected(self, info: VideoInfo) -> int | None:
+    def n_expected(self, info: SourceInfo) -> int | None:
         """Expected number of frames up to the requested end; None if the input states none."""
         if info.n_frames is None or self.end is None:
             return info.n_frames
@@ -115,7 +115,7 @@ class InputOptions:
 
     def open(
         self,
-        path: str | os.PathLike[str],
+        path: Openable,
         *,
         width_px: int = DEFAULT_WIDTH_PX,
         model_fps: float | None = None,

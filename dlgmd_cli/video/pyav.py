@@ -63,6 +63,8 @@ class PyAVDecoder:
     corrupt, so reading the file again may end a few frames earlier or later.
     """
 
+    takes_every_frame = False
+
     def __init__(self, name: str) -> None:
         av = _import_av()
         self.is_damaged = False

@@ -15,13 +15,13 @@ from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, Unreadable, openable
-from dlgmd_cli.video.frames import open_video, processed_size
 from dlgmd_cli.video.images import pictures_at
 from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import Details, PyAVDecoder
-from dlgmd_cli.video.reading import Picture
 from dlgmd_cli.video.region import Region
+from dlgmd_cli.video.source import Picture
 
 Image = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]

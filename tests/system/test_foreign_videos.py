@@ -10,8 +10,8 @@ import pytest
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import FFMPEG_OPTIONS
-from dlgmd_cli.video.frames import open_video
 from dlgmd_cli.video.opencv import guarded
+from dlgmd_cli.video.opening import open_video
 
 pytestmark = pytest.mark.slow
 
@@ -105,7 +105,7 @@ def test_a_list_is_called_one(dlgmd, tmp_path):
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):
-    monkeypatch.setattr("dlgmd_cli.video.frames._PLAYLISTS", ())
+    monkeypatch.setattr("dlgmd_cli.video.opening._PLAYLISTS", ())
     shutil.copy(clips / "loom.avi", tmp_path / "victim.avi")
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.avi\n")
     unguarded = cv2.VideoCapture(str(tmp_path / "x.mp4"), cv2.CAP_FFMPEG)

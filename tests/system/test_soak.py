@@ -21,26 +21,24 @@ from dlgmd_cli.results.result import read_result
 from dlgmd_cli.runs.run import run_models
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
-from dlgmd_cli.video.reading import Frame, Picture, Progress, VideoInfo
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.video.source import Progress, SourceInfo
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
     progress = Progress()
-    info = VideoInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
+    info = SourceInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 
-    def pictures(self):
+    def frames(self, *sizes_wh, picture_wh=None):
         for index in range(N_FRAMES):
             self.progress.n_decoded, self.progress.last_time_s = index + 1, index / 30
-            yield Picture(index, index / 30, self.greys[index % 40], None)
+            yield Frame(index, index / 30, self.greys[index % 40])
 
     def hidden(self, size_wh=None):
         return None
-
-    def frame(self, picture, size_wh=None):
-        return Frame(picture.index, picture.time_s, picture.image)
 
 def tell(n_done):
     if n_done % (N_FRAMES // 10) == 0 or n_done == 4000:
@@ -48,7 +46,7 @@ def tell(n_done):
         print(n_done, n_pages * resource.getpagesize() / 1e6, flush=True)
 
 setup = Setup(load_set(9), "set9", "opencv")
-(result,) = run_models(Endless(), [setup], InputOptions(), identity={}, on_frame=tell)
+(result,) = run_models(Endless(), [setup], InputOptions(), on_frame=tell)
 with tempfile.TemporaryDirectory() as folder:
     result.save(Path(folder) / "x")
     assert len(read_result(Path(folder) / "x")) == len(result) == N_FRAMES

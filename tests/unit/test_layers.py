@@ -14,7 +14,7 @@ import dlgmd_cli
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
     {"errors", "cancel", "names", "threads"},
-    {"plain_yaml", "repeats"},
+    {"plain_yaml", "frame"},
     {"parameters", "pool"},
     {"models", "video"},
     {"results"},

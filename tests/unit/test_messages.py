@@ -68,7 +68,9 @@ def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
     assert warning in facts["warnings"]
 
 
-@pytest.mark.parametrize(("fps", "words"), [(60, "every 2nd"), (120, "every 4th"), (25, "")])
+@pytest.mark.parametrize(
+    ("fps", "words"), [(60, "one frame in 2"), (120, "one frame in 4"), (25, "")]
+)
 def test_a_high_frame_rate_is_named(dlgmd, tmp_path, fps, words):
     write_video(tmp_path / "fast.avi", looming_frames(24), fps=fps)
     arguments = ["run", "fast.avi", "--no-plots"]
@@ -104,7 +106,7 @@ def test_sweep_json(dlgmd):
         (lambda: dlgmd_cli.LGMD(dlgmd_cli.load_set(9)), "LgmdParameters, not DlgmdParameters"),
         (lambda: dlgmd_cli.Alarm("9"), "expected parameters, not '9'. Write load_set(9)"),
         (lambda: dlgmd_cli.run("x.mp4", fbs=9), "there is no option 'fbs'. Choose from scale"),
-        (lambda: dlgmd_cli.open_video(None), "expected the path of a video, not NoneType"),
+        (lambda: dlgmd_cli.open_video(None), "expected a path or images, not NoneType"),
     ],
 )
 def test_wrong_arguments_in_python(call, words):

@@ -10,9 +10,10 @@ import pytest
 from conftest import looming_frames, write_video
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.frames import Frame, open_video
 from dlgmd_cli.video.luma import luma_plane, to_grey
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.pyav import picture_of
 
 av = pytest.importorskip("av", reason="PyAV is not installed")

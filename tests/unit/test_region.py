@@ -10,7 +10,7 @@ import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.results.result import read_comparison
 from dlgmd_cli.video.base import Crop, parse_crop
-from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.region import Region, read_mask
 

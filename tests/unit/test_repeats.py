@@ -11,7 +11,7 @@ from conftest import looming_frames, read_video, write_video
 
 from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
-from dlgmd_cli.repeats import MAX_RUN, GapDetector, RepeatDetector
+from dlgmd_cli.frame import MAX_RUN, GapDetector, RepeatDetector
 from dlgmd_cli.results.record import packed_flags, unpacked_flags
 
 SIZE = 72, 96
@@ -128,8 +128,10 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
     assert found.sharpness == pytest.approx(once.sharpness, rel=0.1)  # early ones are kept
     assert len(found) == (40 if fps is None else 40 * times)
     if fps == "all":
-        assert found.repeated.sum() == 40 * (times - 1) - (times - 1)  # not before the first change
-        rows = np.flatnonzero(found.repeated)
+        assert found.is_repeat.sum() == 40 * (times - 1) - (
+            times - 1
+        )  # not before the first change
+        rows = np.flatnonzero(found.is_repeat)
         for column in ("mp", "p_sum", "spikes", "alarms"):
             values = getattr(found, column).astype(float)
             np.testing.assert_array_equal(values[rows], values[rows - 1])
@@ -149,7 +151,7 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
     assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
-    assert np.array_equal(stored.repeated, fresh.repeated)
+    assert np.array_equal(stored.is_repeat, fresh.is_repeat)
     assert dlgmd("compare", doubled / "ten.avi", "--set", 7, "--no-plots").exit_code == 0
     compared = read_comparison("dlgmd-out/ten")["set7"]
     assert np.array_equal(compared.alarms, fresh.alarms)

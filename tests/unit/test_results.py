@@ -152,7 +152,7 @@ def damage(folder, name, change):
 @pytest.mark.parametrize(
     ("name", "change", "why"),
     [
-        ("mp.csv", lambda text: text.replace("mp_abs", "x"), "its columns are not"),
+        ("mp.csv", lambda text: text.replace(",mp,", ",x,"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
         ("mp.csv", lambda text: text + "0,9,1,1,1,0,0\n", "its rows are not frames in order"),
         ("mp.csv", lambda text: text + "7,1\n", "does not have 7 cells"),

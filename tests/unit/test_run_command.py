@@ -180,6 +180,7 @@ def test_run_yaml(dlgmd, clips):
     record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
     assert record["input"] == {
         "path": str(clips / "loom.avi"),
+        "name": "loom",
         "width": 32,
         "height": 24,
         "fps": FPS,
@@ -505,7 +506,7 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
-    monkeypatch.setattr("dlgmd_cli.runs.run._step_models", lambda *_: stop() or False)
+    monkeypatch.setattr("dlgmd_cli.runs.run.responses", lambda *_, **__: stop() or [])
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.runs.sweep import Sweep, SweepInput, engine_for
-from dlgmd_cli.video.frames import Frame
 
 
 def axis(text, kind=DlgmdParameters):

@@ -16,10 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.video.frames import Frame, open_video, processed_size
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.luma import resized, to_grey
+from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.reading import Selection, sampling_step
+from dlgmd_cli.video.source import Selection, sampling_step
 from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan

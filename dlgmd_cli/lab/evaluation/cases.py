@@ -219,7 +219,7 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
     ]
     if strength is None:
         strength = result.mp_seq if result.by_sequence else result.mp / result.n_cells
-    return Signal(time_s, strength, tuple(contacts_s), frame_s, result.repeated, frame)
+    return Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
 
 
 class Evaluation:

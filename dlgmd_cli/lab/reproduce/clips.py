@@ -1,7 +1,7 @@
 """The clips on which the paper's claims are checked, and the models' responses to them."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ import numpy as np
 
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.flights.scenes import find_scene
-from dlgmd_cli.models.base import Grey, create_model
+from dlgmd_cli.lab.flights.source import open_scene
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import (
     FORMULATIONS,
     MODELS,
@@ -20,10 +21,10 @@ from dlgmd_cli.parameters import (
     merge,
 )
 from dlgmd_cli.results.result import Result, Series
-from dlgmd_cli.runs.run import numbers_of
-from dlgmd_cli.video.frames import open_video
-from dlgmd_cli.video.luma import resized
-from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.results.rows import RowList
+from dlgmd_cli.runs.run import responses
+from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.source import Video
 
 REFERENCE_FPS = 30.0
 
@@ -103,54 +104,44 @@ def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
 
     If the scene has a collision, the results' peaks end there.
     """
-    frames, fps, collision_frame, truth, phases = _open_clip(clip)
-    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
-    rows: dict[str, list[tuple[float, ...]]] = {label: [] for label in models}
-    sizes: dict[str, tuple[int, int]] = {}
-    n_frames = 0
-    with opencv_threads(1):
-        for index, grey in enumerate(frames):
-            n_frames = index + 1
-            height, width = grey.shape
-            for label, one in models.items():
-                sizes[label] = max(1, round(width * one.scale)), max(1, round(height * one.scale))
-            at = {size: grey if size == (width, height) else resized(grey, size)
-                  for size in sizes.values()}  # fmt: skip
-            for label, each in created.items():
-                rows[label].append(numbers_of(each.step(at[sizes[label]])))
-    frame = np.arange(n_frames)
-    results = {}
-    for label, one in models.items():
-        width, height = sizes[label]
-        record: dict[str, Any] = {"processed": {"width": width, "height": height}}
-        if collision_frame is not None:
-            record["collision_frame"] = collision_frame
-        p_sum, s_sum, db, mp, g_x, g_y = np.array(rows[label]).T
-        columns = mp, p_sum, s_sum, db, g_x, g_y
-        results[label] = Result(frame, frame / fps, *columns, one.params, record)
-    return ClipResults(results, truth, phases)
-
-
-def _open_clip(clip: Clip) -> tuple[Iterator[Grey], float, int | None, dict[str, Series], Any]:
-    """Frames, frame rate, collision frame, ground truth and phases of a clip."""
-    if clip.folder:
-        return pictures(clip.folder), REFERENCE_FPS, None, {}, {}
-    scene = find_scene(clip.scene)
-    options = scene.configure(dict(clip.flags))
-    record = scene.record(options)
+    with open_clip(clip) as video:
+        (width, height), steppers = video.size_wh, []
+        for one in models.values():
+            size_wh = max(1, round(width * one.scale)), max(1, round(height * one.scale))
+            steppers.append(Stepper(one.params, engine="opencv", size_wh=size_wh))
+        collected = [RowList() for _ in steppers]
+        for frame, found in responses(video, steppers):
+            for rows, response in zip(collected, found, strict=True):
+                rows.append(frame, response)
+    record, truth = _known(clip)
     phases = {
         one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
     }
+    known = {key: record[key] for key in ("collision_frame",) if record.get(key) is not None}
+    results = {}
+    for label, stepper, rows in zip(models, steppers, collected, strict=True):
+        width, height = stepper.size_wh or video.size_wh
+        processed = {"processed": {"width": width, "height": height}}
+        results[label] = Result(rows.rows(), stepper.params, {**processed, **known})
+    return ClipResults(results, truth, phases)
+
+
+def open_clip(clip: Clip) -> Video:
+    """The frames of a clip as a source, at full size."""
+    if clip.folder:
+        return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
+    return open_scene(clip.scene, dict(clip.flags), scale=1.0)
+
+
+def _known(clip: Clip) -> tuple[dict[str, Any], dict[str, Series]]:
+    """The record of a scene, and its ground truth by column; empty for a folder and a flight."""
+    if clip.folder:
+        return {}, {}
+    scene = find_scene(clip.scene)
+    options = scene.configure(dict(clip.flags))
     rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
     truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
-    return scene.frames(options), options.fps, record.get("collision_frame"), truth, phases
-
-
-def pictures(folder: str) -> Iterator[Grey]:
-    """The pictures in a folder at full size, as grey levels."""
-    with open_video(folder, scale=1.0) as video:
-        for frame in video:
-            yield frame.grey
+    return scene.record(options), truth
 
 
 def reference_clip(reference: Path | None, scene: str, **flags: Any) -> Clip:
@@ -185,13 +176,12 @@ def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series
 
     Shape (2, n_frames, 5): the ball, then the capsules. NaN until the model's first valid frame.
     """
-    created = {label: create_model(one.params, engine="opencv") for label, one in models.items()}
+    steppers = [Stepper(one.params, engine="opencv") for one in models.values()]
     sums: dict[str, list[Series]] = {label: [] for label in models}
-    with opencv_threads(1):
-        for index, grey in enumerate(_open_clip(clip)[0]):
-            boxes = _boxes(grey.shape, index)
-            for label, each in created.items():
-                response = each.step(grey, layers=True)
+    with open_clip(clip) as video:
+        for frame, each in responses(video, steppers, layers=lambda frame: True):
+            boxes = _boxes(frame.grey.shape, frame.index)
+            for label, response in zip(models, each, strict=True):
                 found = np.full((2, len(boxes)), np.nan)
                 if response.is_valid and response.layers is not None:
                     for row, layer in enumerate((response.layers.p, response.layers.s)):

@@ -40,7 +40,7 @@ from dlgmd_cli.lab.reproduce.stimuli import mean_db, share_of_peak
 from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.results.result import Series
-from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.opening import open_video
 
 SIZE = (270, 480)
 FIGURE_SEED = 0

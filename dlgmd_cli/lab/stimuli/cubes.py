@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.runs.sweep import SweepInput
-from dlgmd_cli.video.reading import Frame
 
 
 def cube_input(

@@ -21,7 +21,7 @@ from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.scenes import SCENES
 from dlgmd_cli.lab.flights.truth import FlightTruth
 from dlgmd_cli.lab.stimuli.clip import Form, n_digits, write_clip, write_truth
-from dlgmd_cli.video.frames import open_video
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.writer import best_codec, write_video
 
 PNG, LOSSLESS = Form.choose(png=True), Form.choose(lossless=True)

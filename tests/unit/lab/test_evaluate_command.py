@@ -125,7 +125,7 @@ def test_alarms_are_those_of_a_run(footage, options, repeats):
     one = evaluation.candidates["x"]
     rows = [row for row, _ in alarms(one.signals["twice.avi"], one.n_sp, one.threshold)]
     assert rows == found.alarm_onsets.tolist() and rows
-    assert found.repeated.any() == (repeats == "skip")
+    assert found.is_repeat.any() == (repeats == "skip")
 
 
 def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, tmp_path):

@@ -1,16 +1,17 @@
-"""Opening an input: options, processed size, choice of decoder, and fingerprint."""
+"""Opening an input: choice of decoder, processed size, and fingerprint."""
 
 import hashlib
 import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, require_known
+from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
 from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
@@ -23,17 +24,11 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.images import ImageDecoder, pictures_at, sequence_name
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
-from dlgmd_cli.video.reading import Decoder, Frame, Selection, Video, VideoInfo, sampling_step
 from dlgmd_cli.video.region import Region, read_mask
+from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampling_step
 
-__all__ = [
-    "Frame",
-    "Video",
-    "VideoInfo",
-    "fingerprint",
-    "open_video",
-    "processed_size",
-]
+# What can be opened: a path, or images with their frame rate.
+Openable = str | os.PathLike[str] | Iterable[Any]
 
 MAX_SIDE = 8192
 
@@ -47,7 +42,7 @@ _PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
 
 def open_video(
-    path: str | os.PathLike[str],
+    path: Openable,
     *,
     scale: float | None = None,
     size_wh: tuple[int, int] | None = None,
@@ -63,13 +58,15 @@ def open_video(
     crop: Crop | str | None = None,
     mask: str | os.PathLike[str] | None = None,
 ) -> Video:
-    """Open a video, a folder of pictures or a pattern, as a source of frames for a model.
+    """Open a video, pictures or an array as a source of frames for a model.
 
     Parameters
     ----------
-    path : str or path
-        A video file, a folder of pictures, or a pattern such as ``frames/%04d.png``. An existing
-        file or folder of this name takes precedence over a pattern.
+    path : str, path, or iterable of ndarray
+        A video file; a folder of pictures; a pattern such as ``frames/%04d.png`` (an existing file
+        or folder of this name takes precedence); a ``.npy`` file; or the images themselves: an
+        array (n, H, W) or (n, H, W, 3), or any iterable of images (H, W) or (H, W, 3). Colour is
+        BGR, as OpenCV has it; images are uint8, uint16, or float from 0 to 1.
     scale : float, optional
         Linear scale of the frames; by default, a width above `width_px` is reduced to it.
     size_wh : (int, int), optional
@@ -85,11 +82,11 @@ def open_video(
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
         With `skip`, repeats of the previous frame are marked as such and do not count for
-        `max_fps`. None means `skip` for videos and `keep` for pictures.
+        `max_fps`. None means `skip` for videos, and `keep` for pictures and arrays.
     max_frames : int, optional
         Maximum number of frames in all.
     input_fps : float, optional
-        Frame rate of pictures, or of a video that states none; 30 unless given.
+        Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
     decoder : {"opencv", "pyav"}
         Decoder for videos; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
     crop : str, optional
@@ -121,19 +118,21 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, DECODERS)
-    name, is_video, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
-    decoder = decoder if is_video else DEFAULT_DECODER
+    name, where, kind, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
     opened = reopen()
+    is_continuous = not opened.takes_every_frame
     try:
         width, height, fps, n_frames, *_ = opened.stream_info
         fps = fps or input_fps or FALLBACK_FPS
         if max_fps is None:
-            max_fps = _RATE_TOLERANCE * model_fps if model_fps and is_video else math.inf
+            max_fps = _RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)
-        info = VideoInfo(os.path.abspath(path), name, width, height, fps, n_frames, decoder)
+        identity = {} if where == NAME else {"path": where, **fingerprint(where)}
+        given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
+        info = SourceInfo(where, name, width, height, fps, n_frames, kind, identity, given)
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
             why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
-            raise SourceError(str(path), why, "Choose a rectangle inside them.")
+            raise SourceError(where, why, "Choose a rectangle inside them.")
         region = Region((width, height), crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
         region.hidden(size)  # raises if nothing is left
@@ -144,30 +143,38 @@ def open_video(
         *(opened, reopen, info, size, Selection(start_s, end_s, max_frames, min_interval_s)),
         region=region,
         rate_fps=fps / every,
-        skips_repeats=repeats == "skip" or (repeats is None and is_video),
+        skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
     )
-    if not is_video and input_fps is None:
-        line = f"pictures have no times; taken as {fps:g} fps (set it with --input-fps)"
+    if opened.takes_every_frame and input_fps is None:
+        what = "an array has" if kind == NAME else "pictures have"
+        line = f"{what} no times; taken as {fps:g} fps (set it with --input-fps)"
         video.progress.warnings.append(line)
     return video
 
 
 def _source(
-    path: str | os.PathLike[str], decoder: str, picture_fps: float
-) -> tuple[str, bool, Callable[[], Decoder]]:
-    """Name of an input, whether it is a video file, and a function that opens it."""
+    path: Openable, decoder: str, fps: float
+) -> tuple[str, str, str, Callable[[], Decoder]]:
+    """Name and path of an input, the kind of its decoder, and a function that opens it."""
     if not isinstance(path, str | os.PathLike):
-        raise ParameterError("", f"expected the path of a video, not {type(path).__name__}")
-    file = Path(path)
+        if not isinstance(path, Iterable):
+            what = type(path).__name__
+            raise ParameterError("", f"expected a path or images, not {what}", "Give a video.")
+        return NAME, NAME, NAME, partial(ArrayDecoder, path, fps)
+    file, where = Path(path), os.path.abspath(path)
     _refuse_streams(os.fspath(path))
     try:
         pictures = pictures_at(file)
     except (OSError, ValueError) as error:  # a name too long, or with a NUL
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
     if pictures is not None:
-        return sequence_name(file), False, partial(ImageDecoder, pictures, picture_fps)
+        opens = partial(ImageDecoder, pictures, fps)
+        return sequence_name(file), where, DEFAULT_DECODER, opens
     _check_readable(file)
-    return file.stem or file.name, True, partial(_open_file, file, decoder)
+    name = file.stem or file.name
+    if file.suffix.lower() == SUFFIX:
+        return name, where, NAME, lambda: ArrayDecoder(load_array(file), fps, str(path))
+    return name, where, decoder, partial(_open_file, file, decoder)
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:

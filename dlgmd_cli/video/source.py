@@ -1,36 +1,60 @@
-"""Reading an input: the choice of frames by time, and the warnings about damage."""
+"""Sources of frames: what they state, the choice of frames by time, and warnings about damage."""
 
 import copy
 import math
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.repeats import GapDetector, RepeatDetector
-from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.images import ImageDecoder
-from dlgmd_cli.video.luma import to_grey
-from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.pyav import PyAVDecoder
+from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
+from dlgmd_cli.video.base import StreamInfo, Unreadable
+from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
-# Every decoder reads its input once. `stamps()` steps through the frames and yields their
-# timestamps, `picture()` gives the picture of the current frame and its levels. `stream_info` holds
-# the stated properties; `is_damaged` is set when a frame could not be decoded.
-Decoder = OpenCVDecoder | PyAVDecoder | ImageDecoder
 # A warning is due from this number of repeats on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 
 
+class Decoder(Protocol):
+    """Reads an input once, from first to last.
+
+    Attributes
+    ----------
+    stream_info : StreamInfo
+        Properties that the input states.
+    is_damaged : bool
+        Set when a frame could not be decoded.
+    takes_every_frame : bool
+        Whether every frame is processed by default, as of pictures and arrays. Of videos, at most
+        the rate that a model is designed for, and no repeats.
+    """
+
+    stream_info: StreamInfo
+    is_damaged: bool
+    takes_every_frame: bool
+
+    def stamps(self) -> Iterator[float]:
+        """Step through the frames; yields the time of each in seconds, NaN if unknown."""
+        ...
+
+    def picture(self) -> tuple[Image, Levels]:
+        """The picture of the latest frame and its levels; raises Unreadable."""
+        ...
+
+    def close(self) -> None:
+        """Free the input; may be called twice."""
+        ...
+
+
 @dataclass(frozen=True)
-class VideoInfo:
-    """Properties of an input.
+class SourceInfo:
+    """Properties of a source.
 
     Attributes
     ----------
@@ -45,7 +69,11 @@ class VideoInfo:
     n_frames : int or None
         Stated number of frames: a hint for a progress bar, often wrong.
     decoder : str
-        opencv or pyav.
+        opencv, pyav, or array.
+    identity : dict
+        What identifies its content without decoding it: `path`, and see `fingerprint`.
+    given : str
+        What it was called when it was opened, for messages.
     """
 
     path: str
@@ -55,6 +83,37 @@ class VideoInfo:
     fps: float
     n_frames: int | None
     decoder: str
+    identity: dict[str, Any] = field(default_factory=dict)
+    given: str = ""
+
+
+class Source(Protocol):
+    """Anything that frames come from: a file, pictures, an array, a rendered scene, a camera.
+
+    Attributes
+    ----------
+    info : SourceInfo
+        What it is.
+    size_wh : (int, int)
+        Width and height of its frames, in px, unless others are asked for.
+    """
+
+    info: SourceInfo
+    size_wh: tuple[int, int]
+
+    def frames(
+        self, *sizes_wh: tuple[int, int], picture_wh: tuple[int, int] | None = None
+    ) -> Iterator[Frame]:
+        """The frames in order, see `Video.frames`."""
+        ...
+
+    def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
+        """The cells that models ignore, see `Video.hidden`."""
+        ...
+
+    def close(self) -> None:
+        """Free the source; may be called twice."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -89,29 +148,6 @@ class Progress:
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     frame_rates: FrameRates | None = None
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame in the form that models take.
-
-    `grey` is (H, W): uint8 levels 0..255 if the input has 8 bits, else float32 in 0..1. `is_repeat`
-    marks a repeat of the previous picture, `after_gap` a frame with others missing before it, see
-    `GapDetector`.
-    """
-
-    index: int
-    time_s: float
-    grey: npt.NDArray[Any]
-    is_repeat: bool = False
-    after_gap: bool = False
-
-    @property
-    def luminance(self) -> npt.NDArray[np.float32]:
-        """The same as float32 in 0..1, shape (H, W)."""
-        if self.grey.dtype != np.uint8:
-            return self.grey
-        return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
 
 class Selection:
@@ -190,7 +226,7 @@ class Video:
 
     Attributes
     ----------
-    info : VideoInfo
+    info : SourceInfo
         Properties of the input.
     size_wh : (int, int)
         Width and height of the frames, in px.
@@ -208,7 +244,7 @@ class Video:
         self,
         decoder: Decoder,
         reopen: Callable[[], Decoder],
-        info: VideoInfo,
+        info: SourceInfo,
         size_wh: tuple[int, int],
         selection: Selection,
         *,
@@ -257,13 +293,14 @@ class Video:
                     fault = str(error)
                     break
                 image = self._region.of(image)
-                is_repeat = repeats is not None and repeats.step(image)
+                # What comes after a gap is new, even if it looks the same.
+                is_repeat = repeats is not None and repeats.step(image) and not is_gap
             progress.n_decoded, progress.last_time_s = index + 1, time_s
             if not has_begun:
                 continue
             if is_repeat:
                 progress.n_repeats = (progress.n_repeats or 0) + 1
-            after_gap = after_gap or (is_gap and not is_repeat)
+            after_gap = after_gap or is_gap
             is_taken, is_old = selection.take(time_s, is_repeat=is_repeat)
             if is_taken and is_old:
                 yield Picture(index, time_s, image, levels, is_repeat=True)
@@ -292,9 +329,8 @@ class Video:
             )
         if every == 1:
             return ""
-        nth = {2: "2nd", 3: "3rd"}.get(every, f"{every}th")
         return (
-            f"{fps:.4g} frames/s; every {nth} frame was processed, {self.rate_fps:.4g} a second "
+            f"{fps:.4g} frames/s; one frame in {every} was processed, {self.rate_fps:.4g} a second "
             "(--fps all processes every frame)"
         )
 
@@ -326,10 +362,31 @@ class Video:
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"
 
-    def frame(self, picture: Picture, size_wh: tuple[int, int] | None = None) -> Frame:
-        """A picture as a frame for models, of the video's `size_wh` unless another is given."""
-        grey = to_grey(picture.image, size_wh or self.size_wh, picture.levels)
-        return Frame(picture.index, picture.time_s, grey, picture.is_repeat, picture.after_gap)
+    def frames(
+        self, *sizes_wh: tuple[int, int], picture_wh: tuple[int, int] | None = None
+    ) -> Iterator[Frame]:
+        """The chosen frames in order.
+
+        Parameters
+        ----------
+        sizes_wh : (int, int)
+            Width and height of the frames, in px; the video's `size_wh` unless given. If there are
+            several, `Frame.at` gives each.
+        picture_wh : (int, int), optional
+            Also give each frame's picture to look at, at this size.
+        """
+        first, *more = dict.fromkeys(sizes_wh) or [self.size_wh]
+        for one in self.pictures():
+            image, levels = one.image, one.levels
+            yield Frame(
+                one.index,
+                one.time_s,
+                to_grey(image, first, levels),
+                one.is_repeat,
+                one.after_gap,
+                None if picture_wh is None else to_bgr(image, picture_wh, levels),
+                others={size: to_grey(image, size, levels) for size in more},
+            )
 
     def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
         """The cells that the mask hides, (H, W) bool, for `Model.ignore`; None if there are none.
@@ -339,7 +396,7 @@ class Video:
         return self._region.hidden(size_wh or self.size_wh)
 
     def __iter__(self) -> Iterator[Frame]:
-        return map(self.frame, self.pictures())
+        return self.frames()
 
     def close(self) -> None:
         """Free the input; may be called twice."""

@@ -1,6 +1,9 @@
-"""Causal detection of repeated pictures and of missing frames in a stream."""
+"""A frame as models take it, and the causal detection of repeated and of missing frames."""
 
+import math
 from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
@@ -19,6 +22,51 @@ _N_ROWS = 90
 _SHARE, _RISE = 0.25, 2.0
 # A longer run of repeats is a still scene.
 MAX_RUN = 11
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame in the form that models take.
+
+    Attributes
+    ----------
+    index : int
+        Number of the frame in its source, from 0.
+    time_s : float
+        Its time in seconds; NaN if unknown.
+    grey : ndarray, shape (H, W)
+        uint8 levels 0..255 if the source has 8 bits, else float32 in 0..1.
+    is_repeat : bool
+        Whether it repeats the previous picture, see `RepeatDetector`. Models do not see it.
+    after_gap : bool
+        Whether frames are missing before it, see `GapDetector`.
+    picture : ndarray, shape (height, width, 3), uint8, or None
+        The picture in BGR, if it was asked for.
+    captured_s : float
+        Time of its arrival by `time.monotonic`, if its source is live.
+    others : mapping of (int, int) to ndarray
+        The frame at further sizes (width, height), for models with sizes of their own.
+    """
+
+    index: int
+    time_s: float
+    grey: npt.NDArray[Any]
+    is_repeat: bool = False
+    after_gap: bool = False
+    picture: npt.NDArray[np.uint8] | None = None
+    captured_s: float = math.nan
+    others: Mapping[tuple[int, int], npt.NDArray[Any]] = field(default_factory=dict)
+
+    def at(self, size_wh: tuple[int, int] | None) -> npt.NDArray[Any]:
+        """The grey frame at a size that was asked for; None stands for the first one."""
+        return self.grey if size_wh is None else self.others.get(size_wh, self.grey)
+
+    @property
+    def luminance(self) -> npt.NDArray[np.float32]:
+        """The same as float32 in 0..1, shape (H, W)."""
+        if self.grey.dtype != np.uint8:
+            return self.grey
+        return np.divide(self.grey, np.float32(255.0), dtype=np.float32)
 
 
 class GapDetector:

@@ -1,0 +1,179 @@
+"""Everything that frames come from: the same contract, and the same frames."""
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from conftest import FPS, HEIGHT, N_FRAMES, WIDTH, looming_frames, write_video
+
+import dlgmd_cli
+from dlgmd_cli import Alarm, load_set, open_video
+from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.lab.flights.source import open_scene
+from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.results.csv import TABLES
+from dlgmd_cli.results.result import read_result
+
+FRAMES = looming_frames()
+
+
+def a_video(folder, decoder):
+    if decoder == "pyav":
+        pytest.importorskip("av", reason="the pyav decoder needs av")
+    path = write_video(folder / "loom.avi", FRAMES, fourcc="FFV1")
+    return open_video(path, decoder=decoder)
+
+
+def pictures(folder):
+    for index, frame in enumerate(FRAMES):
+        cv2.imwrite(str(folder / f"{index:04d}.png"), frame)
+    return open_video(folder, input_fps=FPS)
+
+
+def a_file_of_numbers(folder):
+    np.save(folder / "loom.npy", FRAMES)
+    return open_video(folder / "loom.npy", input_fps=FPS)
+
+
+SOURCES = {
+    "opencv": lambda folder: a_video(folder, "opencv"),
+    "pyav": lambda folder: a_video(folder, "pyav"),
+    "pictures": pictures,
+    "npy": a_file_of_numbers,
+    "array": lambda folder: open_video(np.array(FRAMES), input_fps=FPS),
+    "colour": lambda folder: open_video(np.array(FRAMES)[..., None].repeat(3, 3), input_fps=FPS),
+    "list": lambda folder: open_video(FRAMES, input_fps=FPS),
+    "scene": lambda folder: open_scene(
+        "looming-cube", {"--size": (HEIGHT, WIDTH), "--frames": N_FRAMES, "--fps": FPS}
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_every_source_keeps_the_contract(kind, tmp_path):
+    with SOURCES[kind](tmp_path) as source:
+        info = source.info
+        assert (info.width, info.height, info.fps) == (WIDTH, HEIGHT, FPS)
+        assert info.n_frames == N_FRAMES and info.name and source.size_wh == (WIDTH, HEIGHT)
+        for _ in range(2):  # every iteration starts at the beginning
+            frames = list(source.frames())
+            assert [one.index for one in frames] == list(range(N_FRAMES))
+            assert np.allclose([one.time_s for one in frames], np.arange(N_FRAMES) / FPS)
+        frame = next(source.frames((16, 12), (8, 6), picture_wh=(20, 15)))
+        assert frame.grey.shape == (12, 16) and frame.at((8, 6)).shape == (6, 8)
+        assert frame.picture.shape == (15, 20, 3) and frame.picture.dtype == np.uint8
+        if kind != "scene":
+            levels = np.array([one.grey for one in frames], float)
+            assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
+
+
+def test_arrays_and_files_give_the_same_result(dlgmd, tmp_path):
+    np.save(tmp_path / "flight.v2.npy", FRAMES)
+    cv2_frames = [cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) for frame in FRAMES]
+    results = [
+        dlgmd_cli.run(np.array(FRAMES), fps=FPS),
+        dlgmd_cli.run((frame for frame in cv2_frames), fps=FPS),
+        dlgmd_cli.run(np.array(FRAMES) / np.float64(255.0), fps=FPS),
+        dlgmd_cli.run("flight.v2.npy", input_fps=FPS),
+    ]
+    assert dlgmd("run", "flight.v2.npy", "--input-fps", FPS, "--no-plots").exit_code == 0
+    stored = read_result("dlgmd-out/flight.v2")
+    assert stored.name == "flight.v2" and stored.record["input"]["decoder"] == "array"
+    for one in results:
+        assert np.allclose(one.mp, stored.mp, rtol=1e-6, equal_nan=True)
+        assert np.allclose(one.time_s, np.arange(N_FRAMES) / FPS)
+    results[0].save("saved")
+    assert read_result("saved").name == "array"
+    half, many = dlgmd_cli.run(FRAMES, models=[9, "lgmd"], input_fps=FPS, fps=FPS / 2)
+    assert len(half) == len(many) == N_FRAMES // 2
+
+
+@pytest.mark.parametrize(
+    ("images", "why"),
+    [
+        ([], "holds no frames"),
+        ([np.zeros((4, 4), np.int64)], "frame 0 is int64"),
+        ([np.zeros((4, 4, 4), np.uint8)], "frame 0 is uint8 of shape (4, 4, 4)"),
+        ([np.full((4, 4), 200.0)], "numbers from 200 to 200"),
+        ([np.full((4, 4), np.nan)], "numbers from nan to nan"),
+        ([7], "frame 0 is int64 of shape ()"),
+    ],
+)
+def test_what_is_no_picture_is_refused(images, why):
+    with pytest.raises(SourceError) as error:
+        dlgmd_cli.run(images, fps=30)
+    assert why in str(error.value)
+
+
+def test_a_frame_unlike_the_first_ends_the_input():
+    odd = [*FRAMES[:9], FRAMES[9][:-2], *FRAMES[10:]]
+    result = dlgmd_cli.run(odd, fps=FPS)
+    assert len(result) == 9 and "frame 9 is uint8 of shape (22, 32)" in result.warnings[0]
+
+
+def test_files_of_other_arrays_are_refused(tmp_path):
+    for name, array in (("flat", np.zeros((3, 4))), ("objects", np.array([{}, {}], object))):
+        np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
+        with pytest.raises(SourceError, match=r"shape \(3, 4\)|cannot be read"):
+            open_video(tmp_path / f"{name}.npy")
+    with pytest.raises(ParameterError, match="not int"):
+        dlgmd_cli.run(5)
+
+
+@pytest.mark.parametrize("pattern", ["frames.v2", "frames.v2/%04d.png", "frames.v2/*.png"])
+def test_results_of_pictures_have_their_folders_name(dlgmd, tmp_path, pattern):
+    (tmp_path / "frames.v2").mkdir()
+    pictures(tmp_path / "frames.v2").close()
+    assert dlgmd("run", pattern, "--no-plots").exit_code == 0
+    assert read_result("dlgmd-out/frames.v2").name == "frames.v2"
+
+
+def test_after_a_gap_the_model_restarts_even_if_the_first_picture_is_a_repeat(tmp_path):
+    """Ten seconds away: what comes back is new, and must not be compared with what was before."""
+    frames = [*FRAMES[:10], *FRAMES[9:]]
+    times = [t / FPS + (10.0 if t >= 10 else 0.0) for t in range(len(frames))]
+    alarm, fresh = Alarm(load_set(9)), Alarm(load_set(9))
+    found = [alarm.step(frame, t) for frame, t in zip(frames, times, strict=True)]
+    assert [one.is_valid for one in found[9:14]] == [True, False, False, False, True]
+    expected = [fresh.step(frame) for frame in frames[10:]]
+    assert [one.mp for one in found[13:]] == [one.mp for one in expected[3:]]
+    pytest.importorskip("av", reason="PyAV writes times with a gap")
+    from damaged import encode
+
+    stamps = np.rint(1000.0 * np.array(times)).astype(int)
+    encode(tmp_path / "gap.mkv", frames, "ffv1", stamps=stamps)
+    result = dlgmd_cli.run(tmp_path / "gap.mkv", set=9)
+    assert not result.is_repeat.any()
+    assert np.isnan(result.mp[10:13]).all() and not np.isnan(result.mp[9:14:4]).any()
+
+
+def test_a_gap_before_a_repeat_is_kept_for_the_next_frame():
+    stepper = Stepper(load_set(3))
+    for index in range(6):
+        stepper.step(Frame(index, index / FPS, FRAMES[index]))
+    again = stepper.step(Frame(6, 9.0, FRAMES[5], is_repeat=True, after_gap=True))
+    assert again.is_valid
+    assert not stepper.step(Frame(7, 9.1, FRAMES[6])).is_valid
+
+
+def test_older_tables_and_newer_ones_are_read(clips, tmp_path):
+    result = dlgmd_cli.run(clips / "loom.avi")
+    result.save(tmp_path / "x")
+    for name, left_out, added in (("mp.csv", ("g_x", "g_y"), 0), ("attenuation.csv", (), 1)):
+        path = tmp_path / "x" / name
+        header, *lines = (line.split(",") for line in path.read_text().splitlines())
+        keep = [place for place, one in enumerate(header) if one not in left_out]
+        rows = [[line[place] for place in keep] + ["7"] * added for line in lines]
+        names = [header[place] for place in keep] + ["later"] * added
+        path.write_text("\n".join(map(",".join, itertools.chain([names], rows))) + "\n")
+    stored = read_result(tmp_path / "x")
+    assert np.isnan(stored.g_x).all() and np.allclose(stored.mp, result.mp, equal_nan=True)
+    assert set(TABLES["mp.csv"]) <= {*dir(stored)}
+
+
+def test_a_collision_given_later_has_warnings_of_its_own(clips):
+    result = dlgmd_cli.run(clips / "loom.avi")
+    result.until(9).warnings.append("only there")
+    assert "only there" not in result.warnings
