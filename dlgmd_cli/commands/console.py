@@ -219,6 +219,8 @@ def usage_errors_escaped() -> Iterator[None]:
     """Escape control characters in click's errors, which quote the arguments."""
     try:
         yield
+    except click.exceptions.NoArgsIsHelpError:  # its message is the help
+        raise
     except click.ClickException as error:
         error.message = printable(error.message)  # type: ignore[misc]
         raise
@@ -230,9 +232,8 @@ def errors_as_one_line() -> Iterator[None]:
     try:
         with usage_errors_escaped():
             yield
-    except (click.ClickException, click.exceptions.Exit, click.Abort):
-        raise
-    except BrokenPipeError:  # nobody reads stdout any more; click ends quietly
+    # If nobody reads stdout any more (BrokenPipeError), click ends quietly.
+    except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
         raise
     except (KeyboardInterrupt, cancel.Interrupted):
         say("Interrupted.")

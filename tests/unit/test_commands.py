@@ -39,6 +39,13 @@ def test_help_has_sections_and_nothing_of_the_parser(dlgmd):
     assert firsts == ["--set", "--scale", "--out", "--quiet"]
 
 
+@pytest.mark.parametrize("arguments", [[], ["export"]])
+def test_a_group_alone_prints_its_help(dlgmd, arguments):
+    result = dlgmd(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines() == dlgmd(*arguments, "--help").stdout.splitlines()
+
+
 @pytest.mark.parametrize("arguments", ["--version", "-V", "run -V", "sets --version"])
 def test_version(dlgmd, arguments):
     assert dlgmd(*arguments.split()).stdout == f"dlgmd, version {__version__}\n"
