@@ -25,9 +25,13 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, SourceError, printable
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, PRESETS, load_config
 
 if TYPE_CHECKING:
     from dlgmd_cli.video.survey import Survey
+
+# Pictures a second below which an approach looks too fast to the model.
+_SLOW_FPS = 20.0
 
 
 @click.command(
@@ -85,7 +89,7 @@ def info(
             failures.append(path)
             found.append({"path": path, "error": printable(str(error))})
             continue
-        found.append(facts.to_dict())
+        found.append(_facts(facts))
         if not as_json:
             _show(facts, found[-1]["advice"])
         if mask_path is not None:
@@ -101,17 +105,16 @@ def info(
 
 
 def _write_mask(path: Path, facts: "Survey") -> None:
-    """Write a picture in which pixels that never change are black, the others white."""
+    """Write a picture of the input's size, black in the borders and where pixels never change."""
     import cv2
     import numpy as np
 
     from dlgmd_cli.results.store import appearing
 
-    if facts.still is None:
+    if facts.mask is None:
         why = "no pixels stay the same while the others change"
         raise SourceError(facts.path, why, "Paint a mask yourself, or leave it out.")
-    image = np.where(facts.still, np.uint8(0), np.uint8(255))
-    _, encoded = cv2.imencode(".png", image)
+    _, encoded = cv2.imencode(".png", np.where(facts.mask, np.uint8(0), np.uint8(255)))
     with appearing(path, option="--write-mask") as (file,):
         file.write_bytes(encoded.tobytes())
 
@@ -164,3 +167,87 @@ def _rate(facts: "Survey") -> str:
     if facts.is_variable:
         kind = "variable, {:.3g} to {:.3g}".format(*facts.fps_range)
     return f"{stated} stated, {facts.fps_true:.6g} true, {kind}"
+
+
+def _facts(facts: "Survey") -> dict[str, Any]:
+    """All properties of an input and the advice, for JSON."""
+    values = {name: value for name, value in vars(facts).items() if name != "still"}
+    crop = None if facts.crop is None else str(facts.crop)
+    return {**values, "crop": crop, "still_share": facts.still_share, "advice": _advice(facts)}
+
+
+def _advice(facts: "Survey") -> list[str]:
+    """Advice for a run on this input, one sentence each."""
+    has_fine_levels = facts.bits is not None and facts.bits > 8
+    others = (
+        (
+            facts.is_interlaced,
+            "It is interlaced: the comb of the two fields looks like motion, and OpenCV may show "
+            "the same picture throughout. Deinterlace it first, for example with 'ffmpeg -i INPUT "
+            "-vf bwdif OUTPUT', or add --decoder pyav.",
+        ),
+        (
+            has_fine_levels and facts.decoder == "opencv",
+            f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.",
+        ),
+        (
+            facts.damage,
+            "Do not trust the response near the damage: copy the file again, or run the part "
+            "before it with --end.",
+        ),
+        (facts.crop, f"The borders are black: --crop {facts.crop} leaves them out."),
+        (
+            facts.still is not None,
+            f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
+            "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
+            "black for --mask. Look at it before you use it.",
+        ),
+    )
+    return [*_rate_advice(facts), _size_advice(facts), *(line for is_due, line in others if is_due)]
+
+
+def _rate_advice(facts: "Survey") -> list[str]:
+    """Advice about the frame rate."""
+    from dlgmd_cli.video.source import sampling_step
+
+    lines = []
+    fps = facts.fps_true or facts.fps_stated
+    model_fps = load_config(PRESETS[0]).model_fps
+    if facts.fps_stated is None:
+        lines.append("Nothing states the frame rate: give it with --input-fps.")
+    if facts.is_variable:
+        lines.append(
+            "The frame rate varies, and the model counts frames, not seconds: record at a "
+            "constant rate, or convert with 'ffmpeg -i INPUT -r 30 OUTPUT'."
+        )
+    every, _ = sampling_step(facts.fps_stated or 0.0, 1.1 * model_fps)
+    if every > 1:
+        lines.append(
+            f"At most {model_fps:g} frames a second are processed by default: one in {every} of "
+            f"these. --fps all processes every frame."
+        )
+    n_new = facts.frames - facts.repeats
+    rate = None if fps is None else fps * n_new / max(facts.frames, 1)
+    if rate is not None and rate < _SLOW_FPS:
+        lines.append(
+            f"At {rate:.3g} pictures a second an approach looks {model_fps / rate:.2g} times as "
+            f"fast as at the {model_fps:g} that the parameters are made for."
+        )
+    return lines
+
+
+def _size_advice(facts: "Survey") -> str:
+    """The size at which the models see the input."""
+    from dlgmd_cli.video.opening import processed_size
+
+    source_wh = facts.crop[:2] if facts.crop else (facts.width, facts.height)
+
+    def default(width_px: int) -> str:
+        width, height = processed_size(*source_wh, width_px=width_px)
+        return f"{width}x{height} px (--scale {width / source_wh[0]:.3g})"
+
+    preset = PRESETS[0]
+    return (
+        f"The preset {preset} processes it at {default(load_config(preset).width_px)}, the "
+        f"paper's sets at {default(DEFAULT_WIDTH_PX)}."
+    )

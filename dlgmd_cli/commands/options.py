@@ -351,7 +351,8 @@ _PICTURES = (
         "--mask",
         type=click.Path(exists=True, dir_okay=False),
         metavar="FILE",
-        help="Ignore what is black in this picture, which is scaled to the input or to --crop.",
+        help="Ignore what is black in this picture. --crop cuts one of the input's size; any other "
+        "is scaled to the crop, or to the input.",
     ),
 )
 live_input_options = option_group("given", dict, *_PICTURES)

@@ -42,7 +42,8 @@ class Region:
     crop : Crop, optional
         A rectangle inside the picture.
     masked : ndarray, bool, optional
-        True for black pixels, see `read_mask`; of any size, resized to cover the rectangle.
+        True for black pixels, see `read_mask`. One of the picture's size is cut as the picture is;
+        one of any other size is resized to cover the rectangle.
 
     Attributes
     ----------
@@ -59,7 +60,8 @@ class Region:
         width, height, x, y = crop or Crop(*picture_wh, 0, 0)
         self.size_wh = width, height
         self._place = np.s_[y : y + height, x : x + width]
-        self._masked = masked
+        is_whole = masked is not None and masked.shape == (picture_wh[1], picture_wh[0])
+        self._masked = self.of(masked) if masked is not None and is_whole else masked
         self.hidden = lru_cache(maxsize=16)(self._hidden)
 
     def of(self, image: Image) -> Image:

@@ -1,11 +1,9 @@
-"""A survey of an input: its properties after reading all of it, and advice for a run."""
+"""A survey of an input: its properties after reading all of it."""
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,11 +11,10 @@ import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, PRESETS, load_config
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, Unreadable, openable
 from dlgmd_cli.video.images import pictures_at
 from dlgmd_cli.video.luma import to_grey
-from dlgmd_cli.video.opening import open_video, processed_size
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import Details, PyAVDecoder
 from dlgmd_cli.video.region import Region
@@ -39,7 +36,6 @@ _MIN_STILL_PX, _STILL_SHARES = 6, (0.0002, 0.4)
 _CONTOUR, _CONTOUR_SHARE = 40, 0.2
 # Least width of a black bar, and the least share of each side that a crop keeps.
 _MIN_BAR_PX, _MIN_LEFT = 2, 0.3
-_SLOW_FPS = 20.0
 
 
 @dataclass(frozen=True)
@@ -108,11 +104,14 @@ class Survey:
         """Share of the pixels that never change."""
         return 0.0 if self.still is None else float(self.still.mean())
 
-    def to_dict(self) -> dict[str, Any]:
-        """All properties and the advice, for JSON."""
-        values = {name: value for name, value in vars(self).items() if name != "still"}
-        crop = None if self.crop is None else str(self.crop)
-        return {**values, "crop": crop, "still_share": self.still_share, "advice": advice(self)}
+    @property
+    def mask(self) -> Flags | None:
+        """The pixels to hide, (H, W) of the whole picture: the borders and `still`; or None."""
+        if self.still is None:
+            return None
+        hidden = np.ones((self.height, self.width), np.bool_)
+        Region((self.width, self.height), self.crop).of(hidden)[:] = self.still
+        return hidden
 
 
 def survey(
@@ -261,74 +260,3 @@ def static_pixels(darkest: Image, brightest: Image) -> Flags | None:
         return None
     rim = 2 * max(1, spread.shape[1] // 400) + 1
     return cv2.dilate(found, np.ones((rim, rim), np.uint8)).astype(np.bool_)
-
-
-def advice(facts: Survey) -> list[str]:
-    """Advice for a run on this input, one sentence each."""
-    lines = [*_rate_advice(facts), _size_advice(facts)]
-    if facts.is_interlaced:
-        lines.append(
-            "It is interlaced: the comb of the two fields looks like motion, and OpenCV may show "
-            "the same picture throughout. Deinterlace it first, for example with 'ffmpeg -i INPUT "
-            "-vf bwdif OUTPUT', or add --decoder pyav."
-        )
-    if facts.bits is not None and facts.bits > 8 and facts.decoder == DEFAULT_DECODER:
-        lines.append(f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.")
-    if facts.damage:
-        lines.append(
-            "Do not trust the response near the damage: copy the file again, or run the part "
-            "before it with --end."
-        )
-    if facts.crop is not None:
-        lines.append(f"The borders are black: --crop {facts.crop} leaves them out.")
-    if facts.still is not None:
-        lines.append(
-            f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
-            "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
-            "black for --mask. Look at it before you use it."
-        )
-    return lines
-
-
-def _rate_advice(facts: Survey) -> list[str]:
-    """Advice about the frame rate."""
-    lines = []
-    fps = facts.fps_true or facts.fps_stated
-    model_fps = load_config(PRESETS[0]).model_fps
-    if facts.fps_stated is None:
-        lines.append("Nothing states the frame rate: give it with --input-fps.")
-    if facts.is_variable:
-        lines.append(
-            "The frame rate varies, and the model counts frames, not seconds: record at a "
-            "constant rate, or convert with 'ffmpeg -i INPUT -r 30 OUTPUT'."
-        )
-    stated = facts.fps_stated or 0.0
-    every = max(1, math.ceil(stated / (1.1 * model_fps) - 1e-3))
-    if every > 1:
-        lines.append(
-            f"At most {model_fps:g} frames a second are processed by default: one in {every} of "
-            f"these. --fps all processes every frame."
-        )
-    n_new = facts.frames - facts.repeats
-    rate = None if fps is None else fps * n_new / max(facts.frames, 1)
-    if rate is not None and rate < _SLOW_FPS:
-        lines.append(
-            f"At {rate:.3g} pictures a second an approach looks {model_fps / rate:.2g} times as "
-            f"fast as at the {model_fps:g} that the parameters are made for."
-        )
-    return lines
-
-
-def _size_advice(facts: Survey) -> str:
-    """The size at which the models see the input."""
-    source_wh = facts.crop[:2] if facts.crop else (facts.width, facts.height)
-
-    def default(width_px: int) -> str:
-        width, height = processed_size(*source_wh, width_px=width_px)
-        return f"{width}x{height} px (--scale {width / source_wh[0]:.3g})"
-
-    preset = PRESETS[0]
-    return (
-        f"The preset {preset} processes it at {default(load_config(preset).width_px)}, the "
-        f"paper's sets at {default(DEFAULT_WIDTH_PX)}."
-    )

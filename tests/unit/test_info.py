@@ -10,6 +10,7 @@ from conftest import looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.video.base import Crop
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.region import read_mask
 from dlgmd_cli.video.survey import crop_borders, static_pixels, survey
 from dlgmd_cli.video.timestamps import frame_rates
@@ -160,8 +161,16 @@ def test_bars_and_a_display_are_proposed(dlgmd, boxes, tmp_path):
     assert "of the pixels never change" in result.stdout
     assert result.stdout.endswith("mask.png\n")
     masked = read_mask("mask.png")
-    assert masked.shape == SCENE_WH[::-1]
+    assert masked.shape == (HEIGHT, WIDTH) and masked[:BAR].all() and masked[-BAR:].all()
+    # It hides the same cells with the crop that is suggested and without.
+    with (
+        open_video(boxes, mask="mask.png") as whole,
+        open_video(boxes, crop=crop, mask="mask.png") as part,
+    ):
+        np.testing.assert_array_equal(whole.hidden(), masked)
+        np.testing.assert_array_equal(part.hidden(), masked[BAR:-BAR])
     # The text is covered, and what is beside the display is not.
+    masked = masked[BAR:-BAR]
     letters = np.zeros((HEIGHT, WIDTH), np.uint8)
     cv2.putText(letters, "BAT 14.8", (12, 40), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 2)
     letters = letters[BAR:-BAR] > 0
