@@ -1,8 +1,39 @@
-"""Short, distinct names for results."""
+"""Names of inputs, and short, distinct names of results."""
 
+import glob
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+# The number in a pattern of pictures, such as %04d.
+PRINTF = re.compile(r"%(0?)(\d*)d")
+
+
+def is_pattern(text: str) -> bool:
+    """Whether a path is a glob, or a printf pattern with one %d."""
+    return glob.has_magic(text) or PRINTF.search(Path(text).name) is not None
+
+
+def picture_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder of a sequence of pictures, which is given as a folder or as a pattern."""
+    folder = Path(path).absolute()
+    while not folder.is_dir() and is_pattern(folder.name):
+        folder = folder.parent
+    return folder.resolve()
+
+
+def input_name(path: str | os.PathLike[str], *, are_pictures: bool) -> str:
+    """Name of an input for its results: the stem of a file, the folder's name of pictures."""
+    if are_pictures:
+        return picture_folder(path).name or "root"
+    return Path(path).stem or Path(path).name
+
+
+def recorded_name(known: Mapping[str, Any]) -> str:
+    """Name of the input that the item `input` of a record describes; it need not exist any more."""
+    return input_name(str(known.get("path", "")), are_pictures="pictures" in known)
 
 
 def numbered(names: Sequence[str]) -> list[str]:
@@ -17,7 +48,7 @@ def numbered(names: Sequence[str]) -> list[str]:
     return distinct
 
 
-def told_apart(paths: Sequence[Path]) -> list[str]:
+def distinct_names(paths: Sequence[Path]) -> list[str]:
     """The last part of each path, or as many parts as it takes to make the names distinct."""
     all_parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = []

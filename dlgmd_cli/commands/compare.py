@@ -31,7 +31,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.names import numbered, told_apart
+from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.parameters import FORMULATIONS, DistributedParameters, DlgmdParameters
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def _setups(
     found = [choose(set=name) for name in dict.fromkeys(set_names)]
     files = list(dict.fromkeys(configs))
     for path, label in zip(
-        files, told_apart([path.with_suffix("") for path in files]), strict=True
+        files, distinct_names([path.with_suffix("") for path in files]), strict=True
     ):
         found.append(replace(choose(config=path), label=text_cell(label)))
     if not (set_names or configs or models):

@@ -17,7 +17,7 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.errors import ResultError, printable
-from dlgmd_cli.names import numbered, told_apart
+from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
 
 if TYPE_CHECKING:
@@ -211,7 +211,9 @@ def _read(
         if has_run and has_comparison and folder is path:
             say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
     results = []
-    for folder, name, is_compared in zip(folders, told_apart(folders), are_compared, strict=True):
+    for folder, name, is_compared in zip(
+        folders, distinct_names(folders), are_compared, strict=True
+    ):
         if is_compared:
             prefix = f"{name}: " if sum(are_compared) > 1 else ""
             compared = read_comparison(folder).items()

@@ -13,7 +13,7 @@ from dlgmd_cli.commands.console import Command, print_path, say, warn
 from dlgmd_cli.commands.options import complete_file, file_ending, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
-from dlgmd_cli.names import numbered
+from dlgmd_cli.names import numbered, recorded_name
 
 if TYPE_CHECKING:
     from dlgmd_cli.pages.gather import Gathered, Input
@@ -104,8 +104,9 @@ def view(
         )
     if input_path and len(gathered.inputs) > 1:
         raise click.UsageError("--input works only with results of one input.")
-    name = gathered.inputs[0].name if is_one else paths[0].absolute().name
-    stem = fitting(Path(name).stem[:_MAX_NAME].replace("/", "-")) or "results"
+    first = gathered.inputs[0].results[0].result
+    name = recorded_name(first.record["input"]) if is_one else paths[0].absolute().name
+    stem = fitting(name[:_MAX_NAME]) or "results"
     out = out or Path("dlgmd-out") / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
     request = _Request(frames, labels, input_path, width_px, no_film)

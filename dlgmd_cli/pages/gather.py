@@ -8,7 +8,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.names import numbered, told_apart
+from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
@@ -72,14 +72,13 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for entry in found:
         by_input.setdefault(_identity(entry[2]), []).append(entry)
     inputs = []
-    paths_of = [str(entries[0][2].record["input"]["path"]) for entries in by_input.values()]
-    names = told_apart([Path(one) for one in paths_of])
-    for name, where, entries in zip(names, paths_of, by_input.values(), strict=True):
+    places = [_place(entries[0][2]) for entries in by_input.values()]
+    for name, entries in zip(distinct_names(places), by_input.values(), strict=True):
         results = tuple(
             LabelledResult(label, result, peers)
             for label, (_, _, result, peers) in zip(_labels(entries), entries, strict=True)
         )
-        inputs.append(Input(name, where, results))
+        inputs.append(Input(name, entries[0][2].record["input"]["path"], results))
     return Gathered(sorted(inputs, key=lambda one: one.name), failed, is_batch)
 
 
@@ -154,13 +153,19 @@ def _labels(entries: Sequence[Entry]) -> list[str]:
     """Labels of an input's results: names of models, with their folders if these are not unique."""
     names = [name for _, name, _, _ in entries]
     folders = list(dict.fromkeys(folder for folder, *_ in entries))
-    told = dict(zip(folders, told_apart(folders), strict=True))
+    told = dict(zip(folders, distinct_names(folders), strict=True))
     return numbered(
         [
             name if names.count(name) == 1 else f"{name} · {told[folder]}"
             for folder, name, _, _ in entries
         ]
     )
+
+
+def _place(result: Result) -> Path:
+    """The file of a result's input, or the folder of its pictures."""
+    known = result.record["input"]
+    return picture_folder(known["path"]) if "pictures" in known else Path(known["path"])
 
 
 def _identity(result: Result) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.names import told_apart
+from dlgmd_cli.names import distinct_names
 from dlgmd_cli.results.store import failure_text, is_url, place
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.images import read_image
@@ -97,7 +97,7 @@ def find_videos(
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out, exclude)
-    prefixes = told_apart([Path(root) for root in roots]) if len(roots) > 1 else [""]
+    prefixes = distinct_names([Path(root) for root in roots]) if len(roots) > 1 else [""]
     named = list(zip(prefixes, roots, strict=True))
     for prefix, root in sorted(named, key=lambda one: Path(one[1]).is_symlink()):
         base = place(root)

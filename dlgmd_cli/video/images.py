@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.names import PRINTF, input_name, is_pattern
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
 
@@ -16,7 +17,6 @@ SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
-_PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
 class ImageDecoder:
@@ -93,7 +93,7 @@ def pictures_at(path: Path) -> list[Path] | None:
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
         why = "there is no picture in this folder"
         mend = "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG."
-    elif _is_pattern(str(path)) and not path.exists():
+    elif is_pattern(str(path)) and not path.exists():
         globbed = glob.iglob(str(path), recursive=True)
         found = _printf_matches(path) or [Path(name) for name in globbed]
         why = "no file matches this pattern"
@@ -108,15 +108,7 @@ def pictures_at(path: Path) -> list[Path] | None:
 
 def sequence_name(path: Path) -> str:
     """Name for the results of a folder or a pattern: the folder's name."""
-    folder = path.absolute()
-    while not folder.is_dir() and _is_pattern(folder.name):
-        folder = folder.parent
-    return folder.resolve().name or "root"
-
-
-def _is_pattern(text: str) -> bool:
-    """Whether `text` is a glob or a printf pattern with one %d."""
-    return glob.has_magic(text) or _PRINTF.search(Path(text).name) is not None
+    return input_name(path, are_pictures=True)
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:
@@ -127,7 +119,7 @@ def _natural_key(path: Path) -> list[tuple[int, int, str]]:
 
 def _printf_matches(pattern: Path) -> list[Path]:
     """Files in the pattern's folder whose names match its one %d (or %04d)."""
-    match = _PRINTF.search(pattern.name)
+    match = PRINTF.search(pattern.name)
     if match is None or not pattern.parent.is_dir():
         return []
     before, after = pattern.name[: match.start()], pattern.name[match.end() :]

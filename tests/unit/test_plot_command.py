@@ -11,7 +11,6 @@ from figures import make_result
 from matplotlib.figure import Figure
 from test_read_results import write_comparison
 
-from dlgmd_cli.names import numbered, told_apart
 from dlgmd_cli.plots import traces
 
 ROWS = ("set9,0,0,1,0.5,0.25,-3", "set9,1,0.1,1,0.6,0.5,-4", "lgmd,0,0,1,0.5,0.25,-3")
@@ -203,8 +202,6 @@ def test_results_are_named_after_their_folders(dlgmd, drawn):
     ):
         assert dlgmd("plot", "mp", *paths, "--overwrite").exit_code == 0
         assert list(drawn[-1][1]) == names
-    assert told_apart([Path("/a/b"), Path("/c/b"), Path("/c/d")]) == ["a/b", "c/b", "d"]
-    assert numbered(["a", "a", "a (2)", "a"]) == ["a", "a (2)", "a (2) (2)", "a (3)"]
 
 
 def test_a_comparison_has_labels_of_its_own(dlgmd, drawn):

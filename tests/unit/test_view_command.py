@@ -2,13 +2,14 @@
 
 import base64
 import json
+import os
 import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from conftest import HEIGHT, N_FRAMES, WIDTH, make_result, read_video
+from conftest import HEIGHT, N_FRAMES, WIDTH, looming_frames, make_result, read_video
 
 pytest.importorskip("jinja2", reason="pages need Jinja2")
 pytest.importorskip("plotly", reason="pages need Plotly")
@@ -47,6 +48,17 @@ def test_page_of_a_run(dlgmd, clips, tmp_path):
     # Tinted where the square grows, near the end, and as the input was at the beginning.
     tints = [np.ptp(frame.astype(int), axis=2).max() for frame in frames]
     assert tints[1] < 20 and max(tints[-5:]) > 80
+
+
+def test_pictures_are_named_after_their_folder(dlgmd, tmp_path):
+    (tmp_path / "frames.v2").mkdir()
+    for number, frame in enumerate(looming_frames()):
+        cv2.imwrite(str(tmp_path / f"frames.v2/{number:04d}.png"), frame)
+    for given in ("frames.v2", "frames.v2/%04d.png"):
+        dlgmd("run", given, "--no-plots", "--overwrite")
+        made = dlgmd("view", "dlgmd-out/frames.v2", "--no-film", "--overwrite")
+        assert made.stdout == os.path.join("dlgmd-out", "view-frames.v2.html\n")
+        assert data_of(tmp_path / made.stdout.strip())["name"] == "frames.v2"
 
 
 def test_what_a_mask_hides_is_dark(dlgmd, clips, tmp_path):
