@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import Alarm
-from dlgmd_cli.export.folder import files
+from dlgmd_cli.export.folder import files, sources
 from dlgmd_cli.lab.stimuli.looming import ball_approaches
 
 needs_cc = pytest.mark.skipif(
@@ -55,10 +55,9 @@ class FixedAnswer(ctypes.Structure):
 
 def answers_of_c(export, folder, frames):
     """What the compiled model answers: columns as `NAMES`, (n, 7) float64."""
-    for name in ("dlgmd.h", "dlgmd.c"):
-        text = export.source(name).replace("/* @sizes@ */", export.definitions)
-        (folder / name).write_text(text, encoding="utf-8")
-    (folder / "dlgmd_model.h").write_text(export.model_header(), encoding="utf-8")
+    texts = sources(export)
+    for name in ("dlgmd.h", "dlgmd.c", "dlgmd_model.h"):
+        (folder / name).write_text(texts[name], encoding="utf-8")
     library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
     command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), "-shared", "-fPIC", "-o", str(library)]
     subprocess.run([*command, str(folder / "dlgmd.c")], check=True)

@@ -1,11 +1,13 @@
 """`dlgmd export`: the model for other machines."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
+from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     SIZE,
     complete_folder,
@@ -34,7 +36,7 @@ def export() -> None:
     type=SIZE,
     default="96x72",
     show_default=True,
-    help="Size in px of the frames that the C takes.",
+    help="Size of the frames in px.",
 )
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
@@ -56,27 +58,25 @@ def c(
 ) -> None:
     """Write a D-LGMD and its alarm as C99 for a microcontroller.
 
-    The C takes grey frames of one size, one byte a cell, and answers to each: membrane potential,
-    spike, alarm, and where in the picture. It allocates nothing and needs no library. Its
-    parameters are constants.
+    The C code takes grey frames of one size, one byte per cell. For each it returns the membrane
+    potential, whether there is a spike or an alarm, and where in the picture. It allocates no
+    memory and needs no library. The parameters are constants in it.
 
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
-    it on emulated Cortex-M boards). DIR/README.md explains them and says what a frame costs.
+    it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
 
-    Models are dlgmd and dlgmd-contrast, which the preset flight is of.
+    The models dlgmd and dlgmd-contrast can be exported; the preset flight is of the latter.
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
     from dlgmd_cli.lab.stimuli.looming import ball_approaches
-    from dlgmd_cli.results.store import appearing, refuse_existing
 
     made = Export(setup.params, *size, is_fixed, setup.label)
     contents = files(made, ball_approaches(*size))
-    for name in contents:
-        refuse_existing(out / name, overwrite=overwrite)
-    with appearing(*(out / name for name in contents)) as temporary:
-        for path, content in zip(temporary, contents.values(), strict=True):
-            path.write_bytes(content)
+    write_files(
+        {out / name: partial(Path.write_bytes, data=data) for name, data in contents.items()},
+        overwrite=overwrite,
+    )
     if as_json:
         print_json({"folder": str(out), **made.costs})
         return

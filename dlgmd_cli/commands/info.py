@@ -1,6 +1,7 @@
 """`dlgmd info`: describe videos, and suggest options for a run."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from dlgmd_cli.commands.console import (
     say,
     warn,
 )
+from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     complete_file,
     decoder_option,
@@ -93,7 +95,7 @@ def info(
         if not as_json:
             _show(facts, found[-1]["advice"])
         if mask_path is not None:
-            _write_mask(mask_path, facts)
+            _write_mask(mask_path, facts, overwrite=overwrite)
     if as_json:
         print_json({"inputs": found})
     elif mask_path is not None:
@@ -104,19 +106,17 @@ def info(
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
-def _write_mask(path: Path, facts: "Survey") -> None:
+def _write_mask(path: Path, facts: "Survey", *, overwrite: bool) -> None:
     """Write a picture of the input's size, black in the borders and where pixels never change."""
     import cv2
     import numpy as np
-
-    from dlgmd_cli.results.store import appearing
 
     if facts.mask is None:
         why = "no pixels stay the same while the others change"
         raise SourceError(facts.path, why, "Paint a mask yourself, or leave it out.")
     _, encoded = cv2.imencode(".png", np.where(facts.mask, np.uint8(0), np.uint8(255)))
-    with appearing(path, option="--write-mask") as (file,):
-        file.write_bytes(encoded.tobytes())
+    write = partial(Path.write_bytes, data=encoded.tobytes())
+    write_files({path: write}, overwrite=overwrite, option="--write-mask")
 
 
 def _show(facts: "Survey", advice: Sequence[str]) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands.console import Command, print_path
+from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import Output, output_options, parameter_options
 from dlgmd_cli.parameters import DistributedParameters
 
@@ -33,7 +34,7 @@ def kernels(setup: "Setup", output: Output) -> None:
     if not isinstance(params, DistributedParameters):
         raise click.UsageError(f"only the D-LGMD model has kernels, not {params.model}.")
     from dlgmd_cli.models.kernels import connect
-    from dlgmd_cli.results.store import appearing, fitting, refuse_existing
+    from dlgmd_cli.results.store import fitting
 
     connections = connect(params)
     stem = f"kernels-{fitting(setup.label)}"
@@ -47,14 +48,9 @@ def kernels(setup: "Setup", output: Output) -> None:
         kernels = connections.excitation, connections.inhibition, connections.latency
         figures = {stem: partial(plot_kernels, *kernels)}
         files |= figure_files(figures, output.formats, output.dpi)
-    paths = [output.out / name for name in files]
-    for path in paths:
-        refuse_existing(path, overwrite=output.overwrite)
-    with appearing(*paths) as temporary:
-        for write, path in zip(files.values(), temporary, strict=True):
-            write(path)
-    for path in paths:
-        print_path(path)
+    write_files({output.out / name: files[name] for name in files}, overwrite=output.overwrite)
+    for name in files:
+        print_path(output.out / name)
 
 
 def _write_csv(connections: "Connections", path: Path) -> None:

@@ -3,12 +3,14 @@
 import os
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     dpi_option,
     format_option,
@@ -139,14 +141,12 @@ def plot(
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
-    from dlgmd_cli.results.store import appearing, fitting, refuse_existing
+    from dlgmd_cli.results.store import fitting
 
     folders = [path.absolute().parent if path.name == "compare.csv" else path for path in paths]
     # The names of all results, cut off if they get too long for a file name.
     names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in folders)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
-    for target in targets:
-        refuse_existing(target, overwrite=overwrite)
     found, are_compared = _read(paths, folders)
     if labels and len(labels) != len(found):
         raise click.UsageError(
@@ -164,9 +164,7 @@ def plot(
     for line in annotations.outside(*Timeline.of(results.values()).frames):
         warn(line)
     figure = draw(kind, results, annotations, column=column, width=width)
-    with appearing(*targets) as files:
-        for file in files:
-            save_figure(figure, file, dpi)
+    write_files(dict.fromkeys(targets, partial(save_figure, figure, dpi=dpi)), overwrite=overwrite)
     for target in targets:
         print_path(target)
 

@@ -1,15 +1,17 @@
-"""The folder of an export: the sources, and a test of frames with Python's answers."""
+"""The files of an export: the sources, and a test that compares them with Python's answers."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import printable
-from dlgmd_cli.export.project import Export
+from dlgmd_cli.export.project import Export, defines
 from dlgmd_cli.models.detection import Alarm, Detection
 
+SOURCES = Path(__file__).parent / "c"
 STATIC = (
     "README.md",
     "dlgmd.h",
@@ -22,78 +24,74 @@ STATIC = (
 )
 
 ACCURACY = {
-    False: "Its membrane potential is Python's to 1e-5 of it.",
-    True: "Integers round: in rendered flights mp_abs differs from Python's by 0.03 at most, and\n"
-    "the alarms are the same; expect a frame of difference in others.",
+    False: "The membrane potential differs from Python's by at most 1e-5 of its value.",
+    True: "Integers are rounded: in rendered flights mp_abs differs from Python's by at most 0.03, "
+    "and\nthe alarms are the same. In other videos an alarm may start one frame earlier or later.",
 }
 
 Frames = list[npt.NDArray[np.uint8]]
 
 
 def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[Detection]]:
-    """Frames up to contact, and the answers to them.
+    """Frames of an approach up to contact, and Python's answers to them.
 
-    They are of the first approach that raises an alarm; if none does, of that with the highest MP.
+    The approach is the first that raises an alarm; if none does, the one with the highest MP.
     """
-    tried = [(frames, _answers(export, frames)) for frames in approaches]
-    with_alarm = [one for one in tried if any(answer.alarm for answer in one[1])]
-    return with_alarm[0] if with_alarm else max(tried, key=lambda one: _peak(one[1]))
-
-
-def _answers(export: Export, frames: Frames) -> list[Detection]:
-    alarm = Alarm(export.params, repeats="keep", engine="opencv")
-    return [alarm.step(frame) for frame in frames]
-
-
-def _peak(answers: list[Detection]) -> float:
-    return max(answer.mp_abs for answer in answers if answer.is_valid)
+    tried = []
+    for frames in approaches:
+        alarm = Alarm(export.params, repeats="keep", engine="opencv")
+        answers = [alarm.step(frame) for frame in frames]
+        if any(answer.alarm for answer in answers):
+            return frames, answers
+        tried.append((frames, answers))
+    return max(tried, key=lambda one: max(a.mp_abs for a in one[1] if a.is_valid))
 
 
 def files(export: Export, approaches: Iterable[Frames]) -> dict[str, bytes]:
-    """The contents of all files, by name; test vectors are of one of the `approaches`."""
+    """The contents of all files, by name; the test vectors are of one of the `approaches`."""
     frames, answers = looming(export, approaches)
-    texts = {name: _filled(export, name) for name in STATIC}
-    texts |= {"dlgmd_model.h": export.model_header(), "vectors.h": vectors(export, answers)}
-    contents = {name: text.encode() for name, text in texts.items()}
+    contents = {name: text.encode() for name, text in sources(export).items()}
+    contents["vectors.h"] = vectors(export, answers).encode()
     return contents | {"frames.gray": b"".join(frame.tobytes() for frame in frames)}
 
 
-def _filled(export: Export, name: str) -> str:
-    """A source with what is particular to this export."""
+def sources(export: Export) -> dict[str, str]:
+    """The sources by name, with the values of this export in place of `@key@`."""
+    costs = {key: f"{n:,}" for key, n in export.costs.items()}
+    multiplications, additions = export.code.operations
+    lines = [
+        f"RAM: {costs['ram_bytes']} bytes of state, and at most {costs['stack_bytes']} of stack",
+        f"Flash: about {costs['flash_bytes']} bytes (gcc -O2, Cortex-M4)",
+        f"Operations of the kernels per frame: {costs['multiplications']} multiplications and "
+        f"{costs['additions']} additions",
+        f"Per cell: {multiplications} multiplications and {additions} additions",
+    ]
     values = {
-        "sizes": export.definitions,
+        "sizes": defines(export.sizes),
         "label": printable(export.label),
         "model": export.params.model,
         "version": __version__,
+        "fixed": str(int(export.is_fixed)),
         "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),
         "height": str(export.height),
-        "costs": "\n   ".join(_costs(export)),
-        "list_of_costs": "\n".join(f"- {line}" for line in _costs(export)),
+        "costs": "\n   ".join(lines),
+        "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "accuracy": ACCURACY[export.is_fixed],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
-    text = export.source(name)
-    for key, value in values.items():
-        text = text.replace(f"/* @{key}@ */", value).replace(f"@{key}@", value)
-    return text
 
+    def filled(name: str) -> str:
+        text = (SOURCES / name).read_text(encoding="utf-8")
+        for key, value in values.items():
+            text = text.replace(f"/* @{key}@ */", value).replace(f"@{key}@", value)
+        return text
 
-def _costs(export: Export) -> list[str]:
-    """What a frame costs, in words."""
-    costs = {key: f"{n:,}" for key, n in export.costs.items()}
-    multiplications, additions = export.code.operations
-    return [
-        f"RAM: {costs['ram_bytes']} bytes of state, and at most {costs['stack_bytes']} of stack",
-        f"Flash: about {costs['flash_bytes']} bytes (gcc -O2, Cortex-M4)",
-        f"A frame: {costs['multiplications']} multiplications and {costs['additions']} additions "
-        "in the kernels",
-        f"A cell: {multiplications} and {additions} of them",
-    ]
+    return {name: filled(name) for name in STATIC} | {"dlgmd_model.h": export.model_header()}
 
 
 def vectors(export: Export, answers: list[Detection]) -> str:
-    """`vectors.h`."""
+    """The text of `vectors.h`."""
     rows = []
     for answer in answers:
         flags = [str(int(flag)) for flag in (answer.is_valid, answer.spike, answer.alarm)]
@@ -101,7 +99,7 @@ def vectors(export: Export, answers: list[Detection]) -> str:
         numbers = [f"{0.0 if np.isnan(value) else value:.9g}" for value in values]
         rows.append(f"    {{{', '.join(flags + numbers)}}},\n")
     return (
-        "/* What Python answers to the frames of frames.gray; 0 where nothing is defined. */\n"
+        "/* Python's answers to the frames in frames.gray; 0 where they are undefined. */\n"
         f"#define N_FRAMES {len(rows)}\n"
         "/* K at which mp_abs is 1/2. */\n"
         f"#define HALF {export.params.kappa * export.n_cells:.9g}\n\n"

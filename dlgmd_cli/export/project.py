@@ -1,11 +1,9 @@
-"""A model as C: its constants, what a frame costs, and the sources."""
+"""A model as C: its constants, sums and tables, and its costs per frame."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +16,13 @@ from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, Parameters
 
-SOURCES = Path(__file__).parent / "c"
-# The squares of so many cells' ±128 fit 32 bits. The test's stimulus needs 16 px.
+# With at most this many cells, the sum of their squares (up to 128**2) fits 32 bits. The stimulus
+# of the test needs 16 px.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
 MAX_GROWTH = 4096.0
-# Upper bounds and rough numbers, as the tests measure them: bytes of stack; bytes of code, by
-# whether it is the contrast-relative model and fixed: at all, and for each operation of a cell.
+# Bytes of stack, an upper bound. Bytes of code, approximately, by whether the model is the
+# contrast-relative one and whether it is fixed: a constant, and per operation of a cell. The tests
+# measure both.
 STACK_BYTES = 512
 CODE_BYTES = {
     (False, False): (1200, 10),
@@ -89,7 +88,7 @@ class Export:
 
     @cached_property
     def code(self) -> Code:
-        """The sums, whose weights hold what luminance counts where the model wants luminance."""
+        """The sums. Where the model takes luminance, their weights convert grey levels to it."""
         if not self.is_fixed:
             return float_code(self.connections, 1.0 if self.is_contrast else 1.0 / LEVELS)
         if self.is_contrast:
@@ -102,7 +101,7 @@ class Export:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """What the header defines."""
+        """The definitions in `dlgmd.h`; its `#if`s and those of the other sources test them."""
         return {
             "DLGMD_WIDTH": self.width,
             "DLGMD_HEIGHT": self.height,
@@ -118,7 +117,7 @@ class Export:
 
     @property
     def state_bytes(self) -> int:
-        """RAM: the size of `dlgmd_state`."""
+        """RAM: the size of `dlgmd_state` in bytes."""
         radius, delays = self.connections.radius_px, self.connections.max_delay_frames + 1
         number = 2 if self.is_fixed else 4
         columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
@@ -136,10 +135,10 @@ class Export:
 
     @property
     def costs(self) -> dict[str, int]:
-        """What a frame costs: bytes, and the operations of the kernels.
+        """Memory in bytes, and operations of the kernels per frame.
 
-        The flash is that of the tables and, in rough numbers, of code that gcc -O2 made for a
-        Cortex-M4: some for the model, and some for each operation that is written out.
+        Flash holds the tables and the code. The size of the code is an estimate, for gcc -O2 on a
+        Cortex-M4: a constant and a number of bytes per operation.
         """
         multiplications, additions = self.code.operations
         base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
@@ -153,7 +152,7 @@ class Export:
         }
 
     def constants(self) -> dict[str, str]:
-        """What `dlgmd_model.h` defines."""
+        """The constants in `dlgmd_model.h`, as C."""
         params = self.params
         common = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
         half = params.kappa * self.n_cells
@@ -166,7 +165,7 @@ class Export:
         return common | (self._of_contrast() if self.is_contrast else self._of_product())
 
     def _of_contrast(self) -> dict[str, str]:
-        """The thresholds in levels, and where the lower quartile is looked for."""
+        """The thresholds in grey levels, and the cells that the lower quartile is taken of."""
         params = self.params
         step = max(1, math.isqrt(self.n_cells // MAX_QUARTILE_CELLS))
         n_looked_at = -(-self.width // step) * -(-self.height // step)
@@ -189,7 +188,7 @@ class Export:
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
 
     def _of_product(self) -> dict[str, str]:
-        """Gain, threshold and saturation of G; T_DE is what a level of FFI counts."""
+        """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""
         params = self.params
         cells = RELEASED_CELLS if params.formulation == "released" else self.n_cells * params.m
         t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
@@ -211,18 +210,13 @@ class Export:
             "G_ONE": f"UINT32_C({one})",
         }
 
-    @property
-    def definitions(self) -> str:
-        """What `dlgmd.h` defines, as C."""
-        return _defines(self.sizes)
-
     def tables(self) -> str:
-        """Weights of the columns and the rows, whose products say what a cell counts."""
+        """Weights of the columns and of the rows; the weight of a cell is their product."""
         weights = centre_weights((self.height, self.width), self.params.sigma_c).astype(float)
         text = ""
         for name, profile in (("x", weights.mean(axis=0)), ("y", weights.mean(axis=1))):
             if self.is_fixed:
-                # Their sum is the whole of 16 bits, so that ΣG in 32 bits is a share of all cells.
+                # They add up to the greatest number of 16 bits, so that ΣG fits 32 bits.
                 ends = np.round(np.cumsum(profile) / profile.sum() * (2**16 - 1))
                 values = [str(int(value)) for value in np.diff(ends, prepend=0.0)]
             else:
@@ -234,48 +228,20 @@ class Export:
         return text
 
     def model_header(self) -> str:
-        """`dlgmd_model.h`."""
-        parts = ["/* Constants and sums of dlgmd.c, which alone includes it. */"]
+        """The text of `dlgmd_model.h`."""
+        parts = ["/* Constants and sums of dlgmd.c. No other file includes this one. */"]
         if not self.is_fixed:
             parts.append("#include <float.h>\n")
-        parts.append(_defines(self.constants()) + "\n")
+        parts.append(defines(self.constants()) + "\n")
         if self.is_contrast:
             parts.append(self.tables())
         parts.append(functions(self.code, is_fixed=self.is_fixed, is_contrast=self.is_contrast))
         return "\n".join(parts)
 
-    def source(self, name: str) -> str:
-        """One of the sources, without what this model does not need."""
-        known = {key: value != 0 for key, value in self.sizes.items()}
-        return chosen((SOURCES / name).read_text(encoding="utf-8"), known)
 
-
-def _defines(values: Mapping[str, object]) -> str:
+def defines(values: Mapping[str, object]) -> str:
     """Names and values as C defines them."""
     return "\n".join(f"#define {key} {value}" for key, value in values.items())
-
-
-def chosen(text: str, known: dict[str, bool]) -> str:
-    """C without the branches of `#if NAME` and `#else` that are not taken, for known names."""
-    kept: list[str] = []
-    taken: list[bool | None] = []  # None: a condition for the C compiler
-    for line in text.splitlines(keepends=True):
-        word = line.split()[:2] or [""]
-        if word[0].startswith("#if"):
-            taken.append(known.get(word[1]) if word[0] == "#if" else None)
-            if taken[-1] is not None:
-                continue
-        elif word[0] in ("#else", "#endif") and taken[-1] is not None:
-            if word[0] == "#else":
-                taken[-1] = not taken[-1]
-            else:
-                taken.pop()
-            continue
-        elif word[0] == "#endif":
-            taken.pop()
-        if False not in taken:
-            kept.append(line)
-    return re.sub(r"\n{3,}", "\n\n", "".join(kept))
 
 
 def _whole(n: int, unit: int) -> int:

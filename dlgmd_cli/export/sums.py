@@ -1,4 +1,4 @@
-"""The plan of the compiled loops as C: sums up the columns, and the sum along the row that is S."""
+"""The kernels as C: sums along the columns, then the sum along the row, which is S."""
 
 import math
 from collections import Counter, defaultdict
@@ -11,32 +11,32 @@ from dlgmd_cli.models.engines.plan import Source, Sum, Tap, fuse
 from dlgmd_cli.models.kernels import Connections
 
 LEVELS = 255
-# Float: taps below this share of their sum's largest one are lost in its rounding.
+# Float: taps below this share of the largest tap of their sum would be lost in rounding.
 NEGLIGIBLE = 2.0**-22
-# Fixed: P' of the contrast-relative model is in 1/128 level, as 16 bits hold it.
+# Fixed: P' of the contrast-relative model is in 1/128 level, so that it fits 16 bits.
 CHANGE_BITS = 7
 
 
 class Step(NamedTuple):
-    """Taps to add to the sum so far, which then is a column: what S reads by its number."""
+    """Taps to add to the sum so far; the result is stored as the column of that number."""
 
     taps: Sum
     column: int
 
 
 class Code(NamedTuple):
-    """Sums with their weights as C has them.
+    """The sums, with weights as in the C code.
 
     Attributes
     ----------
     chains : list of list of Step
-        Sums up the columns, each continued step by step.
+        Sums along the columns; each step continues the one before.
     along : Sum
-        What S adds up, of columns and of sources.
+        The sum that is S, of columns and of sources.
     shifts : list of int
-        Fixed: how many bits the columns of each chain drop of its sum.
+        Fixed: bits that the sums of each chain are shifted right by.
     s_bits, s_shift : int
-        Fixed: binary places of the sum that is S, and how many of them S drops.
+        Fixed: binary places of the sum that is S, and bits that it is shifted right by.
     """
 
     chains: list[list[Step]]
@@ -47,28 +47,28 @@ class Code(NamedTuple):
 
     @property
     def sums(self) -> list[Sum]:
-        """What is added up, one after the other."""
+        """All sums, in order."""
         return [*(step.taps for chain in self.chains for step in chain), self.along]
 
     @property
     def n_columns(self) -> int:
-        """How many columns the chains give."""
+        """Number of columns."""
         return sum(map(len, self.chains))
 
     @property
     def operations(self) -> tuple[int, int]:
-        """Multiplications and additions for each cell."""
+        """Multiplications and additions per cell."""
         groups = [group for taps in self.sums for group in _grouped(taps)]
         return len(groups), sum(len(terms) for _, terms in groups)
 
     @property
     def margin(self) -> int:
-        """How far beside its column S reads a source."""
+        """Greatest distance in a row at which S reads a source, in cells."""
         return max((abs(int(t.dx)) for t in self.along if isinstance(t.read, Source)), default=0)
 
 
 def float_code(connections: Connections, unit: float) -> Code:
-    """Sums in single precision; a level of a source counts `unit`."""
+    """Sums in single precision; a grey level of a source has the value `unit`."""
     chains, along = _planned(connections)
 
     def rounded(taps: Sum) -> Sum:
@@ -85,18 +85,18 @@ def float_code(connections: Connections, unit: float) -> Code:
 
 
 def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: float) -> Code:
-    """Sums of integers of 32 bits, of columns of 16 bits.
+    """Sums in integers of 32 bits; columns have 16 bits.
 
     Parameters
     ----------
     connections : Connections
         The kernels.
     gain : float
-        What S, in levels, is multiplied by.
+        Factor of S, in grey levels.
     source_bits : int
-        Binary places of a source, in levels.
+        Binary places of a source, in grey levels.
     s_max : float
-        What S can reach then, and 16 bits are to hold; infinite if S keeps its 32 bits.
+        Greatest value of S after that, which must fit 16 bits; infinite if S keeps 32 bits.
     """
     chains, along = _planned(connections)
     shifts: list[int] = []
@@ -108,7 +108,7 @@ def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: f
         column_bits |= {step.column: _places(15, reach) for step in chain}
         shifts.append(weight_bits + source_bits - _places(15, reach))
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
-    # What each tap reads has so many binary places and reaches so high.
+    # Binary places and greatest value of what each tap reads.
     reads = [
         (column_bits[tap.read], 2.0 ** (15 - column_bits[tap.read]))
         if isinstance(tap.read, int)
@@ -124,7 +124,7 @@ def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: f
 
 
 def _reach(taps: Sum) -> float:
-    """The largest value of a sum, without its sign, where frames reach 1."""
+    """The greatest magnitude of a sum, for frames from 0 to 1."""
     up = down = 0.0
     for tap in taps:
         is_difference = isinstance(tap.read, Source) and tap.read.difference
@@ -134,12 +134,12 @@ def _reach(taps: Sum) -> float:
 
 
 def _places(width: int, reach: float) -> int:
-    """Binary places that numbers up to `reach` can have in so many bits, rounding included."""
+    """Binary places that numbers up to `reach`, once rounded, can have in `width` bits."""
     return math.floor(width - math.log2(reach * 1.002)) if reach else width
 
 
 def _whole(taps: Sum, places: int) -> Sum:
-    """Taps with whole weights of so many binary places, without those that are 0."""
+    """Taps with integer weights of so many binary places, without those that are 0."""
     whole = [tap._replace(weight=round(float(tap.weight) * 2.0**places)) for tap in taps]
     return [tap for tap in whole if tap.weight]
 
@@ -148,7 +148,7 @@ def _whole(taps: Sum, places: int) -> Sum:
 
 
 def _planned(connections: Connections) -> tuple[list[list[Step]], Sum]:
-    """Chains and the sum along the row that take the fewest operations."""
+    """The chains and the sum along the row with the fewest operations."""
 
     def cost(sums: list[Sum]) -> float:
         return sum(Code(*_arranged(sums), []).operations)
@@ -157,7 +157,7 @@ def _planned(connections: Connections) -> tuple[list[list[Step]], Sum]:
 
 
 def _arranged(sums: list[Sum]) -> tuple[list[list[Step]], Sum]:
-    """The same sums in chains: of two that one merely continues, no sum is kept in between."""
+    """The same sums in chains: a sum that another one only continues is not stored."""
     n_reads = Counter(tap.read for taps in sums for tap in taps if isinstance(tap.read, int))
     last = len(sums) - 1
     along = sums[last]
@@ -183,12 +183,12 @@ def _arranged(sums: list[Sum]) -> tuple[list[list[Step]], Sum]:
 
 
 def _continues(taps: Sum, number: int) -> bool:
-    """Whether a sum begins with that earlier one."""
+    """Whether a sum begins with the earlier sum of that number."""
     return bool(taps) and taps[0] == Tap(number, 0, 0, 1.0)
 
 
 def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
-    """Weights, each with all that it is for; what is added and taken away again is left out."""
+    """Weights, each with its terms; terms that cancel are left out."""
     groups: dict[float, Counter[str]] = defaultdict(Counter)
     for read, dy, dx, weight in taps:
         if isinstance(read, int):
@@ -208,10 +208,10 @@ def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
 
 
 def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
-    """`sum_columns` and `sum_along`, and what they read, as C.
+    """The C functions `sum_columns` and `sum_along`, and the macros that they use.
 
-    `P1(dy, dx)` is P(t-1) of a cell beside the one that is summed: a number of levels; in the
-    contrast-relative model P', from its table. `C0(dx)` is a column.
+    `P1(dy, dx)` is P(t-1) at an offset from the present cell, in grey levels; in the
+    contrast-relative model it is P', from a table. `C0(dx)` is a column.
     """
     sources = [tap.read for taps in code.sums for tap in taps if isinstance(tap.read, Source)]
     delays = {s.delay for s in sources} | {s.delay + 1 for s in sources if s.difference}
@@ -251,6 +251,6 @@ def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
 
 
 def float_literal(value: float) -> str:
-    """A number in single precision, as C writes it."""
+    """A number in single precision as a literal of C."""
     text = f"{np.float32(value):.9g}"
     return f"{text}f" if "." in text or "e" in text else f"{text}.0f"

@@ -11,7 +11,7 @@ from exported import answers_of_c, answers_of_python, error_of_mp, error_of_plac
 
 from dlgmd_cli import load_set
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.export.project import Export, chosen
+from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters import ContrastParameters
@@ -126,15 +126,6 @@ def test_table_of_costs():
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
-
-
-def test_branches_not_taken_are_left_out():
-    text = "a\n#if X\nb\n#if __GNUC__\nc\n#else\nd\n#endif\n#else\ne\n#endif\n#ifdef Y\nf\n#endif\n"
-    assert (
-        chosen(text, {"X": True})
-        == "a\nb\n#if __GNUC__\nc\n#else\nd\n#endif\n#ifdef Y\nf\n#endif\n"
-    )
-    assert chosen(text, {"X": False}) == "a\ne\n#ifdef Y\nf\n#endif\n"
 
 
 def test_export_needs_parameters_of_the_two_models():

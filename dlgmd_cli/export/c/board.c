@@ -1,5 +1,5 @@
-/* What a Cortex-M of Arm's MPS2 boards needs to run test.c under QEMU: vectors, start, a clock. The
-   C library's semihosting reads frames.gray and prints. */
+/* Start-up code, vectors and a clock to run test.c on Arm's MPS2 boards under QEMU. The C library's
+   semihosting reads frames.gray and prints. */
 #include <stdint.h>
 #include <stdio.h>
 #include <unistd.h>

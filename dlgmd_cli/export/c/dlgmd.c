@@ -1,4 +1,4 @@
-/* The model that dlgmd.h describes; its constants and sums are in dlgmd_model.h. */
+/* The model; see dlgmd.h. Its constants and sums are in dlgmd_model.h. */
 #include "dlgmd.h"
 
 #include <string.h>
@@ -12,7 +12,7 @@ enum {
     DELAYS = DLGMD_MAX_DELAY + 1
 };
 
-/* Where the change of a frame is read: the first of the rows around the one that is summed. */
+/* Where to read the change of a frame: the first row that the kernels reach. */
 typedef struct {
     const uint8_t *change;
 #if DLGMD_CONTRAST
@@ -24,13 +24,13 @@ typedef struct {
 
 #if DLGMD_FIXED
 typedef uint32_t number;
-typedef uint64_t total; /* 64 bits are used some times in a row or a frame, never for each cell */
+typedef uint64_t total; /* 64 bits are used per row or per frame, never per cell */
 #else
 typedef float number;
 typedef float total;
 #endif
 
-/* ΣG, and ΣG times the column and the row, of the rows so far. */
+/* Sums over the rows so far: G, and G times its column and its row. */
 typedef struct {
     total g;
     total g_column;
@@ -53,7 +53,7 @@ static uint8_t *ring_row(dlgmd_state *state, int at)
     return state->change + DLGMD_MARGIN + at * DLGMD_STRIDE;
 }
 
-/* Note how much row `y` of the frame changed, zeros below the frame; the sum of it. */
+/* Store the change of row `y`, zeros below the frame, and return its sum. */
 static uint32_t see_row(dlgmd_state *state, const uint8_t *frame, int y)
 {
     int at = ((int)state->start + RADIUS + y) % ROWS;
@@ -93,7 +93,7 @@ static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
 
 #if DLGMD_CONTRAST
 
-/* sqrt(n), times 2 to the power of `shift`, which is as large as fits. */
+/* sqrt(n) * 2^shift, where `shift` is the largest that fits. */
 static uint32_t root(uint64_t n, unsigned *shift)
 {
     uint64_t found = 0;
@@ -130,19 +130,19 @@ static number times(number value, number factor)
     return (number)((uint64_t)value * factor >> 16);
 }
 
-/* The average so far, with the weight of the newest value in 1/32768. */
+/* Running average; the weight of the newest value is in 1/32768. */
 static total smoothed(total before, total newest, int32_t weight)
 {
     return before + (total)((int64_t)(newest - before) * weight >> 15);
 }
 
-/* How much of a change passes, in 1/128. */
+/* P': the change above `least`, in 1/128. */
 static dlgmd_change passing(uint32_t level, number least)
 {
     return (dlgmd_change)(of_level(level) > least ? (of_level(level) - least) >> 9 : 0);
 }
 
-/* The share of G that is not inhibited, squared, in 1/32768. */
+/* Square of the share of G that is not inhibited, in 1/32768. */
 static number uninhibited(total usual, total sum)
 {
     total limit = usual * GROWTH >> 14;
@@ -183,19 +183,19 @@ static number times(number value, number factor)
     return value * factor;
 }
 
-/* The average so far, with the weight of the newest value. */
+/* Running average. */
 static total smoothed(total before, total newest, float weight)
 {
     return before + weight * (newest - before);
 }
 
-/* How much of a change passes. */
+/* P': the change above `least`. */
 static dlgmd_change passing(uint32_t level, number least)
 {
     return of_level(level) > least ? of_level(level) - least : 0.0f;
 }
 
-/* The share of G that is not inhibited, squared. */
+/* Square of the share of G that is not inhibited. */
 static number uninhibited(total usual, total sum)
 {
     number limit = GROWTH * usual, share = sum <= limit ? 1.0f : limit / sum;
@@ -219,7 +219,7 @@ static number larger(number a, number b)
     return a > b ? a : b;
 }
 
-/* Standard deviation of the frame, in levels. */
+/* Standard deviation of the frame, in grey levels. */
 static number deviation(const uint8_t *frame)
 {
     int32_t sum = 0;
@@ -234,7 +234,7 @@ static number deviation(const uint8_t *frame)
     return mean_of(found, shift);
 }
 
-/* Count the cells by how much they change. */
+/* Histograms of the change. */
 static void count_changes(dlgmd_state *state, const uint8_t *frame)
 {
     const uint8_t *before = state->previous;
@@ -249,7 +249,7 @@ static void count_changes(dlgmd_state *state, const uint8_t *frame)
     }
 }
 
-/* What three quarters of the cells looked at reach, in levels. */
+/* Lower quartile of the change, in grey levels. */
 static uint32_t lower_quartile(const uint32_t *counts)
 {
     uint32_t level = 0;
@@ -259,7 +259,7 @@ static uint32_t lower_quartile(const uint32_t *counts)
     return level;
 }
 
-/* See how much changes: P' by change, the threshold of S, and the share of G that is left. */
+/* Compute P' by change, the threshold of S, and return the factor for G. */
 static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *above)
 {
     number newest = deviation(frame);
@@ -301,7 +301,7 @@ static void read_row(const dlgmd_sum *s, int y, dlgmd_sum above, totals *sums)
     sums->g_row += row * (total)y;
 }
 
-/* Take a frame and sum G; false while the history is not full. */
+/* Process a frame and sum G; false while the history is not full. */
 static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 {
     dlgmd_sum above = 0;
@@ -325,7 +325,7 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 
 #if DLGMD_FIXED
 
-/* Threshold of G: all of these are in units of 1 / G_ONE. */
+/* Threshold of G. It and the next functions are in units of 1 / G_ONE. */
 static number threshold_of(uint32_t ffi)
 {
     uint64_t threshold = (uint64_t)ffi * T_DE >> T_DE_SHIFT;
@@ -342,7 +342,7 @@ static number product(number s, number ce)
     return g < G_ONE ? g : G_ONE;
 }
 
-/* To 1/4096. */
+/* In 1/4096. */
 static number rounded(number g)
 {
     return (g + (G_ONE >> 13)) / (G_ONE >> 12);
@@ -369,7 +369,7 @@ static number rounded(number g)
 
 #endif
 
-/* G of row `y` - 2, from the last four rows of S; Ce is the sum of 4 x 4 cells of it. */
+/* G of row `y` - 2, from the last four rows of S. Ce is the sum of 4 x 4 cells of S. */
 static void read_row(dlgmd_sum (*s)[WIDTH + 3], int y, number t_de, totals *sums)
 {
     const dlgmd_sum *above = s[(y + 1) & 3], *here = s[(y + 2) & 3];
@@ -394,7 +394,7 @@ static void read_row(dlgmd_sum (*s)[WIDTH + 3], int y, number t_de, totals *sums
     sums->g_row += (total)row * (total)(y - 2);
 }
 
-/* Take a frame and sum G; false while the history is not full. */
+/* Process a frame and sum G; false while the history is not full. */
 static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 {
     bool valid = state->frame >= FIRST_VALID;

@@ -2,7 +2,7 @@
 
    @costs@
 
-   Show it each picture once: it does not notice frames that merely repeat the one before. */
+   Pass each picture once: repeated frames are not detected. */
 #ifndef DLGMD_H
 #define DLGMD_H
 
@@ -11,7 +11,7 @@
 
 /* @sizes@ */
 
-/* Rows from one frame to the next in `change`; rows that are kept; and their length in bytes. */
+/* Of the ring `change`: rows from one frame to the next, rows in total, and bytes per row. */
 #define DLGMD_PERIOD (DLGMD_HEIGHT + DLGMD_RADIUS)
 #define DLGMD_ROWS (DLGMD_MAX_DELAY * DLGMD_PERIOD + 2 * DLGMD_RADIUS + 1)
 #define DLGMD_STRIDE (DLGMD_WIDTH + DLGMD_MARGIN)
@@ -30,7 +30,7 @@ typedef float dlgmd_sum;
 typedef float dlgmd_change;
 #endif
 
-/* What the model remembers. Place it where there is room, for example in a static variable. */
+/* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
 #if DLGMD_CONTRAST
 #if DLGMD_FIXED
@@ -45,22 +45,22 @@ typedef struct {
 #else
     uint32_t change_sums[DLGMD_FFI_DELAY + 1]; /* of the last frames, newest first, in levels */
 #endif
-    uint32_t frame;  /* frames seen; after four years it wraps, which is like a reset */
-    uint32_t start;  /* the row of `change` that the zeros above the next frame begin at */
-    uint32_t spikes; /* spikes in a row */
-    union { /* memory for the time of a step */
+    uint32_t frame;  /* number of frames; it wraps after years, which has the effect of a reset */
+    uint32_t start;  /* row of `change` where the zeros above the next frame begin */
+    uint32_t spikes; /* consecutive spikes */
+    union { /* used only during a step */
         struct {
             dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
 #if DLGMD_CONTRAST
             dlgmd_sum s[DLGMD_WIDTH];
 #else
-            dlgmd_sum s[4][DLGMD_WIDTH + 3]; /* the last rows of S, one cell from the left */
+            dlgmd_sum s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
 #endif
         } rows;
 #if DLGMD_CONTRAST
         struct {
-            uint32_t all[256];  /* cells by how much they changed */
-            uint32_t some[256]; /* those that the lower quartile is taken over */
+            uint32_t all[256];  /* histogram of the change of all cells */
+            uint32_t some[256]; /* of the cells that the lower quartile is taken of */
         } counts;
 #endif
     } work;
@@ -68,33 +68,33 @@ typedef struct {
     dlgmd_change passed[DLGMD_MAX_DELAY + 1][256]; /* P' by change, for each frame kept */
 #endif
     uint8_t previous[DLGMD_HEIGHT * DLGMD_WIDTH]; /* the frame before */
-    /* |L(t) - L(t-1)| of the last frames: a ring of rows, with zeros between frames and rows. Its
-       first rows stand behind the last ones again, so that neighbouring rows are neighbours. */
+    /* |L(t) - L(t-1)| of the last frames: a ring of rows, with zeros between frames and rows. The
+       first rows are repeated after the last ones, so that neighbouring rows are contiguous. */
     uint8_t change[DLGMD_MARGIN + (DLGMD_ROWS + 2 * DLGMD_RADIUS) * DLGMD_STRIDE];
 } dlgmd_state;
 
-/* The answer to one frame. All fields are 0 while `valid` is false: the history is not full yet. */
+/* The answer to one frame. All fields are 0 while `valid` is false, before the history is full. */
 typedef struct {
     bool valid;
     bool spike; /* mp_abs reaches the threshold */
-    bool alarm; /* enough spikes in a row: something is about to hit the camera */
+    bool alarm; /* enough consecutive spikes: a collision is imminent */
 #if DLGMD_FIXED
     uint32_t mp;     /* membrane potential K, in 1/4096 */
     uint16_t mp_abs; /* normalised to 0..1, in 1/32768 */
     int16_t g_x;     /* centroid of G: -1 at the left edge, 1 at the right, in 1/32768 */
-    int16_t g_y;     /* the same, from the top down; both are 0 where mp is 0 */
+    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
 #else
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
     float g_x;    /* centroid of G: -1 at the left edge, 1 at the right */
-    float g_y;    /* the same, from the top down; both are 0 where mp is 0 */
+    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
 #endif
 } dlgmd_answer;
 
-/* Forget all frames. Call it before the first frame, and where frames are missing. */
+/* Start anew. Call this before the first frame, and after missing frames. */
 void dlgmd_reset(dlgmd_state *state);
 
-/* Take the next frame, rows of grey levels from the top left corner on, and answer to it. */
+/* Process the next frame: grey levels, row by row, from the top left corner. */
 dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame);
 
 #endif

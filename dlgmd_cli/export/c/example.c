@@ -1,4 +1,4 @@
-/* Reads grey frames from standard input, one byte a cell, and prints a line of CSV for each:
+/* Reads grey frames from standard input, one byte per cell, and prints one line of CSV per frame:
    ffmpeg -i flight.mp4 -vf scale=WIDTH:HEIGHT:flags=area -f rawvideo -pix_fmt gray - | ./dlgmd */
 #include "dlgmd.h"
 

@@ -1,4 +1,4 @@
-/* Compares the answers to the frames in frames.gray with those of Python, which vectors.h has. */
+/* Compares the answers to frames.gray with those of Python in vectors.h. */
 #include "dlgmd.h"
 
 #include <stdio.h>
@@ -17,7 +17,7 @@
 #endif
 
 #ifdef BOARD_TICKS
-/* Of board.c: counts down, in 24 bits. */
+/* In board.c: a counter of 24 bits that counts down. */
 uint32_t board_ticks(void);
 #endif
 
@@ -49,7 +49,7 @@ static double apart(double a, double b)
     return a > b ? a - b : b - a;
 }
 
-/* Read the frames once and take down the answers; false if they cannot be read. */
+/* Process all frames and store the answers; false if the file cannot be read. */
 static bool play(dlgmd_answer *into, uint32_t *n_ticks)
 {
     FILE *file = fopen("frames.gray", "rb");
@@ -98,7 +98,7 @@ int main(void)
         is_again = is_again && is_same(answer, &answers[1][i]);
         first[0] = answer->alarm && i < first[0] ? i : first[0];
         first[1] = right->alarm && i < first[1] ? i : first[1];
-        /* Where little is active, its place counts little. */
+        /* The error of the centroid is weighted by how much of G is active. */
         double share = right->mp / (right->mp + HALF);
 #if DLGMD_FIXED
         double scale = right->mp + HALF;

@@ -1,0 +1,92 @@
+"""What commands share: open the input, check and lock the folder, run, warn, write, end."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli.commands.console import note_sampling, warn
+from dlgmd_cli.commands.progress import progress
+
+if TYPE_CHECKING:
+    from dlgmd_cli.commands.options import Output
+    from dlgmd_cli.results.store import Write
+    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.video.frames import Video
+    from dlgmd_cli.video.options import InputOptions
+
+
+@dataclass(frozen=True)
+class Job:
+    """An open input, and the folder of its result, which is locked.
+
+    `identity` identifies the input, see `runs.run.input_identity`. `is_new_input` says whether
+    `commit` replaces results of another input.
+    """
+
+    input_path: str
+    video: "Video"
+    options: "InputOptions"
+    folder: Path
+    record: str
+    identity: dict[str, Any]
+    is_new_input: bool
+
+    def progress(self) -> AbstractContextManager[Any]:
+        """A progress bar over the frames of the input."""
+        return progress(self.video.info.name, self.options.n_expected(self.video.info))
+
+    def warn(self, warnings: Sequence[str]) -> None:
+        """Print warnings about the input, and note which of its frames were processed."""
+        for warning in warnings:
+            warn(f"{self.input_path}: {warning}")
+        note_sampling(self.input_path, self.video, self.options.fps)
+
+    def commit(self, files: "Mapping[str, Write]") -> None:
+        """Write the result; `files` has the function that writes each file, by name."""
+        from dlgmd_cli.results import store
+
+        store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
+
+
+@contextmanager
+def job(
+    input_path: str,
+    setups: "Sequence[Setup]",
+    options: "InputOptions",
+    output: "Output",
+    record: str,
+) -> Iterator[Job]:
+    """Open an input, and check and lock the folder of its result; `record` is the result's.
+
+    Raises
+    ------
+    SourceError, ParameterError, MissingExtraError
+        If the input cannot be opened.
+    OutputExistsError
+        If the folder holds a result that may not be replaced, or another process writes there.
+    """
+    from dlgmd_cli.results import store
+    from dlgmd_cli.runs.run import input_identity, open_input
+
+    with open_input(input_path, setups, options) as video:
+        folder = store.result_folder(output.out, video.info.name)
+        identity = input_identity(video.info, input_path)
+        is_new = store.check(folder, record, identity, overwrite=output.overwrite)
+        with store.locked(folder):
+            yield Job(input_path, video, options, folder, record, identity, is_new)
+
+
+def write_files(files: "Mapping[Path, Write]", *, overwrite: bool, option: str = "--out") -> None:
+    """Write files that are no result, all or none; `option` names the place.
+
+    Raises OutputExistsError if one exists and may not be overwritten, and OutputError.
+    """
+    from dlgmd_cli.results.store import appearing, refuse_existing
+
+    for path in files:
+        refuse_existing(path, overwrite=overwrite, option=option)
+    with appearing(*files, option=option) as temporary:
+        for write, path in zip(files.values(), temporary, strict=True):
+            write(path)
