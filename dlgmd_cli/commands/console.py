@@ -9,7 +9,7 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -49,49 +49,21 @@ class Settings:
     quiet = verbose = debug = False
 
 
-def _setter(name: str) -> Any:
-    """The callback that stores a general option."""
-
-    def store(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-        if value:
-            setattr(ctx.ensure_object(Settings), name, True)
-
-    return store
+def _store(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    """Store a general option; it may be given before or after the command."""
+    if value:
+        setattr(ctx.ensure_object(Settings), str(param.name), True)
 
 
-def general_options() -> list[click.Parameter]:
-    """The options of the tool and of each of its commands."""
-    flags: tuple[tuple[str, list[str], str], ...] = (
-        ("quiet", ["-q"], "Show no progress bar and no notes."),
-        ("verbose", ["-v"], "Say what is read, and with which parameters."),
-        ("debug", [], "Show the traceback of an error."),
-    )
-    return [
-        *(
-            click.Option(
-                [*short, f"--{name}"],
-                is_flag=True,
-                expose_value=False,
-                callback=_setter(name),
-                help=text,
-            )
-            for name, short, text in flags
-        ),
-        click.Option(
-            ["-V", "--version"],
-            is_flag=True,
-            is_eager=True,
-            expose_value=False,
-            callback=_print_version,
-            help="Show the version and exit.",
-        ),
-    ]
+_flag = partial(click.option, is_flag=True, expose_value=False, callback=_store)
 
 
-def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    if value and not ctx.resilient_parsing:
-        click.echo(f"dlgmd, version {__version__}")
-        ctx.exit()
+@_flag("-q", "--quiet", help="Show no progress bar and no notes.")
+@_flag("-v", "--verbose", help="Say what is read, and with which parameters.")
+@_flag("--debug", help="Show the traceback of an error.")
+@click.version_option(__version__, "-V", "--version", prog_name="dlgmd")
+def _general() -> None:
+    """Carries the options of the tool and of each of its commands."""
 
 
 class Failed(click.ClickException):
@@ -126,19 +98,48 @@ def note_sampling(input_path: str, video: "Video", fps: float | str | None) -> N
         note(f"{input_path}: {sampling}")
 
 
-class Command(click.Command):
-    """A command with the general options, help in sections, and errors on one line.
+class _WithSections(click.Command):
+    """A command with the general options, and help in sections.
 
-    An option with the attribute `section` is listed in that section of the help.
+    An option with the attribute `section` is listed in that section.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.params += general_options()
+        self.params += reversed(_general.__click_params__)  # type: ignore[attr-defined]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections, the command's own options first."""
-        write_sections(self, ctx, formatter)
+        """Write the commands of a group, then the options in the sections of the help."""
+        if isinstance(self, click.Group):
+            self.format_commands(ctx, formatter)
+        ranks = {
+            f"--{name}": (section, rank)
+            for section, names in SECTIONS.items()
+            for rank, name in enumerate(names.split())
+        }
+        lines: dict[str, list[tuple[int, tuple[str, str]]]] = {"Options": []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is None or not isinstance(param, click.Option):
+                continue
+            section, rank = ranks.get(max(param.opts, key=len), ("Options", 0))
+            if hasattr(param, "section"):
+                section, rank = param.section, 0
+            names, text = record
+            lines.setdefault(section, []).append((rank, (names, _RANGE.sub("", text))))
+        for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
+            if lines.get(title):
+                with formatter.section(title):
+                    ordered = sorted(lines[title], key=lambda line: line[0])
+                    formatter.write_dl([record for _, record in ordered])
+
+
+class Group(_WithSections, click.Group):
+    """A group of commands."""
+
+
+class Command(_WithSections):
+    """A command whose errors are one line each."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; the error is brief if a shell has expanded a pattern."""
@@ -160,19 +161,6 @@ class Command(click.Command):
             return super().invoke(ctx)
 
 
-class Group(click.Group):
-    """A group with the general options; the help begins with the commands."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.params += general_options()
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands, then the sections of the options."""
-        self.format_commands(ctx, formatter)
-        write_sections(self, ctx, formatter)
-
-
 def _too_many(extra: list[str]) -> str:
     """The error for arguments that a command does not take."""
     n_extra = len(extra)
@@ -186,32 +174,6 @@ def _too_many(extra: list[str]) -> str:
     more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
     listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
     return f"unexpected argument{'s' * (n_extra > 1)}: {listed}{more}."
-
-
-def write_sections(
-    command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
-) -> None:
-    """Write the options of a command in the sections of the help."""
-    ranks = {
-        f"--{name}": (section, rank)
-        for section, names in SECTIONS.items()
-        for rank, name in enumerate(names.split())
-    }
-    lines: dict[str, list[tuple[int, tuple[str, str]]]] = {"Options": []}
-    for param in command.get_params(ctx):
-        record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
-        if record is None:
-            continue
-        section, rank = ranks.get(max(param.opts, key=len), ("Options", 0))
-        if hasattr(param, "section"):
-            section, rank = param.section, 0
-        names, text = record
-        lines.setdefault(section, []).append((rank, (names, _RANGE.sub("", text))))
-    for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
-        if lines.get(title):
-            with formatter.section(title):
-                ordered = sorted(lines[title], key=lambda line: line[0])
-                formatter.write_dl([record for _, record in ordered])
 
 
 @contextmanager
