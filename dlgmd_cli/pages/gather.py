@@ -3,7 +3,7 @@
 import csv
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -15,14 +15,12 @@ from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.result import Result, read_comparison, read_result
 from dlgmd_cli.runs.find import SUMMARY
 
-# Folder of a result, its name in the folder, the result, and all results of the same run.
-Entry = tuple[Path, str, Result, tuple[Result, ...]]
-
 
 @dataclass(frozen=True)
 class LabelledResult:
-    """A result and its label; `peers` are all results of the same run, including itself."""
+    """A result, its folder and label; `peers` are all results of the same run, with itself."""
 
+    folder: Path
     label: str
     result: Result
     peers: tuple[Result, ...]
@@ -57,29 +55,21 @@ def gather(paths: Sequence[Path]) -> Gathered:
     ResultError
         If a folder holds no result, or one that is damaged.
     """
-    found: list[Entry] = []
     failed: list[tuple[str, str]] = []
-    is_batch = False
+    by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
+    batches = [path for path in paths if not _has_result(path)]
     for path in paths:
-        folders = [path]
-        if not _has_result(path):
-            folders = _below(path)
-            failed += _failures(path)
-            is_batch = True
-        for folder in folders:
-            found += _read(folder)
-    by_input: dict[tuple[Any, ...], list[Entry]] = {}
-    for entry in found:
-        by_input.setdefault(_identity(entry[2]), []).append(entry)
+        for folder in _below(path) if path in batches else [path]:
+            for one in _read(folder):
+                by_input.setdefault(_identity(one.result), []).append(one)
+    for path in batches:
+        failed += _failures(path)
     inputs = []
-    places = [_place(entries[0][2]) for entries in by_input.values()]
-    for name, entries in zip(distinct_names(places), by_input.values(), strict=True):
-        results = tuple(
-            LabelledResult(label, result, peers)
-            for label, (_, _, result, peers) in zip(_labels(entries), entries, strict=True)
-        )
-        inputs.append(Input(name, entries[0][2].record["input"]["path"], results))
-    return Gathered(sorted(inputs, key=lambda one: one.name), failed, is_batch)
+    places = [_place(first.result) for first, *_ in by_input.values()]
+    for name, results in zip(distinct_names(places), by_input.values(), strict=True):
+        path = results[0].result.record["input"]["path"]
+        inputs.append(Input(name, path, _labelled(results)))
+    return Gathered(sorted(inputs, key=lambda one: one.name), failed, bool(batches))
 
 
 def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
@@ -126,18 +116,18 @@ def _below(folder: Path) -> list[Path]:
     return found
 
 
-def _read(folder: Path) -> list[Entry]:
+def _read(folder: Path) -> list[LabelledResult]:
     """Read every result in a folder."""
-    found: list[Entry] = []
+    found = []
     if (folder / store.RUN).exists() or not (folder / store.COMPARISON).exists():
         result = read_result(folder)
-        found.append((folder, _model_name(result), result, (result,)))
+        found.append(LabelledResult(folder, _model_name(result), result, (result,)))
     if (folder / store.COMPARISON).exists():
         compared = read_comparison(folder)
         peers = tuple(compared.values())
-        found += [(folder, label, result, peers) for label, result in compared.items()]
-    for _, _, result, _ in found:
-        if not isinstance((result.record.get("input") or {}).get("path"), str):
+        found += [LabelledResult(folder, *item, peers) for item in compared.items()]
+    for one in found:
+        if not isinstance((one.result.record.get("input") or {}).get("path"), str):
             raise ResultError(str(folder), "its record does not name the input", "Run again.")
     return found
 
@@ -149,17 +139,18 @@ def _model_name(result: Result) -> str:
     return str(result.record.get("preset") or result.params.model)
 
 
-def _labels(entries: Sequence[Entry]) -> list[str]:
-    """Labels of an input's results: names of models, with their folders if these are not unique."""
-    names = [name for _, name, _, _ in entries]
-    folders = list(dict.fromkeys(folder for folder, *_ in entries))
-    told = dict(zip(folders, distinct_names(folders), strict=True))
-    return numbered(
+def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
+    """The results of an input; labels that are not unique are extended by the folder."""
+    labels = [one.label for one in results]
+    folders = list(dict.fromkeys(one.folder for one in results))
+    names = dict(zip(folders, distinct_names(folders), strict=True))
+    unique = numbered(
         [
-            name if names.count(name) == 1 else f"{name} · {told[folder]}"
-            for folder, name, _, _ in entries
+            one.label if labels.count(one.label) == 1 else f"{one.label} · {names[one.folder]}"
+            for one in results
         ]
     )
+    return tuple(replace(one, label=label) for one, label in zip(results, unique, strict=True))
 
 
 def _place(result: Result) -> Path:

@@ -8,8 +8,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dlgmd_cli.plots.style import BLACK, GREY, Entries, add_legend, house_style, new_figure
-from dlgmd_cli.plots.traces import FLOOR_DB, LOOKS
+from dlgmd_cli.plots.style import (
+    BLACK,
+    FLOOR_DB,
+    GREY,
+    Entries,
+    add_legend,
+    house_style,
+    new_figure,
+)
+from dlgmd_cli.plots.traces import LOOKS
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3

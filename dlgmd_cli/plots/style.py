@@ -21,6 +21,9 @@ BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY_BLUE, BLACK = "#CC79A7", "#56B4E9", "#000000"
 GREY, LIGHT_GREY = "#666666", "#DDDDDD"
 
+# Less than a millionth of P passes: rounding error of a few cells, which would compress the axis.
+FLOOR_DB = -60.0
+
 # Width of a figure, in columns of a paper.
 Width = Literal["one", "two"]
 

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.style import (
+    FLOOR_DB,
     GREY,
     Figure,
     Width,
@@ -24,8 +25,6 @@ from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 
 _COLUMNS = {"one": 2, "two": 4}
-# Below this, the attenuation is rounding error, as in the plots of a run.
-SILENT_DB = -60.0
 _LOWEST_DB = -30.0
 # Blue below zero, nearly white at zero, red above; safe for all common kinds of colour blindness.
 _SIGNED, _UNSIGNED = "RdBu_r", "viridis"
@@ -46,7 +45,7 @@ class Measure(NamedTuple):
 
 MEASURES = {
     "attenuation_db": Measure(
-        "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-SILENT_DB:g} dB)"
+        "Attenuation", "dB", "no valid frame", f"nothing passes (< −{-FLOOR_DB:g} dB)"
     ),
     "mp_max": Measure("Peak MP", "", "no valid frame"),
     "sharpness": Measure("Sharpness", "", "no response"),
@@ -124,7 +123,7 @@ def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
     """Title, measure and values, (n_y, n_x), of each map."""
     if result.speeds_px:
         passing = result.columns["attenuation_db"]
-        passing = np.where(passing < SILENT_DB, -np.inf, passing)
+        passing = np.where(passing < FLOOR_DB, -np.inf, passing)
         return [
             (f"{speed:g} px/frame", MEASURES["attenuation_db"], values)
             for speed, values in zip(result.speeds_px, passing, strict=True)

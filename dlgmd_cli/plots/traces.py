@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from dlgmd_cli.plots.annotations import NONE, Annotations
 from dlgmd_cli.plots.style import (
     BLUE,
+    FLOOR_DB,
     GREEN,
     GREY,
     ORANGE,
@@ -29,8 +30,6 @@ from dlgmd_cli.plots.style import (
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
 
-# Less than a millionth of P passes: rounding error of a few cells, which would compress the axis.
-FLOOR_DB = -60.0
 # Least span of the vertical axis, so that rounding errors do not look like an event.
 MIN_SPAN_DB = 5.0
 # Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.

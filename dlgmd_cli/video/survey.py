@@ -150,26 +150,28 @@ def survey(
                 cancel.check()
     info, stream, done = video.info, video.stream_info, video.progress
     rates = done.frame_rates if is_video else None
+    crop, still = pixel_range.proposal()
     return Survey(
-        os.fspath(path),
-        info.width,
-        info.height,
-        done.n_decoded,
-        done.last_time_s + 1.0 / info.fps,
-        stream.fps if is_video else None,
-        rates.mean_fps if rates else None,
-        (rates.min_fps, rates.max_fps) if rates else None,
-        rates is not None and rates.varies,
-        done.n_repeats or 0,
-        n_gaps,
-        details.codec if details else stream.codec,
-        details.pixel_format if details else "",
-        details.n_bits if details else None,
-        details.is_interlaced if details else None if is_video else False,
-        info.decoder,
-        done.damage,
-        [line for line in done.warnings if line not in done.damage],
-        *pixel_range.proposal(),
+        path=os.fspath(path),
+        width=info.width,
+        height=info.height,
+        frames=done.n_decoded,
+        duration_s=done.last_time_s + 1.0 / info.fps,
+        fps_stated=stream.fps if is_video else None,
+        fps_true=rates.mean_fps if rates else None,
+        fps_range=(rates.min_fps, rates.max_fps) if rates else None,
+        is_variable=rates is not None and rates.varies,
+        repeats=done.n_repeats or 0,
+        gaps=n_gaps,
+        codec=details.codec if details else stream.codec,
+        pixel_format=details.pixel_format if details else "",
+        bits=details.n_bits if details else None,
+        is_interlaced=details.is_interlaced if details else None if is_video else False,
+        decoder=info.decoder,
+        damage=done.damage,
+        warnings=[line for line in done.warnings if line not in done.damage],
+        crop=crop,
+        still=still,
     )
 
 

@@ -84,24 +84,14 @@ def mtime(path):
 def test_a_tree_with_broken_files_in_processes_of_their_own(dlgmd, flights):
     result = dlgmd("batch", flights, *QUICK)
     assert result.exit_code == 1
-    assert sorted(result.stderr.splitlines()) == [
-        "Error: 2 of 4 videos failed; the other 2 results are in dlgmd-out. Fix or remove those 2, "
-        "then run again.",
-        "Warning: empty.mp4: failed: the file is empty. Copy or record it again.",
-        "Warning: text.mkv: failed: no frame could be decoded, damaged file or missing codec. "
-        "Try re-encoding it with ffmpeg.",
-    ]
-    assert result.stdout.splitlines()[-2:] == [
-        os.path.join("dlgmd-out", "summary.csv"),
-        "4 videos: 2 done, 2 failed, 0 with alarms.",
-    ]
-    assert statuses() == {
-        "a/deep/other.mp4": "done",
-        "a/loom.avi": "done",
-        "empty.mp4": "failed",
-        "text.mkv": "failed",
-    }
-    assert list(summary()) == sorted(summary())
+    said = dict(line.split(": ", 1) for line in sorted(result.stderr.splitlines()))
+    assert said.keys() == {"Error", "Warning"} and "2 of 4 videos failed" in said["Error"]
+    for words in ("empty.mp4: failed: the file is empty", "text.mkv: failed: no frame could be"):
+        assert f"Warning: {words}" in result.stderr
+    path, counts = result.stdout.splitlines()[-2:]
+    assert path == os.path.join("dlgmd-out", "summary.csv") and "2 done, 2 failed, 0 with" in counts
+    names = ["a/deep/other.mp4", "a/loom.avi", "empty.mp4", "text.mkv"]
+    assert list(statuses().items()) == list(zip(names, ["done"] * 2 + ["failed"] * 2, strict=True))
     results = {path.parent.as_posix() for path in Path("dlgmd-out").rglob("run.yaml")}
     assert results == {"dlgmd-out/a/loom", "dlgmd-out/a/deep/other"}
     assert not list(Path("dlgmd-out").rglob(".dlgmd*"))
@@ -217,10 +207,8 @@ def test_results_of_run_and_of_another_version_count(dlgmd, flights, here):
     dlgmd("run", flights / "a/loom.avi", "--no-plots", "--out", "dlgmd-out/a")
     edit(Path("dlgmd-out/a/loom"), "  dlgmd: ", "  dlgmd: 0.0.1.")
     result = dlgmd("batch", flights, *QUICK)
-    assert result.stderr.splitlines()[:2] == [
-        "1 of 4 videos are done already.",
-        "Warning: 1 results are from another version of dlgmd; --force processes all videos again.",
-    ]
+    first, second, *_ = result.stderr.splitlines()
+    assert first == "1 of 4 videos are done already." and "1 results are from another" in second
     assert summary()["a/loom.avi"]["wall_s"] == ""
 
 
@@ -238,10 +226,10 @@ def test_other_settings_are_not_replaced_unasked(dlgmd, flights, here):
         ((*same, "--engine", "numba"), "engine"),
     ):
         result = dlgmd("batch", flights, *QUICK, *options)
-        assert (result.exit_code, result.stderr) == (
-            2,
-            f"Error: dlgmd-out/a/deep/other: the result there has other settings ({shown}). Add "
-            "--overwrite to replace such results, or choose another --out.\n",
+        assert result.exit_code == 2 and result.stderr.count("\n") == 1
+        assert (
+            f"dlgmd-out/a/deep/other: the result there has other settings ({shown})"
+            in result.stderr
         )
         assert timeless("dlgmd-out") == before
     other = (*QUICK, "--param", "sigma_e=1.3", "--overwrite")
@@ -339,8 +327,7 @@ def test_a_dry_run_writes_nothing(dlgmd, flights, here):
     result = dlgmd(*line, "--dry-run")
     assert result.exit_code == 0 and not Path("dlgmd-out").exists()
     assert os.path.join("dlgmd-out", "set2", "a", "loom") in result.stdout
-    said = "3 videos: 3 to process, 0 done before. Nothing was written."
-    assert result.stdout.splitlines()[-1] == said
+    assert result.stdout.splitlines()[-1].startswith("3 videos: 3 to process, 0 done before")
     dlgmd(*line)
     made = {path: mtime(path) for path in Path("dlgmd-out").rglob("*")}
     facts = json.loads(dlgmd(*line, "--dry-run", "--json").stdout)
@@ -393,16 +380,9 @@ def test_usage_errors(dlgmd, flights, arguments, message):
 
 def test_nothing_to_do(dlgmd, tmp_path):
     (tmp_path / "bare").mkdir()
-    for name, why in (
-        (
-            "bare",
-            "there is no video. Give folders with .mp4, .avi, .mkv and the like, or with pictures "
-            "of one size.",
-        ),
-        ("none", "cannot be read (No such file or directory). Check the path."),
-    ):
+    for name, why in (("bare", "there is no video"), ("none", "cannot be read (No such file")):
         result = dlgmd("batch", name)
-        assert (result.exit_code, result.stderr) == (1, f"Error: {name}: {why}\n")
+        assert result.exit_code == 1 and result.stderr.startswith(f"Error: {name}: {why}")
     assert sorted(os.listdir()) == ["bare"]
 
 
@@ -430,22 +410,15 @@ def test_a_folder_that_cannot_be_read_is_a_failure(dlgmd, flights, refuse_folder
     refuse_folder("deep")
     result = dlgmd("batch", flights / "a", *QUICK)
     assert result.exit_code == 1 and statuses() == {"loom.avi": "done"}
-    assert result.stderr.splitlines() == [
-        f"Warning: {flights / 'a' / 'deep'}: this folder cannot be read (Permission denied); its "
-        "videos are left out.",
-        "Error: some folders could not be read; the results of the others are in dlgmd-out. Check "
-        "their access rights, then run again.",
-    ]
+    warning, error = result.stderr.splitlines()
+    assert f"{flights / 'a' / 'deep'}: this folder cannot be read (Permission denied)" in warning
+    assert error.startswith("Error: some folders could not be read")
 
 
 def test_a_second_batch_at_the_same_time(dlgmd, flights, here):
     with store.locked(Path("dlgmd-out")):
         result = dlgmd("batch", flights, *QUICK, "--force")
-    assert (result.exit_code, result.stderr) == (
-        2,
-        "Error: dlgmd-out: another dlgmd command is writing here. Wait for it, or choose another "
-        "--out.\n",
-    )
+    assert result.exit_code == 2 and "another dlgmd command is writing here" in result.stderr
     assert not os.path.exists("dlgmd-out")
 
 
@@ -460,8 +433,7 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
         patch.setattr(cancel, "check", check)
         result = dlgmd("batch", flights, *QUICK)
     assert result.exit_code == 130
-    said = "Interrupted. 2 of 4 videos are done; the same command continues from there."
-    assert result.stderr == f"{said}\n"
+    assert result.stderr.startswith("Interrupted. 2 of 4 videos are done")
     assert list(statuses().values()) == ["done"] * 2
     result = dlgmd("batch", flights, *QUICK)
     assert "2 of 4 videos are done already." in result.stderr and len(statuses()) == 4

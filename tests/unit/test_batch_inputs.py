@@ -224,7 +224,7 @@ def test_results_are_apart_and_within_the_tree(paths):
         assert not any(other.startswith(f"{result}/") for other in folded)
 
 
-def test_names_of_keys_in_a_bucket_that_meet_are_told_apart():
+def test_distinct_folders_for_keys_in_a_bucket():
     folders = result_folders(["a\\b/x.avi", "a_b/x.avi", "a_b/x.mp4", "/y.avi", "video/y.avi"])
     assert len(set(folders.values())) == 5
     assert not any(".." in one or one.startswith("/") or "//" in one for one in folders.values())

@@ -8,11 +8,10 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
 
-from dlgmd_cli import __version__, load_set
+from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import COMMANDS, cli
-from dlgmd_cli.parameters import MODELS, load_config, parameters_of
+from dlgmd_cli.parameters import MODELS, load_config, load_preset, parameters_of
 
 
 def test_every_command_has_help_with_an_example(dlgmd):
@@ -132,33 +131,19 @@ def test_sets_table(dlgmd):
     assert nine == ["9", "-0.1", "0.5", "0.7", "1.5", "5", "6", "1.5", "0.5", "0.0028"]
 
 
-@pytest.mark.parametrize("number", range(1, 10))
-def test_sets_show_is_a_config(dlgmd, tmp_path, number):
-    result = dlgmd("sets", "show", number)
-    assert result.exit_code == 0
+@pytest.mark.parametrize("name", [*"123456789", "flight", *(m for m in MODELS if m != "dlgmd")])
+def test_sets_show_is_a_config(dlgmd, tmp_path, name):
+    result = dlgmd("sets", "show", name)
+    assert result.exit_code == 0 and name in dlgmd("sets").stdout
     (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
-    made_for = {"width_px": 480, "model_fps": 30}
-    expected = {"model": "dlgmd", **made_for, **load_set(number).to_dict()}
-    assert yaml.safe_load(result.stdout) == expected
-    assert load_config(tmp_path / "my.yaml").values == load_set(number).to_dict()
-
-
-def test_sets_show_of_the_preset_is_the_preset(dlgmd, tmp_path):
-    result = dlgmd("sets", "show", "flight")
-    (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
-    shown, preset = load_config(tmp_path / "my.yaml"), load_config("flight")
-    assert parameters_of(shown) == parameters_of(preset) and preset.named == {"preset": "flight"}
-    assert (shown.model, shown.width_px, shown.model_fps) == (preset.model, 240, 30.0)
-    assert "flight" in dlgmd("sets").stdout
-
-
-@pytest.mark.parametrize("model", [name for name in MODELS if name != "dlgmd"])
-def test_sets_show_of_another_model_is_a_config(dlgmd, tmp_path, model):
-    result = dlgmd("sets", "show", model)
-    assert result.exit_code == 0
-    (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
-    config = load_config(tmp_path / "my.yaml")
-    assert config.model == model and config.values == MODELS[model].parameters().to_dict()
+    shown = load_config(tmp_path / "my.yaml")
+    if name in MODELS:
+        assert (shown.model, shown.values) == (name, MODELS[name].parameters().to_dict())
+        return
+    preset = load_config("flight") if name == "flight" else load_preset(name)
+    assert parameters_of(shown) == parameters_of(preset)
+    model, width_px = ("dlgmd-contrast", 240) if name == "flight" else ("dlgmd", 480)
+    assert (shown.model, shown.width_px, shown.model_fps) == (model, width_px, 30.0)
 
 
 @pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])

@@ -4,7 +4,6 @@ import json
 import os
 
 import pytest
-from conftest import looming_frames, write_video
 
 import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError
@@ -66,18 +65,6 @@ def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
     assert f"Warning: cut.avi: {warning}." in result.stderr
     facts = json.loads(dlgmd("compare", "cut.avi", "--json", "--no-plots", "--out", "b").stdout)
     assert warning in facts["warnings"]
-
-
-@pytest.mark.parametrize(
-    ("fps", "words"), [(60, "one frame in 2"), (120, "one frame in 4"), (25, "")]
-)
-def test_a_high_frame_rate_is_named(dlgmd, tmp_path, fps, words):
-    write_video(tmp_path / "fast.avi", looming_frames(24), fps=fps)
-    arguments = ["run", "fast.avi", "--no-plots"]
-    result = dlgmd(*arguments)
-    assert (words in result.stderr) and ("Note:" in result.stderr) == bool(words)
-    assert "Note:" not in dlgmd(*arguments, "--overwrite", "-q").stderr
-    assert "Note:" not in dlgmd(*arguments, "--overwrite", "--fps", "all").stderr
 
 
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):

@@ -120,27 +120,18 @@ def test_long_names_are_cut(dlgmd):
     [
         (["mp"], "Missing argument 'RESULT...'."),
         (["x", "one"], "'x' is not one of 'mp', 'attenuation', 'spikes', 'overview'."),
-        (["mp", "one", "--mark", "x"], "'x' is not FRAME:TEXT. Write 40:pitching."),
-        (["mp", "one", "one", "--label", "a"], "--label is given 1 time, for 2 results."),
-        (["mp", "one", "--label", " "], "--label: a label may not be empty."),
-        (
-            ["mp", "one", "one", "--label", "a", "--label", "a"],
-            "--label: two results may not have the same label.",
-        ),
-        (
-            ["mp", "one", "--out", "a.pdf", "--format", "png"],
-            "--out ends in .pdf, and --format says otherwise. Give one of them.",
-        ),
-        (
-            ["spikes", "one", "--normalise", "sequence"],
-            "--normalise is for mp and overview, not for spikes.",
-        ),
+        (["mp", "one", "--mark", "x"], "'x' is not FRAME:TEXT"),
+        (["mp", "one", "one", "--label", "a"], "--label is given 1 time, for 2 results"),
+        (["mp", "one", "--label", " "], "--label: a label may not be empty"),
+        (["mp", "one", "one", "--label", "a", "--label", "a"], "may not have the same label"),
+        (["mp", "one", "--out", "a.pdf", "--format", "png"], "--out ends in .pdf"),
+        (["spikes", "one", "--normalise", "sequence"], "--normalise is for mp and overview"),
     ],
 )
 def test_wrong_usage(dlgmd, arguments, message):
     make_run("one")
     result = dlgmd("plot", *arguments)
-    assert result.exit_code == 2 and result.stderr.splitlines()[-1].endswith(message)
+    assert result.exit_code == 2 and message in result.stderr.splitlines()[-1]
     assert os.listdir(".") == ["one"]
 
 

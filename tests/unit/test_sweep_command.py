@@ -64,13 +64,8 @@ def test_attenuation_is_that_of_the_paper_s_fig_11(dlgmd):
     succeed(dlgmd, "sweep", *grid, "--no-plots")
     found = [round(float(row["attenuation_db"]), 1) for row in rows(f"{CUBES}/sweep.csv")]
     assert found == [-12.8, -0.8, 1.4, 2.3]
-    assert record(CUBES)["sweep"]["cubes"] == {
-        "speeds_px": [1.0, 2.0, 3.0, 4.0],
-        "side_px": 40.0,
-        "frames": 41,
-        "width": 200,
-        "height": 150,
-    }
+    cubes = {"speeds_px": [1.0, 2.0, 3.0, 4.0], "side_px": 40.0, "frames": 41}
+    assert record(CUBES)["sweep"]["cubes"] == {**cubes, "width": 200, "height": 150}
 
 
 def test_cubes_are_what_run_says_of_their_clip(dlgmd):
@@ -173,7 +168,7 @@ def test_the_record_is_a_config(dlgmd, clips):
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
-def test_inputs_are_told_apart_by_their_files(dlgmd, clips):
+def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
     shutil.copy(clips / "loom.avi", "my.avi")
     command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--no-plots", "--jobs", 1]
     succeed(dlgmd, *command)

@@ -101,7 +101,7 @@ def test_what_is_weaker_than_30_db_looks_alike_and_the_bar_says_so():
         assert mesh(axes).colorbar.extend == ("min" if is_cut else "neither")
 
 
-def test_cells_without_a_number_are_told_apart():
+def test_cells_without_a_number_have_looks_of_their_own():
     values = [-INF, -80, NAN, NAN, -3, 2]
     figure = plot_sweep(attenuation(values, possible=[[1, 1, 1], [0, 1, 1]]))
     (axes,) = maps(figure).values()
