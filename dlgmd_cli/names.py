@@ -33,7 +33,8 @@ def input_name(path: str | os.PathLike[str], *, are_pictures: bool) -> str:
 
 def recorded_name(known: Mapping[str, Any]) -> str:
     """Name of the input that the item `input` of a record describes; it need not exist any more."""
-    return input_name(str(known.get("path", "")), are_pictures="pictures" in known)
+    path = str(known.get("path", ""))
+    return str(known.get("name") or input_name(path, are_pictures="pictures" in known))
 
 
 def numbered(names: Sequence[str]) -> list[str]:

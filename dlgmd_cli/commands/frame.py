@@ -13,16 +13,15 @@ if TYPE_CHECKING:
     from dlgmd_cli.commands.options import Output
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.setup import Setup
-    from dlgmd_cli.video.frames import Video
     from dlgmd_cli.video.options import InputOptions
+    from dlgmd_cli.video.source import Video
 
 
 @dataclass(frozen=True)
 class Job:
     """An open input, and the folder of its result, which is locked.
 
-    `identity` identifies the input, see `runs.run.input_identity`. `is_new_input` says whether
-    `commit` replaces results of another input.
+    `is_new_input` says whether `commit` replaces results of another input.
     """
 
     input_path: str
@@ -30,7 +29,6 @@ class Job:
     options: "InputOptions"
     folder: Path
     record: str
-    identity: dict[str, Any]
     is_new_input: bool
 
     def progress(self) -> AbstractContextManager[Any]:
@@ -68,14 +66,13 @@ def job(
         If the folder holds a result that may not be replaced, or another process writes there.
     """
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.run import input_identity, open_input
+    from dlgmd_cli.runs.run import open_input
 
     with open_input(input_path, setups, options) as video:
         folder = store.result_folder(output.out, video.info.name)
-        identity = input_identity(video.info, input_path)
-        is_new = store.check(folder, record, identity, overwrite=output.overwrite)
+        is_new = store.check(folder, record, video.info.identity, overwrite=output.overwrite)
         with store.locked(folder):
-            yield Job(input_path, video, options, folder, record, identity, is_new)
+            yield Job(input_path, video, options, folder, record, is_new)
 
 
 def write_files(files: "Mapping[Path, Write]", *, overwrite: bool, option: str = "--out") -> None:

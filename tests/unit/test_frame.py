@@ -15,7 +15,6 @@ def test_a_result_in_a_locked_folder(clips, tmp_path):
     arguments = [str(clips / "loom.avi"), [choose()], InputOptions(), output, store.RUN]
     with job(*arguments) as one:
         assert one.folder == tmp_path / "loom" and store.is_locked(one.folder)
-        assert one.identity["bytes"] == (clips / "loom.avi").stat().st_size
         one.commit({store.RUN: lambda path: path.write_text("{}")})
     assert [path.name for path in one.folder.iterdir()] == [store.RUN]
     with pytest.raises(OutputExistsError, match="already exists"), job(*arguments):
