@@ -48,7 +48,8 @@ class Film:
     cells than its panel has pixels, a pixel shows the strongest of its cells.
 
     `result` has a row for every frame of the film, at least one; frames have the `shape` (H, W).
-    `scales` and `units` are those of S and G; `label` names input and model.
+    `scales` and `units` are those of S and G; `label` names input and model. `panels` and `trace`
+    are the rows and columns of the pixels of input, S and G, and of the membrane potential.
     """
 
     shape = HEIGHT, WIDTH
@@ -72,8 +73,8 @@ class Film:
             self._ground = _pixels(figure)
             _draw_trace(trace, result)
             self._traced = _pixels(figure)
-        self._panels = [_box(axes) for axes in panels]
-        self._trace = _box(trace)
+        self.panels = [_box(axes) for axes in panels]
+        self.trace = _box(trace)
         levels = np.column_stack((result.time_s, np.nan_to_num(result.level)))
         places = trace.transData.transform(levels)
         places[:, 1] = HEIGHT - places[:, 1]
@@ -89,22 +90,22 @@ class Film:
         picture = self._ground.copy()
         grey = cv2.cvtColor(cv2.convertScaleAbs(luminance, alpha=255.0), cv2.COLOR_GRAY2BGR)
         images: list[Any] = [grey]
-        for box, layer, scale in zip(self._panels[1:], (s, g), self._scales, strict=True):
+        for box, layer, scale in zip(self.panels[1:], (s, g), self._scales, strict=True):
             images.append(None if layer is None else scale.painted(strongest(layer, *_size(box))))
-        for box, image in zip(self._panels, images, strict=True):
+        for box, image in zip(self.panels, images, strict=True):
             if image is not None:
                 height, width = _size(box)
                 way = cv2.INTER_AREA if image.shape[1] > width else cv2.INTER_NEAREST
                 picture[box] = cv2.resize(image, (width, height), interpolation=way)
         if g is not None:
-            mark_centroid(picture[self._panels[2]], self._result.g_x[row], self._result.g_y[row])
+            mark_centroid(picture[self.panels[2]], self._result.g_x[row], self._result.g_y[row])
         self._show_present(picture, row)
         self._write_header(picture, row)
         return picture
 
     def _show_present(self, picture: BgrImage, row: int) -> None:
         """Draw the trace up to the present, with a line and a dot at its end."""
-        rows, columns = self._trace
+        rows, columns = self.trace
         x, y = (int(place) for place in self._places[row])
         # A little wider than the axes, because of the dots at their ends.
         margin = _DOT_PX + 2

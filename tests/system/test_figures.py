@@ -159,7 +159,7 @@ def test_sizes_and_proportions(n, shape):
             if min(box.width, box.height) > 1.5:
                 assert box.width / box.height == pytest.approx(shape[1] / shape[0], rel=1e-3)
     assert all(axes.yaxis.label.get_window_extent().x0 >= 0 for axes in rows(figure))
-    labels = [*rows(figure)[0].get_xticklabels(), figure._suptitle]
+    labels = [*rows(figure)[0].get_xticklabels(), *figure.texts]
     boxes = [label.get_window_extent() for label in labels]
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
     assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)

@@ -27,42 +27,31 @@ def test_commands_and_options():
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["run", "--set", ""], [*"123456789"]),
-        (["batch", "x", "--set", "7"], ["7"]),
-        (["run", "--config", "fl"], ["flight"]),
-        (["run", "--model", "l"], ["lgmd"]),
-        (["run", "--param", "sigma_"], ["sigma_e=", "sigma_i=", "sigma_c="]),
-        (["sweep", "--x", "tau_l"], ["tau_low="]),
-        (["calibrate", "a.csv", "--search", "kap"], ["kappa="]),
-        (["synth", "group"], [f"group{number}" for number in range(1, 6)]),
-        (["sets", "l"], ["lgmd"]),
-        (["sets", "show", "dlgmd-c"], ["dlgmd-contrast"]),
-        (["plot", "ov"], ["overview"]),
-        (["completion", ""], list(SHELLS)),
+        ("run --set ", [*"123456789"]),
+        ("batch x --set 7", ["7"]),
+        ("run --config fl", ["flight"]),
+        ("run --model l", ["lgmd"]),
+        ("run --param sigma_", ["sigma_e=", "sigma_i=", "sigma_c="]),
+        ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].parameters.specs()]),
+        ("sweep --x tau_l", ["tau_low="]),
+        ("calibrate a.csv --search kap", ["kappa="]),
+        ("synth group", [f"group{number}" for number in range(1, 6)]),
+        ("sets l", ["lgmd"]),
+        ("sets show dlgmd-c", ["dlgmd-contrast"]),
+        ("plot ov", ["overview"]),
+        ("completion ", list(SHELLS)),
     ],
 )
 def test_values(words, expected):
-    assert completed(*words) == (expected, {"plain"})
+    assert completed(*words.split(" ")) == (expected, {"plain"})
 
 
-def test_keys_are_those_of_the_model():
-    keys = [f"{key}=" for key in MODELS["lgmd"].parameters.specs()]
-    assert completed("run", "--model", "lgmd", "--param", "")[0] == keys
+FILES = ("run", "batch", "compare", "layers", "sweep", "bench", "plot mp", "evaluate", "calibrate")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        *([name, "x"] for name in ("run", "batch", "compare", "layers", "sweep", "bench")),
-        *(["plot", "mp", "x"], ["evaluate", "x"], ["calibrate", "x"], ["run", "--config", "x"]),
-    ],
-    ids=" ".join,
-)
-def test_files(words):
-    assert completed(*words) == (["x"], {"file"})
-
-
-def test_folders():
+@pytest.mark.parametrize("words", [*FILES, "run --config"])
+def test_files_and_folders(words):
+    assert completed(*words.split(), "x") == (["x"], {"file"})
     assert completed("run", "x", "--out", "y") == (["y"], {"dir"})
 
 

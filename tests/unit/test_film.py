@@ -36,14 +36,14 @@ def images(value=0.0):
 
 def panel(film, picture, number, margin=3):
     """The pixels of a panel without its rim."""
-    rows, columns = film._panels[number]
+    rows, columns = film.panels[number]
     return picture[
         rows.start + margin : rows.stop - margin, columns.start + margin : columns.stop - margin
     ]
 
 
 def trace(film, picture):
-    return picture[film._trace]
+    return picture[film.trace]
 
 
 def is_colour(picture, colour, tolerance=12):
