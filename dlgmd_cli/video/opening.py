@@ -93,8 +93,8 @@ def open_video(
         The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
     mask : path, optional
-        A picture whose black pixels models ignore, see `Video.hidden`; it covers the crop, and is
-        resized if necessary.
+        A picture whose black pixels models ignore, see `Video.hidden`. One of the input's size is
+        cut by the crop; one of any other size is resized to cover the crop.
 
     Returns
     -------
