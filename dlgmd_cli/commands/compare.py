@@ -13,12 +13,11 @@ from dlgmd_cli.commands.console import (
     INFINITE_DISTINGUISHABILITY,
     Command,
     end_if_interrupted,
-    note_sampling,
     print_json,
     print_path,
     print_table,
-    warn,
 )
+from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
     engine_option,
@@ -30,7 +29,6 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.commands.plot import annotation_options
-from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.parameters import FORMULATIONS, DistributedParameters, DlgmdParameters
 
@@ -149,28 +147,21 @@ def compare(
     from dlgmd_cli.video.options import InputOptions
 
     options = InputOptions(**given)
-    with runs.open_input(input_path, setups, options) as video:
-        folder = store.result_folder(output.out, video.info.name)
-        identity = video.info.identity
-        is_new = store.check(folder, store.COMPARISON, identity, overwrite=output.overwrite)
-        with store.locked(folder):
-            with progress(video.info.name, options.n_expected(video.info)) as on_frame:
-                found = runs.run_models(video, setups, options, on_frame=on_frame)
-            found = [one.until(annotations.collision_frame) for one in found]
-            results = {one.label: result for one, result in zip(setups, found, strict=True)}
-            runs.require_response(video, setups, found, options)
-            warnings = _warnings(setups, results)
-            warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
-            for warning in warnings:
-                warn(f"{input_path}: {warning}")
-            note_sampling(input_path, video, options.fps)
-            record = _record(results, warnings, annotations)
-            column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
-            look = {"annotations": annotations, "column": column, "width": width}
-            files = _files(results, record, output, look)
-            store.commit(folder, store.COMPARISON, files, is_new_input=is_new)
-    _show(record, folder, as_json)
-    end_if_interrupted(folder, len(found[0]), complete=record["complete"])
+    with job(input_path, setups, options, output, store.COMPARISON) as one:
+        with one.progress() as on_frame:
+            found = runs.run_models(one.video, setups, options, on_frame=on_frame)
+        found = [result.until(annotations.collision_frame) for result in found]
+        results = {setup.label: result for setup, result in zip(setups, found, strict=True)}
+        runs.require_response(one.video, setups, found, options)
+        warnings = _warnings(setups, results)
+        warnings += annotations.outside(int(found[0].frame[0]), int(found[0].frame[-1]))
+        one.warn(warnings)
+        record = _record(results, warnings, annotations)
+        column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
+        look = {"annotations": annotations, "column": column, "width": width}
+        one.commit(_files(results, record, output, look))
+    _show(record, one.folder, as_json)
+    end_if_interrupted(one.folder, len(found[0]), complete=record["complete"])
 
 
 def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> list[str]:

@@ -9,12 +9,11 @@ from dlgmd_cli.commands.console import (
     Command,
     detail,
     end_if_interrupted,
-    note_sampling,
     print_json,
     print_path,
     print_table,
-    warn,
 )
+from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
     input_argument,
@@ -23,7 +22,6 @@ from dlgmd_cli.commands.options import (
     model_options,
     output_options,
 )
-from dlgmd_cli.commands.progress import progress
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
@@ -55,23 +53,16 @@ def run(
     from dlgmd_cli.runs.setup import input_options as recorded
 
     options = recorded(setup, given)
-    with runs.open_input(input_path, [setup], options) as video:
-        folder = store.result_folder(output.out, video.info.name)
-        identity = video.info.identity
-        is_new = store.check(folder, store.RUN, identity, overwrite=output.overwrite)
-        with store.locked(folder):
-            with progress(video.info.name, options.n_expected(video.info)) as on_frame:
-                (result,) = runs.run_models(video, [setup], options, on_frame=on_frame)
-            for warning in result.warnings:
-                warn(f"{input_path}: {warning}")
-            note_sampling(input_path, video, options.fps)
-            for line in details(result):
-                detail(line)
-            runs.require_response(video, [setup], [result], options)
-            files = result.files(output.formats, output.dpi)
-            store.commit(folder, store.RUN, files, is_new_input=is_new)
-    _show(result, folder, as_json)
-    end_if_interrupted(folder, len(result), complete=result.record["complete"])
+    with job(input_path, [setup], options, output, store.RUN) as one:
+        with one.progress() as on_frame:
+            (result,) = runs.run_models(one.video, [setup], options, on_frame=on_frame)
+        one.warn(result.warnings)
+        for line in details(result):
+            detail(line)
+        runs.require_response(one.video, [setup], [result], options)
+        one.commit(result.files(output.formats, output.dpi))
+    _show(result, one.folder, as_json)
+    end_if_interrupted(one.folder, len(result), complete=result.record["complete"])
 
 
 def details(result: "Result") -> list[str]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
 from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, sequence
+from dlgmd_cli.names import recorded_name
 from dlgmd_cli.parameters import MODELS, Parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
@@ -83,8 +84,7 @@ class Result:
     @property
     def name(self) -> str:
         """Name of the input."""
-        source = self.record.get("input", {})
-        return str(source.get("name") or Path(str(source.get("path", ""))).stem)
+        return recorded_name(self.record.get("input", {}))
 
     @property
     def warnings(self) -> list[str]:
