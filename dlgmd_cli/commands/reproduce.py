@@ -56,19 +56,11 @@ def reproduce(
 
     The exit code is 0 whether claims hold or not.
     """
-    from dlgmd_cli.lab.reproduce.claims import (
-        NO,
-        UNDECIDED,
-        YES,
-        counts,
-        findings,
-        load_claims,
-        select,
-    )
+    from dlgmd_cli.lab.reproduce import flights, stimuli
+    from dlgmd_cli.lab.reproduce.claims import NO, UNDECIDED, YES, counts, load_claims, select
     from dlgmd_cli.lab.reproduce.clips import check_reference
-    from dlgmd_cli.lab.reproduce.compute import EXHIBITS, compute, jobs_for
-    from dlgmd_cli.lab.reproduce.plan import ANY, Plan
-    from dlgmd_cli.lab.reproduce.report import REPORT, TABLE, require_jinja, write_report
+    from dlgmd_cli.lab.reproduce.plan import ANY, Plan, compute, needed
+    from dlgmd_cli.lab.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
     from dlgmd_cli.results.store import locked, refuse_existing
     from dlgmd_cli.threads import n_processors
 
@@ -78,24 +70,19 @@ def reproduce(
     require_jinja()
     for name in (REPORT, TABLE):
         refuse_existing(out / name, overwrite=overwrite)
-    plan = Plan(quick, reference)
-    todo = jobs_for(specs, plan)
+    plan, known = Plan(quick, reference), stimuli.EXHIBITS | flights.EXHIBITS
+    needs = needed([known[name] for name in specs], plan)
     with locked(out):
-        with progress("reproduce", len(todo), "clip") as on_job:
-            data = compute(todo, jobs or n_processors(), on_job)
-        found = {
-            name: findings(spec, EXHIBITS[name].values(plan, data)) for name, spec in specs.items()
-        }
+        with progress("reproduce", len(needs), "clip") as on_result:
+            data = compute(needs, jobs or n_processors(), on_result)
+        sections = [Section(spec, known[name].show(plan, data)) for name, spec in specs.items()]
+        report = Report(sections, inconsistencies, plan, _command(only, quick, reference))
         with progress("figures", len(specs), "figure") as on_figure:
-            command = _command(only, quick, reference)
-            paths = write_report(
-                *(out, specs, found, inconsistencies, plan, data, command, on_figure), dpi
-            )
-    every = [one for some in found.values() for one in some]
+            paths = report.write(out, dpi, on_figure)
     rows = [
         ("not about the D-LGMD" if name == ANY else name,
          *(str(count[kind]) for kind in (YES, NO, UNDECIDED)))
-        for name, count in counts(every).items()
+        for name, count in counts(report.found).items()
     ]  # fmt: skip
     print_table(("formulation", "claims hold", "do not hold", "undecided"), rows)
     for path in paths[:2]:

@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
     from dlgmd_cli.runs.sweep import Sweep, SweepInput
 
-DEFAULT_SPEEDS_PX, DEFAULT_SIDE_PX, DEFAULT_SIZE = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
-# The parameters of the paper's Fig. 11, except for those that it varies.
-FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
 
 cube_options = option_group(
@@ -61,7 +58,7 @@ cube_options = option_group(
         "cube_size",
         type=float,
         metavar="S",
-        help=f"Without INPUT: side of the cubes in px.  [default: {DEFAULT_SIDE_PX:g}]",
+        help="Without INPUT: side of the cubes in px.  [default: 40]",
     ),
     click.option(
         "--frames",
@@ -137,7 +134,7 @@ def sweep(
     grid = _grid(x, y, type(setup.params), asked)
     with ExitStack() as opened:
         if input_path is None:
-            subject = _cubes(shape, given["size"] or DEFAULT_SIZE, grid, setup.params)
+            subject = _cubes(shape, given["size"], grid, setup.params)
         else:
             options = options_of(setup, given)
             video = opened.enter_context(open_input(input_path, [setup], options))
@@ -207,6 +204,8 @@ def _setup(asked: dict[str, Any], *, sees_cubes: bool) -> "Setup":
     model = asked["model"]
     is_fig11 = sees_cubes and origin == (None, None) and model in (None, DLGMD)
     if is_fig11:
+        from dlgmd_cli.lab.stimuli.cubes import FIG_11
+
         model, overrides = DLGMD, {**FIG_11, **overrides}
     setup = choose(*origin, model, overrides, asked["formulation"], asked["engine"])
     return replace(setup, label="fig11") if is_fig11 else setup
@@ -231,13 +230,13 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
 
 
 def _cubes(
-    shape: dict[str, Any], size_wh: tuple[int, int], grid: "Grid", params: Parameters
+    shape: dict[str, Any], size_wh: tuple[int, int] | None, grid: "Grid", params: Parameters
 ) -> "SweepInput":
     """The cubes that the options ask for; clips are as high as the largest kernel needs."""
-    from dlgmd_cli.lab.stimuli.cubes import cube_input
+    from dlgmd_cli.lab.stimuli.cubes import SIDE_PX, SIZE_WH, SPEEDS_PX, cube_input
 
-    speeds_px = shape["speed"] or DEFAULT_SPEEDS_PX
-    side_px = DEFAULT_SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
+    speeds_px, size_wh = shape["speed"] or SPEEDS_PX, size_wh or SIZE_WH
+    side_px = SIDE_PX if shape["cube_size"] is None else shape["cube_size"]
     radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
     reach_px = max([*radii, getattr(params, "r", size_wh[1])])
     return cube_input(speeds_px, side_px, shape["frames"], size_wh, reach_px)

@@ -3,7 +3,7 @@
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -30,21 +30,15 @@ N_FRAMES = 120
 PAPER_SIZE_WH = (1920, 1080)
 # Table IV of [Zhao2023]: seconds for 120 frames, and distinguishability, by radius and scale;
 # 10000 stands for "more than 10000".
-_PAPER_S = {
-    6: (9.18, 2.75, 1.06, 0.75, 0.6),
-    4: (8.71, 2.54, 0.98, 0.7, 0.59),
-    3: (8.7, 2.53, 0.97, 0.67, 0.57),
-    2: (8.67, 2.49, 0.95, 0.66, 0.57),
-}
-_PAPER_DA = {
-    6: (249.33, 9789.28, 10_000.0, 10_000.0, 1354.1),
-    4: (33.44, 691.2, 4579.4, 105.33, 184.54),
-    3: (9.1, 96.75, 1227.6, 36.13, 76.06),
-    2: (3.87, 11.09, 32.29, 11.76, 18.47),
+_PAPER = {
+    6: ((9.18, 2.75, 1.06, 0.75, 0.6), (249.33, 9789.28, 10_000.0, 10_000.0, 1354.1)),
+    4: ((8.71, 2.54, 0.98, 0.7, 0.59), (33.44, 691.2, 4579.4, 105.33, 184.54)),
+    3: ((8.7, 2.53, 0.97, 0.67, 0.57), (9.1, 96.75, 1227.6, 36.13, 76.06)),
+    2: ((8.67, 2.49, 0.95, 0.66, 0.57), (3.87, 11.09, 32.29, 11.76, 18.47)),
 }
 PAPER_S, PAPER_DA = (
-    {(r, x): value for r, values in table.items() for x, value in zip(SCALES, values, strict=True)}
-    for table in (_PAPER_S, _PAPER_DA)
+    {(r, x): _PAPER[r][part][column] for r in RADII for column, x in enumerate(SCALES)}
+    for part in (0, 1)
 )
 # The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
 MAX_KEPT, N_WARM = 24, 4
@@ -61,18 +55,18 @@ def rendered_pan(n_frames: int) -> Iterator[str]:
 
 
 def measure(
-    open_at: Callable[[float], Video],
+    open_at: Callable[..., Video],
     params: DlgmdParameters,
     *,
-    radii: Sequence[int],
-    scales: Sequence[float],
-    repeats: int,
-    engine: str,
-    on_step: Callable[[int], None],
+    radii: Sequence[int] = RADII,
+    scales: Sequence[float] = SCALES,
+    repeats: int = 1,
+    engine: str = "auto",
+    on_step: Callable[[int], object] = int,
 ) -> dict[str, Any]:
     """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 
-    `open_at` opens the input at a linear scale; the radius of `params` is replaced. All times are
+    `open_at` opens the input at a linear `scale`; the radius of `params` is replaced. All times are
     medians of `repeats` measurements. `on_step` is called with the number of measurements done.
     Raises SourceError if the input has too few frames.
 
@@ -80,10 +74,10 @@ def measure(
     -------
     dict
         `frames`, `decoder`, `decoding_alone_ms` (per frame, without conversion and resizing),
-        `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `_row`.
+        `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `row`.
     """
     with ExitStack() as opened, opencv_threads(1):
-        videos = {scale: opened.enter_context(open_at(scale)) for scale in scales}
+        videos = {scale: opened.enter_context(open_at(scale=scale)) for scale in scales}
         first, combinations = videos[scales[0]], list(product(radii, scales))
         alone_ms: list[float] = []
         times_ms = defaultdict(list)
@@ -104,7 +98,9 @@ def measure(
         rows = []
         for radius, scale in combinations:
             ms = map(median, zip(*times_ms[radius, scale], strict=True))
-            rows.append(_row(radius, scale, videos[scale], engines[radius, scale], *ms))
+            times = dict(zip(("core_ms", "decode_ms", "whole_ms"), ms, strict=True))
+            video, engine = videos[scale], engines[radius, scale]
+            rows.append(row(radius, scale, video, engine, times))
         return {
             "frames": first.progress.n_decoded,
             "decoder": first.info.decoder,
@@ -115,40 +111,30 @@ def measure(
         }
 
 
-def _row(
-    radius: int,
-    scale: float,
-    video: Video,
-    engine: str,
-    core_ms: float,
-    decode_ms: float,
-    whole_ms: float,
+def row(
+    radius: int, scale: float, video: Video, engine: str, times: Mapping[str, float]
 ) -> dict[str, Any]:
     """A row of the table: median times per frame, and the paper's values, None where not given.
 
-    `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion and
-    resizing, and `whole_ms` a complete run as by `dlgmd run`. `whole_s` is a complete run of 120
-    frames, and `ratio` the speed relative to the paper. `paper_da` is the paper's
-    distinguishability, 10000 for "more than 10000".
+    Of `times`, `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion
+    and resizing, and `whole_ms` a complete run as by `dlgmd run`. `whole_s` is a complete run of
+    120 frames, `ratio` the speed relative to the paper, `paper_da` its distinguishability.
     """
-    whole_s = whole_ms * N_FRAMES / 1000.0
+    whole_s = times["whole_ms"] * N_FRAMES / 1000.0
     is_paper_s = (video.info.width, video.info.height) == PAPER_SIZE_WH
     paper_s = PAPER_S.get((radius, scale)) if is_paper_s else None
-    paper_da = PAPER_DA.get((radius, scale)) if is_paper_s else None
     return {
         "radius": radius,
         "scale": scale,
         "width": video.size_wh[0],
         "height": video.size_wh[1],
         "engine": engine,
-        "frames_per_s": 1000.0 / whole_ms,
-        "core_ms": core_ms,
-        "decode_ms": decode_ms,
-        "whole_ms": whole_ms,
+        "frames_per_s": 1000.0 / times["whole_ms"],
+        **times,
         "whole_s": whole_s,
         "paper_s": paper_s,
         "ratio": None if paper_s is None else paper_s / whole_s,
-        "paper_da": paper_da,
+        "paper_da": PAPER_DA.get((radius, scale)) if is_paper_s else None,
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.reproduce.plan import ANY, Values
+from dlgmd_cli.lab.reproduce.plan import ANY
 from dlgmd_cli.parameters import FORMULATIONS, nearest
 from dlgmd_cli.results.csv import cell, write_rows
 
@@ -140,8 +140,10 @@ def _matches(text: str, name: str) -> bool:
     return name.startswith(text) and not name[len(text) : len(text) + 1].isdigit()
 
 
-def findings(spec: ExhibitSpec, values: Values) -> list[Finding]:
-    """Each claim of an exhibit under each formulation."""
+def findings(
+    spec: ExhibitSpec, values: Mapping[str, Mapping[str, Sequence[float]]]
+) -> list[Finding]:
+    """Each claim of an exhibit under each formulation; `values` by claim and formulation."""
     return [
         Finding(claim, spec.source, formulation, tuple(values[key][formulation]))
         for key, claim in spec.claims.items()

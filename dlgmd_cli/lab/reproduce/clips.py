@@ -1,8 +1,8 @@
 """The clips on which the paper's claims are checked, and the models' responses to them."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,16 +68,6 @@ class ClipResults:
         result = next(iter(self.results.values()))
         found = result.collision_frame
         return int(result.frame[-1]) if found is None else found
-
-
-@dataclass(frozen=True)
-class Job:
-    """A call, the key of its result, and whether its time is measured."""
-
-    key: Any
-    name: str
-    call: Callable[[], Any] = field(compare=False)
-    is_timed: bool = False
 
 
 def model(name: str, formulation: str = "default", **changes: Any) -> Parameters:

@@ -1,7 +1,7 @@
 """The exhibits with flights: the figures of groups 1 to 5, and Table IV."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,6 @@ from dlgmd_cli.lab.benchmark import (
 from dlgmd_cli.lab.reproduce.clips import (
     Clip,
     ClipResults,
-    Job,
     ModelSpec,
     all_formulations,
     model,
@@ -28,23 +27,22 @@ from dlgmd_cli.lab.reproduce.clips import (
 )
 from dlgmd_cli.lab.reproduce.plan import (
     ANY,
+    TIMING,
     Data,
+    Evidence,
     Exhibit,
-    Figures,
+    Needs,
     Plan,
-    Values,
     by_formulation,
-    clip_jobs,
 )
-from dlgmd_cli.lab.reproduce.stimuli import mean_db, share_of_peak
-from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters
+from dlgmd_cli.lab.reproduce.stimuli import SIZE, mean_db, share_of_peak
+from dlgmd_cli.parameters import FORMULATIONS, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.traces import FLOOR_DB
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.video.opening import open_video
 
-SIZE = (270, 480)
-FIGURE_SEED = 0
-_SET9 = all_formulations("set9")
+_SET9, _LGMD = all_formulations("set9"), other_models("lgmd")
 _LABELS = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
 # Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
@@ -54,9 +52,9 @@ def _flight(group: int, seed: int) -> Clip:
     return Clip.of(f"group{group}", size=SIZE, seed=seed)
 
 
-def _jobs(models: dict[str, ModelSpec], groups: tuple[int, ...], plan: Plan) -> list[Job]:
-    """The jobs of the flights of some groups, one per seed."""
-    return clip_jobs(models, *(_flight(group, seed) for group in groups for seed in plan.seeds))
+def _needs(models: Mapping[str, ModelSpec], *groups: int) -> Callable[[Plan], Needs]:
+    """The models, which see the flights of some groups, one per seed."""
+    return lambda plan: {_flight(group, seed): models for group in groups for seed in plan.seeds}
 
 
 def sustained(level: Series, first: int, last: int, n_frames: int = 2) -> float:
@@ -82,6 +80,7 @@ def level_in(flight: ClipResults, label: str, name: str) -> float:
 
 
 def _flights(plan: Plan, data: Data, group: int) -> list[ClipResults]:
+    """The flights of a group; the first one is in the figures."""
     return [data[_flight(group, seed)] for seed in plan.seeds]
 
 
@@ -111,18 +110,15 @@ def _shares(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
 # --- Fig. 1 -----------------------------------------------------------------------------------
 
 
-def _fig1_values(plan: Plan, data: Data) -> Values:
+def fig1(plan: Plan, data: Data) -> Evidence:
+    """The LGMD responds to the camera's own motion."""
     flights = _flights(plan, data, 1)
-    return {
-        "fig1-pitch": {ANY: [level_in(flight, "lgmd", "pitch") for flight in flights]},
-        "fig1-accelerate": {ANY: [level_in(flight, "lgmd", "accelerate") for flight in flights]},
+    panels = [_shares("Group 1", flights[0], {"lgmd": "LGMD"})]
+    values = {
+        f"fig1-{name}": {ANY: [level_in(flight, "lgmd", name) for flight in flights]}
+        for name in ("pitch", "accelerate")
     }
-
-
-def _fig1_figures(plan: Plan, data: Data) -> Figures:
-    flight = data[_flight(1, FIGURE_SEED)]
-    panels = [_shares("Group 1", flight, {"lgmd": "LGMD"})]
-    return {"fig1": partial(plot_panels, panels, "Frame", "K / max K")}
+    return Evidence(values, {"fig1": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
 # --- Fig. 13 ----------------------------------------------------------------------------------
@@ -139,23 +135,21 @@ def _most_before(flights: list[ClipResults], label: str) -> list[float]:
     return [max(level_in(flight, label, name) for name in phases) for flight in flights]
 
 
-def _fig13a_values(plan: Plan, data: Data) -> Values:
-    values: Values = {}
+def fig13a(plan: Plan, data: Data) -> Evidence:
+    """Three models in groups 1 and 2."""
+    values: dict[str, dict[str, list[float]]] = {}
+    panels = []
     for group in (1, 2):
-        most = partial(_most_before, _flights(plan, data, group))
-        own = {f: most(f"set9/{f}") for f in FORMULATIONS}
-        values[f"fig13a-silent-group{group}"] = own
-        values[f"fig13a-lgmd-group{group}"] = {ANY: most("lgmd")}
-        values[f"fig13a-emd-group{group}"] = {ANY: most("emd-lgmd")}
-    return values
-
-
-def _fig13a_figures(plan: Plan, data: Data) -> Figures:
-    labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
-    panels = [
-        _shares(f"Group {group}", data[_flight(group, FIGURE_SEED)], labels) for group in (1, 2)
-    ]
-    return {"fig13a": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
+        flights = _flights(plan, data, group)
+        most = partial(_most_before, flights)
+        values |= {
+            f"fig13a-silent-group{group}": {f: most(f"set9/{f}") for f in FORMULATIONS},
+            f"fig13a-lgmd-group{group}": {ANY: most("lgmd")},
+            f"fig13a-emd-group{group}": {ANY: most("emd-lgmd")},
+        }
+        panels.append(_shares(f"Group {group}", flights[0], {**_LABELS, "emd-lgmd": "EMD-LGMD"}))
+    draw = partial(plot_panels, panels, "Frame", "K / max K", share_y=False)
+    return Evidence(values, {"fig13a": draw})
 
 
 def _n_active(flight: ClipResults, label: str) -> int:
@@ -164,38 +158,35 @@ def _n_active(flight: ClipResults, label: str) -> int:
     return int(np.count_nonzero(np.nan_to_num(before) > 0.0))
 
 
-def _fig13b_values(plan: Plan, data: Data) -> Values:
+def fig13b(plan: Plan, data: Data) -> Evidence:
+    """Set 9 with and without FFI-GD."""
     flights = _flights(plan, data, 1)
 
     def left(formulation: str) -> list[float]:
+        """The share of active frames that FFI-GD leaves."""
         label = f"set9/{formulation}"
         counts = [(_n_active(s, label), _n_active(s, f"{label}/no-ffi-gd")) for s in flights]
         return [kept / n if n else math.nan for kept, n in counts]
 
-    def without(formulation: str) -> list[float]:
-        return _most_before(flights, f"set9/{formulation}/no-ffi-gd")
-
-    return {"fig13b-removes": by_formulation(left), "fig13b-without": by_formulation(without)}
-
-
-def _fig13b_figures(plan: Plan, data: Data) -> Figures:
-    flight = data[_flight(1, FIGURE_SEED)]
-
     def panel(formulation: str) -> Panel:
         label = f"set9/{formulation}"
         raw = {"without FFI-GD": f"{label}/no-ffi-gd", "with FFI-GD": label}
-        curves = {shown: flight.results[of].mp for shown, of in raw.items()}
+        curves = {shown: flights[0].results[of].mp for shown, of in raw.items()}
         curves = {shown: np.where(mp > 0.0, mp, np.nan) for shown, mp in curves.items()}
-        return _panel(formulation, flight, curves)
+        return _panel(formulation, flights[0], curves)
 
     panels = [panel(f) for f in FORMULATIONS]
-    return {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)}
+    values = {
+        "fig13b-removes": by_formulation(left),
+        "fig13b-without": by_formulation(lambda f: _most_before(flights, f"set9/{f}/no-ffi-gd")),
+    }
+    return Evidence(values, {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)})
 
 
 # --- Fig. 14 ----------------------------------------------------------------------------------
 
 _FIG_14_SETS = (3, 6, 7, 8)
-_FIG_14 = all_formulations(*(f"set{n}" for n in _FIG_14_SETS)) | other_models("lgmd")
+_FIG_14 = all_formulations(*(f"set{n}" for n in _FIG_14_SETS)) | _LGMD
 _BRAKE_FRAMES = 10
 # Least level before braking, as a share of the peak, whose drop is measured.
 _TO_DROP = 0.05
@@ -208,51 +199,47 @@ def _drop(level: Series, first: int) -> float:
     return after / before if before >= _TO_DROP else math.nan
 
 
-def _fig14_values(plan: Plan, data: Data) -> Values:
+def fig14(plan: Plan, data: Data) -> Evidence:
+    """Sets 3, 6, 7 and 8 while the drone pitches and brakes."""
     flights = _flights(plan, data, 2)
 
-    def pitch(flight: ClipResults, formulation: str, *numbers: int) -> list[float]:
-        return [level_in(flight, f"set{n}/{formulation}", "pitch") for n in numbers]
+    def pitch(formulation: str, *numbers: int) -> Series:
+        """The level in the pitch of each flight (rows) with each set (columns)."""
+        labels = [f"set{n}/{formulation}" for n in numbers]
+        return np.array([[level_in(s, label, "pitch") for label in labels] for s in flights])
 
-    def order(flight: ClipResults, formulation: str) -> float:
-        most, least = max(pitch(flight, formulation, 6, 8)), min(pitch(flight, formulation, 3, 7))
-        return most / least if least > 0.0 else math.nan
+    def order(formulation: str) -> list[float]:
+        most, least = pitch(formulation, 6, 8).max(axis=1), pitch(formulation, 3, 7).min(axis=1)
+        return [a / b if b > 0.0 else math.nan for a, b in zip(most, least, strict=True)]
 
-    def worse(flight: ClipResults, formulation: str) -> float:
-        lgmd = level_in(flight, "lgmd", "pitch")
-        return max(pitch(flight, formulation, *_FIG_14_SETS)) / lgmd
+    def worse(formulation: str) -> list[float]:
+        most = pitch(formulation, *_FIG_14_SETS).max(axis=1)
+        return (most / [level_in(s, "lgmd", "pitch") for s in flights]).tolist()
 
     def drop(number: int, formulation: str) -> list[float]:
         label = f"set{number}/{formulation}"
         return [_drop(share_of_peak(s.results[label]), s.phases["decelerate"][0]) for s in flights]
 
-    values: Values = {
-        "fig14a-answers": by_formulation(lambda f: [min(pitch(s, f, 3, 7)) for s in flights]),
-        "fig14a-silent": by_formulation(lambda f: [max(pitch(s, f, 6, 8)) for s in flights]),
-        "fig14a-order": by_formulation(lambda f: [order(s, f) for s in flights]),
-        "fig14a-lgmd": by_formulation(lambda f: [worse(s, f) for s in flights]),
+    values = {
+        "fig14a-answers": by_formulation(lambda f: pitch(f, 3, 7).min(axis=1).tolist()),
+        "fig14a-silent": by_formulation(lambda f: pitch(f, 6, 8).max(axis=1).tolist()),
+        "fig14a-order": by_formulation(order),
+        "fig14a-lgmd": by_formulation(worse),
+        "fig14b-set3": by_formulation(partial(drop, 3)),
+        "fig14b-set6": by_formulation(partial(drop, 6)),
     }
-    for n in (3, 6):
-        values[f"fig14b-set{n}"] = by_formulation(partial(drop, n))
-    return values
-
-
-def _fig14_figures(plan: Plan, data: Data) -> Figures:
-    flight = data[_flight(2, FIGURE_SEED)]
-    panels = [
-        _shares(f, flight, {**{f"set{n}/{f}": f"set {n}" for n in _FIG_14_SETS}, "lgmd": "LGMD"})
-        for f in FORMULATIONS
-    ]
-    return {"fig14": partial(plot_panels, panels, "Frame", "K / max K")}
+    shown = {f: {f"set{n}/{f}": f"set {n}" for n in _FIG_14_SETS} for f in FORMULATIONS}
+    panels = [_shares(f, flights[0], {**own, "lgmd": "LGMD"}) for f, own in shown.items()]
+    return Evidence(values, {"fig14": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
 # --- Figs. 15, 16 and 17 ------------------------------------------------------------------------
 
-_FIG_15 = {**_SET9, **other_models("lgmd")}
+_FIG_15 = {**_SET9, **_LGMD}
 
 
-def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
-    """The values of Fig. 15 (group 4) or Fig. 16 (group 5)."""
+def _approach(group: int, name: str, plan: Plan, data: Data) -> Evidence:
+    """Fig. 15 (group 4) or Fig. 16 (group 5)."""
     flights = _flights(plan, data, group)
 
     def flying(flight: ClipResults, label: str) -> float:
@@ -267,45 +254,43 @@ def _approach_values(group: int, number: int, plan: Plan, data: Data) -> Values:
     def causal(flight: ClipResults, label: str) -> float:
         return sustained(np.nan_to_num(flight.results[label].mp_abs), 0, flight.collision_frame)
 
-    name = f"fig{number}"
-    return {
-        f"{name}-attenuates": by_formulation(lambda f: [flying(s, f"set9/{f}") for s in flights]),
-        f"{name}-rising": by_formulation(lambda f: [rise(s, f"set9/{f}") for s in flights]),
-        f"{name}-detects": by_formulation(
-            lambda f: [level_in(s, f"set9/{f}", "contact") for s in flights]
-        ),
-        f"{name}-causal": by_formulation(lambda f: [causal(s, f"set9/{f}") for s in flights]),
-        f"{name}-lgmd": {ANY: [level_in(s, "lgmd", "contact") for s in flights]},
-    }
+    def contact(flight: ClipResults, label: str) -> float:
+        return level_in(flight, label, "contact")
 
+    def of_set9(measure: Callable[[ClipResults, str], float]) -> dict[str, list[float]]:
+        return by_formulation(lambda f: [measure(flight, f"set9/{f}") for flight in flights])
 
-def _approach_figures(group: int, number: int, plan: Plan, data: Data) -> Figures:
-    flight = data[_flight(group, FIGURE_SEED)]
-    db = {shown: flight.results[label].attenuation_db for label, shown in _LABELS.items()}
-    db = {shown: np.maximum(values, -60.0) for shown, values in db.items()}
+    found = {shown: flights[0].results[of].attenuation_db for of, shown in _LABELS.items()}
+    db = {shown: np.maximum(values, FLOOR_DB) for shown, values in found.items()}
     panels = [
-        _shares(f"Group {group}: K / max K", flight, _LABELS),
-        _panel("Attenuation", flight, db, y_label="dB"),
+        _shares(f"Group {group}: K / max K", flights[0], _LABELS),
+        _panel("Attenuation", flights[0], db, y_label="dB"),
     ]
-    return {f"fig{number}": partial(plot_panels, panels, "Frame", "K / max K", share_y=False)}
+    values = {
+        f"{name}-attenuates": of_set9(flying),
+        f"{name}-rising": of_set9(rise),
+        f"{name}-detects": of_set9(contact),
+        f"{name}-causal": of_set9(causal),
+        f"{name}-lgmd": {ANY: [contact(flight, "lgmd") for flight in flights]},
+    }
+    draw = partial(plot_panels, panels, "Frame", "K / max K", share_y=False)
+    return Evidence(values, {name: draw})
 
 
-def _fig17_values(plan: Plan, data: Data) -> Values:
+def fig17(plan: Plan, data: Data) -> Evidence:
+    """Set 9 while the drone yaws, and at contact."""
     flights = _flights(plan, data, 3)
-    return {
+    panels = [_shares("Group 3", flights[0], _LABELS)]
+    values = {
         claim: {f: [level_in(s, f"set9/{f}", part) for s in flights] for f in FORMULATIONS}
         for claim, part in (("fig17-silent", "yaw"), ("fig17-answers", "contact"))
     }
-
-
-def _fig17_figures(plan: Plan, data: Data) -> Figures:
-    panels = [_shares("Group 3", data[_flight(3, FIGURE_SEED)], _LABELS)]
-    return {"fig17": partial(plot_panels, panels, "Frame", "K / max K")}
+    return Evidence(values, {"fig17": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
 # --- Table IV ---------------------------------------------------------------------------------
 
-_SET = "set7"
+_SET = 7
 BEST_SCALE = 0.25
 
 
@@ -314,34 +299,29 @@ def _scales(plan: Plan) -> tuple[float, ...]:
     return SCALES[1:] if plan.quick else SCALES
 
 
-def _table4_clip(plan: Plan, seed: int) -> Clip:
-    largest = _scales(plan)[0]
-    width, height = (round(side * largest) for side in PAPER_SIZE_WH)
-    return Clip.of("group2", size=(height, width), seed=seed)
+def _da_name(formulation: str, seed: int) -> str:
+    return f"table4, {formulation}, seed {seed}"
 
 
-def _table4_seeds(plan: Plan) -> tuple[int, ...]:
-    return plan.seeds[:2]
+def _point(radius: int, scale: float) -> str:
+    return f"r{radius}/x{scale:g}"
 
 
-def _point(formulation: str, radius: int, scale: float) -> str:
-    return f"{_SET}/{formulation}/r{radius}/x{scale:g}"
-
-
-def _da_jobs(plan: Plan) -> list[Job]:
-    # One job per formulation, to run in parallel: rendering the clip again costs less than a model.
-    jobs = []
-    scales = _scales(plan)
-    for seed in _table4_seeds(plan):
+def _da_needs(plan: Plan) -> Needs:
+    # One call per formulation, to run in parallel: rendering the clip again costs less than a
+    # model. Two seeds at most.
+    needs, scales = {}, _scales(plan)
+    width, height = (round(side * scales[0]) for side in PAPER_SIZE_WH)
+    for seed in plan.seeds[:2]:
+        clip = Clip.of("group2", size=(height, width), seed=seed)
         for f in FORMULATIONS:
             models = {
-                _point(f, r, x): ModelSpec(model(_SET, f, r=r), x / scales[0])
+                _point(r, x): ModelSpec(model(f"set{_SET}", f, r=r), x / scales[0])
                 for r in RADII
                 for x in scales
             }
-            clip = _table4_clip(plan, seed)
-            jobs.append(Job(("da", clip, f), f"table4, {f}", partial(run_clip, clip, models)))
-    return jobs
+            needs[_da_name(f, seed)] = partial(run_clip, clip, models)
+    return needs
 
 
 def distinguishability(flight: ClipResults, label: str) -> float:
@@ -351,41 +331,48 @@ def distinguishability(flight: ClipResults, label: str) -> float:
     return 0.0 if math.isnan(found) else found
 
 
-def da_table(plan: Plan, data: Data, formulation: str, seed: int) -> Series:
-    """DA by radius (rows) and scale (columns); infinite where the model is silent at the pitch."""
-    flight = data["da", _table4_clip(plan, seed), formulation]
-    return np.array(
-        [
-            [distinguishability(flight, _point(formulation, r, x)) for x in _scales(plan)]
-            for r in RADII
-        ]
-    )
+def table4_da(plan: Plan, data: Data) -> Evidence:
+    """The distinguishability by radius and scale, as in Table IV."""
+    scales = _scales(plan)
 
+    def da(formulation: str, seed: int) -> Series:
+        """DA by radius (rows) and scale; infinite where the model is silent at the pitch."""
+        flight = data[_da_name(formulation, seed)]
+        return np.array([[distinguishability(flight, _point(r, x)) for x in scales] for r in RADII])
 
-def _da_values(plan: Plan, data: Data) -> Values:
-    def tables(formulation: str) -> list[Series]:
-        return [da_table(plan, data, formulation, seed) for seed in _table4_seeds(plan)]
-
-    def at_best(table: Series) -> Series:
-        return table[:, _scales(plan).index(BEST_SCALE)]
+    tables = by_formulation(lambda f: [da(f, seed) for seed in plan.seeds[:2]])
+    at_best = scales.index(BEST_SCALE)
 
     def best(table: Series) -> float:
-        others = np.delete(table, _scales(plan).index(BEST_SCALE), axis=1).max(axis=1)
-        return min(_ratio(a, b) for a, b in zip(at_best(table), others, strict=True))
+        others = np.delete(table, at_best, axis=1).max(axis=1)
+        return min(map(_ratio, table[:, at_best], others))
 
     def rising(table: Series) -> float:
-        pairs = zip(table[:-1].ravel(), table[1:].ravel(), strict=True)
-        return min(_ratio(wide, narrow) for wide, narrow in pairs)
+        return min(map(_ratio, table[:-1].ravel(), table[1:].ravel()))
 
-    def of(value: Callable[[Series], float]) -> dict[str, list[float]]:
-        return by_formulation(lambda f: [value(table) for table in tables(f)])
+    def of(measure: Callable[[Series], float]) -> dict[str, list[float]]:
+        return by_formulation(lambda f: [measure(table) for table in tables[f]])
 
-    return {
+    def panel(formulation: str) -> Panel:
+        table = tables[formulation][0]
+        shown = np.where(np.isfinite(table) & (table > 0.0), table, np.nan)
+        curves = {f"r = {r}": (np.array(scales), shown[row]) for row, r in enumerate(RADII)}
+        return Panel(formulation, curves, level=1.0)
+
+    panels = [panel(f) for f in FORMULATIONS]
+    draw = partial(plot_panels, panels, "Scale", "Distinguishability DA", dots=True)
+    values = {
         "table4-da-above-1": of(lambda table: float(np.min(table))),
-        "table4-da-above-10": of(lambda table: float(np.min(at_best(table)))),
+        "table4-da-above-10": of(lambda table: float(np.min(table[:, at_best]))),
         "table4-da-best": of(best),
         "table4-da-rising": of(rising),
     }
+    rows = [
+        (r, x, PAPER_DA[r, x], *(float(tables[f][0][row, column]) for f in FORMULATIONS))
+        for row, r in enumerate(RADII)
+        for column, x in enumerate(scales)
+    ]
+    return Evidence(values, {"table4-da": partial(draw, log_x=True, log_y=True)}, rows)
 
 
 def _ratio(one: float, other: float) -> float:
@@ -397,102 +384,48 @@ def _ratio(one: float, other: float) -> float:
     return float(one / other)
 
 
-def _da_figures(plan: Plan, data: Data) -> Figures:
-    scales = np.array(_scales(plan))
-
-    def panel(formulation: str) -> Panel:
-        table = da_table(plan, data, formulation, FIGURE_SEED)
-        shown = np.where(np.isfinite(table) & (table > 0.0), table, np.nan)
-        curves = {f"r = {r}": (scales, shown[row]) for row, r in enumerate(RADII)}
-        return Panel(formulation, curves, level=1.0)
-
-    panels = [panel(f) for f in FORMULATIONS]
-    draw = partial(plot_panels, panels, "Scale", "Distinguishability DA", dots=True)
-    return {"table4-da": partial(draw, log_x=True, log_y=True)}
-
-
 _CORNERS = ((6, 1.0), (6, 0.25), (2, 0.02))
 
 
-def _time_jobs(plan: Plan) -> list[Job]:
-    return [
-        Job(("time", f), f"timing, {f}", partial(time_model, f, plan.quick), is_timed=True)
-        for f in FORMULATIONS
-    ]
+def _time_needs(plan: Plan) -> Needs:
+    return {f"{TIMING}, {f}": partial(time_model, f, quick=plan.quick) for f in FORMULATIONS}
 
 
-def time_model(formulation: str, quick: bool) -> list[dict[str, Any]]:
+def time_model(formulation: str, *, quick: bool) -> list[dict[str, Any]]:
     """The rows of `dlgmd bench`; if `quick`, only three combinations of radius and scale."""
-    params = model(_SET, formulation)
-    assert isinstance(params, DlgmdParameters)
-    n_frames = 24 if quick else 48
-    rows = []
-    with rendered_pan(n_frames) as path:
-        points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
+    params, rows = load_set(_SET, formulation=formulation), []
+    points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
+    with rendered_pan(24 if quick else 48) as path:
         for radii, scales in points:
-            found = measure(
-                lambda scale: open_video(path, scale=scale),
-                params,
-                radii=radii,
-                scales=scales,
-                repeats=1,
-                engine="auto",
-                on_step=lambda done: None,
-            )
+            open_at = partial(open_video, path)
+            found = measure(open_at, params, radii=radii, scales=scales, repeats=1)
             rows += found["rows"]
     return rows
 
 
-def _time_values(plan: Plan, data: Data) -> Values:
-    def ratio(formulation: str) -> list[float]:
-        rows = data["time", formulation]
-        return [min(PAPER_S[row["radius"], row["scale"]] / row["whole_s"] for row in rows)]
+def table4_time(plan: Plan, data: Data) -> Evidence:
+    """The computing times by radius and scale, as in Table IV."""
+    timed = by_formulation(lambda f: data[f"{TIMING}, {f}"])
 
-    return {"table4-time": by_formulation(ratio)}
+    def paper_s(row: Mapping[str, Any]) -> float:
+        return PAPER_S[row["radius"], row["scale"]]
 
-
-def da_rows(plan: Plan, data: Data) -> list[tuple[float, ...]]:
-    """Radius, scale, the paper's DA, and our DA for each formulation; empty if not computed."""
-    if ("da", _table4_clip(plan, FIGURE_SEED), FORMULATIONS[0]) not in data:
-        return []
-    tables = [da_table(plan, data, f, FIGURE_SEED) for f in FORMULATIONS]
-    return [
-        (r, x, PAPER_DA[r, x], *(float(table[row, column]) for table in tables))
-        for row, r in enumerate(RADII)
-        for column, x in enumerate(_scales(plan))
+    values = by_formulation(lambda f: [min(paper_s(row) / row["whole_s"] for row in timed[f])])
+    rows = [
+        (same[0]["radius"], same[0]["scale"], paper_s(same[0]), *(one["whole_s"] for one in same))
+        for same in zip(*timed.values(), strict=True)
     ]
+    return Evidence({"table4-time": values}, table=rows)
 
 
-def time_rows(data: Data) -> list[tuple[float, ...]]:
-    """Radius, scale, the paper's time in s, and ours for each formulation; empty if not timed."""
-    timed = [data["time", f] for f in FORMULATIONS if ("time", f) in data]
-    return [
-        (
-            r["radius"],
-            r["scale"],
-            PAPER_S[r["radius"], r["scale"]],
-            *(one["whole_s"] for one in same),
-        )
-        for same in zip(*timed, strict=True)
-        for r in same[:1]
-    ]
-
-
-EXHIBITS = (
-    Exhibit("fig1", partial(_jobs, other_models("lgmd"), (1,)), _fig1_values, _fig1_figures),
-    Exhibit("fig13a", partial(_jobs, _FIG_13, (1, 2)), _fig13a_values, _fig13a_figures),
-    Exhibit("fig13b", partial(_jobs, _FIG_13B, (1,)), _fig13b_values, _fig13b_figures),
-    Exhibit("fig14", partial(_jobs, _FIG_14, (2,)), _fig14_values, _fig14_figures),
-    *(
-        Exhibit(
-            f"fig{number}",
-            partial(_jobs, _FIG_15, (group,)),
-            partial(_approach_values, group, number),
-            partial(_approach_figures, group, number),
-        )
-        for group, number in ((4, 15), (5, 16))
-    ),
-    Exhibit("fig17", partial(_jobs, _FIG_15, (3,)), _fig17_values, _fig17_figures),
-    Exhibit("table4-da", _da_jobs, _da_values, _da_figures),
-    Exhibit("table4-time", _time_jobs, _time_values, lambda plan, data: {}),
-)
+EXHIBITS = {
+    "fig1": Exhibit(_needs(_LGMD, 1), fig1),
+    "fig13a": Exhibit(_needs(_FIG_13, 1, 2), fig13a),
+    "fig13b": Exhibit(_needs(_FIG_13B, 1), fig13b),
+    "fig14": Exhibit(_needs(_FIG_14, 2), fig14),
+    "fig15": Exhibit(_needs(_FIG_15, 4), partial(_approach, 4, "fig15")),
+    "fig16": Exhibit(_needs(_FIG_15, 5), partial(_approach, 5, "fig16")),
+    "fig17": Exhibit(_needs(_FIG_15, 3), fig17),
+    "table4-da": Exhibit(_da_needs, table4_da),
+    "table4-time": Exhibit(_time_needs, table4_time),
+}

@@ -1,23 +1,25 @@
-"""The plan of a report, and the interface of an exhibit: its jobs, values and figures."""
+"""The plan of a report: what its exhibits need, how that is computed, and what they show."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.lab.reproduce.clips import Clip, Job, ModelSpec, run_clip
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import WorkerError
+from dlgmd_cli.lab.reproduce.clips import Clip, run_clip
 from dlgmd_cli.parameters import FORMULATIONS
+from dlgmd_cli.pool import run_tasks
 
 # Replaces the formulation of claims that are not about the D-LGMD.
 ANY = "any"
+# Calls whose names begin with this are timed, and have the machine to themselves.
+TIMING = "timing"
 
-# Results of the jobs, by their keys.
+# For a clip, the models that see it, by label; for a name, a call without arguments.
+Needs = dict[Any, Any]
+# The results, by the same clips and names.
 Data = Mapping[Any, Any]
-# Claim -> formulation -> one value per seed; NaN where it is undefined.
-Values = dict[str, dict[str, list[float]]]
-# File name without suffix -> the function that draws the figure.
-Figures = dict[str, Callable[[], Any]]
 
 
 @dataclass(frozen=True)
@@ -34,33 +36,78 @@ class Plan:
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What an exhibit shows.
+
+    Attributes
+    ----------
+    values : dict
+        Claim -> formulation -> one value per seed; NaN where it is undefined.
+    figures : dict
+        File name without suffix -> function that draws the figure.
+    table : sequence of tuple
+        Rows of Table IV: radius, scale, the paper's value, and ours for each formulation.
+    """
+
+    values: dict[str, dict[str, list[float]]]
+    figures: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
+    table: list[tuple[float, ...]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class Exhibit:
-    """A figure or table of the paper: the jobs it needs, and how its values and figures follow."""
+    """A figure or table of the paper: what it needs, and what it shows once that is computed."""
 
-    id: str
-    jobs: Callable[[Plan], list[Job]]
-    values: Callable[[Plan, Data], Values]
-    figures: Callable[[Plan, Data], Figures]
+    needs: Callable[[Plan], Needs]
+    show: Callable[[Plan, Data], Evidence]
 
 
-def clip_jobs(models: Mapping[str, ModelSpec], *clips: Clip) -> list[Job]:
-    """One job per clip, which renders it and runs the models over it."""
-    return [Job(clip, clip.scene, partial(run_clip, clip, models)) for clip in clips]
-
-
-def by_formulation(value: Callable[[str], list[float]]) -> dict[str, list[float]]:
+def by_formulation(value: Callable[[str], Any]) -> dict[str, Any]:
     """The values for each formulation."""
     return {formulation: value(formulation) for formulation in FORMULATIONS}
 
 
-def merged(jobs: list[Job]) -> list[Job]:
-    """Each job once; jobs with the same clip become one, with the models of all."""
-    found: dict[Any, Job] = {}
-    for job in jobs:
-        before = found.get(job.key)
-        if before is None or not isinstance(job.key, Clip):
-            found[job.key] = job
-            continue
-        models = {**before.call.args[1], **job.call.args[1]}  # type: ignore[attr-defined]
-        (found[job.key],) = clip_jobs(models, job.key)
-    return list(found.values())
+def needed(exhibits: Iterable[Exhibit], plan: Plan) -> Needs:
+    """What exhibits need, each once: a clip is rendered once for all models. Timed calls last."""
+    found: Needs = {}
+    for exhibit in exhibits:
+        for key, need in exhibit.needs(plan).items():
+            found[key] = {**found.get(key, {}), **need} if isinstance(key, Clip) else need
+    return dict(sorted(found.items(), key=lambda item: _is_timed(item[0])))
+
+
+def compute(needs: Needs, n_processes: int, on_result: Callable[[int, str], None]) -> Data:
+    """Compute what is needed in several processes; what is timed, alone in this one.
+
+    `on_result` is called with the number of results and the name of the last. Raises Interrupted if
+    the user asks to stop, and passes on the exceptions of a call.
+    """
+    data: dict[Any, Any] = {}
+    shared = [item for item in needs.items() if not _is_timed(item[0])]
+    if n_processes > 1 and len(shared) > 1:
+        for (key, _), outcome in run_tasks(_result, shared, min(n_processes, len(shared))):
+            if isinstance(outcome.error, WorkerError):
+                raise WorkerError(_name(key), outcome.error.why, outcome.error.mend)
+            data[key] = outcome.result()
+            on_result(len(data), _name(key))
+    for key, need in needs.items():
+        if key not in data:
+            cancel.check()
+            data[key] = _result((key, need))
+            on_result(len(data), _name(key))
+    cancel.check()
+    return data
+
+
+def _result(item: tuple[Any, Any]) -> Any:
+    """Compute one need."""
+    key, need = item
+    return run_clip(key, need) if isinstance(key, Clip) else need()
+
+
+def _name(key: Any) -> str:
+    return key.scene if isinstance(key, Clip) else str(key)
+
+
+def _is_timed(key: Any) -> bool:
+    return _name(key).startswith(TIMING)

@@ -1,9 +1,10 @@
 """The report: one self-contained HTML page, its figures, and `claims.csv`."""
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,11 @@ from dlgmd_cli.lab.reproduce.claims import (
     ExhibitSpec,
     Finding,
     counts,
+    findings,
     write_claims,
 )
 from dlgmd_cli.lab.reproduce.clips import model
-from dlgmd_cli.lab.reproduce.compute import EXHIBITS
-from dlgmd_cli.lab.reproduce.flights import da_rows, time_rows
-from dlgmd_cli.lab.reproduce.plan import ANY, Data, Plan
+from dlgmd_cli.lab.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.record import versions
@@ -45,89 +45,78 @@ def require_jinja() -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """An exhibit in the report: its texts, its findings, and its figures as base64 PNG by name."""
+    """An exhibit in the report: its texts, and what it shows."""
 
     spec: ExhibitSpec
-    found: Sequence[Finding]
-    pictures: Mapping[str, str]
+    evidence: Evidence
+
+    @property
+    def found(self) -> list[Finding]:
+        """The finding about each claim and formulation."""
+        return findings(self.spec, self.evidence.values)
+
+    @property
+    def by_claim(self) -> list[list[Finding]]:
+        """The findings grouped by claim."""
+        return [list(some) for _, some in groupby(self.found, lambda one: one.claim.id)]
 
 
-def write_report(
-    folder: Path,
-    specs: Mapping[str, ExhibitSpec],
-    found: Mapping[str, Sequence[Finding]],
-    inconsistencies: Sequence[str],
-    plan: Plan,
-    data: Data,
-    command: str,
-    on_figure: Callable[[int], None],
-    dpi: int,
-) -> list[Path]:
-    """Write the figures as PNG and PDF, then `claims.csv`, then the report; returns their paths.
+@dataclass(frozen=True)
+class Report:
+    """All sections, what the paper contradicts itself in, and the command that repeats this."""
 
-    The path of the report comes first. An earlier report is removed at the start, so that a report
-    always belongs to the files beside it. Raises OutputError.
-    """
-    sections, paths = [], []
-    with writing(folder):
-        (folder / REPORT).unlink(missing_ok=True)
-        for name, spec in specs.items():
-            pictures = {}
-            for stem, draw in EXHIBITS[name].figures(plan, data).items():
-                figure = draw()
-                for suffix in ("png", "pdf"):
-                    path = folder / f"{stem}.{suffix}"
-                    write_file(path, partial(save_figure, figure, dpi=dpi))
-                    paths.append(path)
-                png = (folder / f"{stem}.png").read_bytes()
-                pictures[stem] = base64.b64encode(png).decode()
-            sections.append(Section(spec, found[name], pictures))
-            on_figure(len(sections))
-        every = [one for some in found.values() for one in some]
-        write_file(folder / TABLE, lambda file: write_claims(file, every))
-        html = page(sections, inconsistencies, plan, data, command)
-        write_file(folder / REPORT, lambda file: file.write_text(html, encoding="utf-8"))
-    return [folder / REPORT, folder / TABLE, *paths]
+    sections: Sequence[Section]
+    inconsistencies: Sequence[str]
+    plan: Plan
+    command: str
 
+    @property
+    def found(self) -> list[Finding]:
+        """The findings of all sections."""
+        return [one for section in self.sections for one in section.found]
 
-def page(
-    sections: Sequence[Section],
-    inconsistencies: Sequence[str],
-    plan: Plan,
-    data: Data,
-    command: str,
-) -> str:
-    """The report as HTML; every text is escaped."""
-    jinja2 = require_jinja()
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["number"] = number
-    template = environment.from_string(TEMPLATE.read_text("utf-8"))
-    every = [one for section in sections for one in section.found]
-    return str(
-        template.render(
-            sections=sections,
-            by_claim=_by_claim,
-            inconsistencies=inconsistencies,
-            plan=plan,
-            command=command,
-            formulations=FORMULATIONS,
-            any=ANY,
-            counts=counts(every),
-            words=_WORDS,
-            marks=_MARKS,
-            parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
-            tables={"table4-time": time_rows(data), "table4-da": da_rows(plan, data)},
-            versions=versions(),
+    def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
+        """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
+
+        The path of the page comes first. An earlier page is removed at the start, so that a page
+        always belongs to the files beside it. Raises OutputError.
+        """
+        paths = [folder / REPORT, folder / TABLE]
+        with writing(folder):
+            (folder / REPORT).unlink(missing_ok=True)
+            for number, section in enumerate(self.sections, start=1):
+                for stem, draw in section.evidence.figures.items():
+                    figure = draw()
+                    for suffix in ("png", "pdf"):
+                        paths.append(folder / f"{stem}.{suffix}")
+                        write_file(paths[-1], partial(save_figure, figure, dpi=dpi))
+                on_figure(number)
+            write_file(folder / TABLE, lambda file: write_claims(file, self.found))
+            html = self.html(folder)
+            write_file(folder / REPORT, lambda file: file.write_text(html, encoding="utf-8"))
+        return paths
+
+    def html(self, folder: Path) -> str:
+        """The page, with the figures in a folder; every text is escaped."""
+        jinja2 = require_jinja()
+        environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+        environment.filters["number"] = number
+        template = environment.from_string(TEMPLATE.read_text("utf-8"))
+        return str(
+            template.render(
+                **vars(self),
+                picture=lambda stem: base64.b64encode(
+                    (folder / f"{stem}.png").read_bytes()
+                ).decode(),
+                formulations=FORMULATIONS,
+                any=ANY,
+                counts=counts(self.found),
+                words=_WORDS,
+                marks=_MARKS,
+                parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
+                versions=versions(),
+            )
         )
-    )
-
-
-def _by_claim(found: Sequence[Finding]) -> list[list[Finding]]:
-    """The findings grouped by claim."""
-    by_id: dict[str, list[Finding]] = {}
-    for one in found:
-        by_id.setdefault(one.claim.id, []).append(one)
-    return list(by_id.values())
 
 
 def number(value: float) -> str:

@@ -8,6 +8,11 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
 from dlgmd_cli.runs.sweep import SweepInput
 
+# The paper's Fig. 11: its parameters (no latency, a = 1.5 and r = 4, say comments in the paper's
+# source), except for those that it varies; speeds in px/frame, side of the cubes in px, and frames.
+FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
+SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
+
 
 def cube_input(
     speeds_px: Sequence[float],

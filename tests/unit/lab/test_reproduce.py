@@ -10,7 +10,7 @@ import pytest
 
 from dlgmd_cli.commands.app import cli
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.reproduce import clips, compute, flights, stimuli
+from dlgmd_cli.lab.reproduce import clips, flights, stimuli
 from dlgmd_cli.lab.reproduce.claims import (
     COLUMNS,
     NO,
@@ -24,12 +24,13 @@ from dlgmd_cli.lab.reproduce.claims import (
     select,
 )
 from dlgmd_cli.lab.reproduce.clips import Clip, ModelSpec, all_formulations, model, other_models
-from dlgmd_cli.lab.reproduce.plan import Plan, clip_jobs, merged
-from dlgmd_cli.lab.reproduce.report import Section, number, page
+from dlgmd_cli.lab.reproduce.plan import TIMING, Evidence, Exhibit, Plan, compute, needed
+from dlgmd_cli.lab.reproduce.report import Report, Section, number
 from dlgmd_cli.parameters import FORMULATIONS
 
 NAN = math.nan
 SPECS, INCONSISTENCIES = load_claims()
+EXHIBITS = stimuli.EXHIBITS | flights.EXHIBITS
 
 
 def found(values, holds="at least", threshold=1.0):
@@ -57,7 +58,7 @@ def test_a_claim_holds_if_it_does_for_the_worst_seed(values, holds, value, verdi
 
 
 def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
-    assert set(SPECS) == set(compute.EXHIBITS)
+    assert set(SPECS) == set(EXHIBITS)
     assert len(INCONSISTENCIES) >= 4
     ids = [key for spec in SPECS.values() for key in spec.claims]
     assert len(ids) == len(set(ids))
@@ -110,17 +111,23 @@ def test_levels_that_are_held():
 
 def test_clips_are_rendered_once_for_all_their_models():
     clip = Clip.of("looming-cube", size=(30, 40))
-    jobs = merged(
-        [*clip_jobs(other_models("lgmd"), clip), *clip_jobs(all_formulations("set3"), clip)]
-    )
-    found = jobs[0].call()
-    assert len(jobs) == 1 and set(found.results) == {"lgmd", *all_formulations("set3")}
+    order = []
+    exhibits = [
+        Exhibit(lambda plan: {f"{TIMING}, x": lambda: order.append("timed")}, None),
+        Exhibit(lambda plan: {clip: other_models("lgmd"), "more": lambda: plan.quick}, None),
+        Exhibit(lambda plan: {clip: all_formulations("set3")}, None),
+    ]
+    needs = needed(exhibits, Plan(quick=True))
+    data = compute(needs, 1, lambda n, name: order.append(name))
+    assert order == ["looming-cube", "more", "timed", f"{TIMING}, x"] and data["more"]
+    results = data[clip].results
+    assert set(results) == {"lgmd", *all_formulations("set3")}
     assert np.array_equal(
-        found.results["set3/default"].mp,
+        results["set3/default"].mp,
         clips.run_clip(clip, {"x": ModelSpec(model("set3"))}).results["x"].mp,
         equal_nan=True,
     )
-    assert stimuli.onset(found.results["lgmd"]) > 0 and found.truth["frame"][-1] == 74
+    assert stimuli.onset(results["lgmd"]) > 0 and data[clip].truth["frame"][-1] == 74
 
 
 def test_boxes_hold_the_objects_of_fig_8():
@@ -138,8 +145,9 @@ def test_boxes_hold_the_objects_of_fig_8():
 def test_texts_are_escaped():
     claim = Claim("c", "<i>a</i>", "<b>", 1.0, "above", "<u>", "<s>")
     spec = ExhibitSpec("fig1", "<script>", "&", "<img>", ["dlgmd run '<x>'"], {"c": claim})
-    section = Section(spec, [Finding(claim, "&", f, (0.5, 2.0)) for f in FORMULATIONS], {})
-    html = page([section], ["<em>"], Plan(quick=True), {}, "dlgmd --out '<y>'")
+    evidence = Evidence({"c": {f: [0.5, 2.0] for f in FORMULATIONS}})
+    report = Report([Section(spec, evidence)], ["<em>"], Plan(quick=True), "dlgmd --out '<y>'")
+    html = report.html(None)
     for raw in ("<i>", "<script>", "<img>", "<x>", "<u>", "<s>", "<em>", "<y>"):
         assert raw not in html
     assert html.count("1 of 2 seeds") == 3 and "&lt;script&gt;" in html
