@@ -1,6 +1,8 @@
 """`dlgmd calibrate`: find the parameters that announce labelled collisions best, as a preset."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +19,7 @@ from dlgmd_cli.commands.console import (
     say,
     warn,
 )
-from dlgmd_cli.commands.evaluate import (
-    raise_failed,
-    require_some,
-    rule_options,
-    run_over,
-)
+from dlgmd_cli.commands.evaluate import labels_argument, rule_options, scored
 from dlgmd_cli.commands.options import (
     complete_key,
     input_options,
@@ -36,14 +33,11 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import printable
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment
+    from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment, Trial
     from dlgmd_cli.lab.evaluation.cases import Case
-    from dlgmd_cli.lab.evaluation.crossvalidation import Rules
     from dlgmd_cli.lab.evaluation.measures import Scores
-    from dlgmd_cli.lab.evaluation.scoring import Signal
     from dlgmd_cli.lab.evaluation.search import Range, Search
     from dlgmd_cli.runs.setup import Setup
-    from dlgmd_cli.video.options import InputOptions
 
 _SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
 # Options that a preset keeps: how a frame is prepared, not which part of a video is read.
@@ -54,7 +48,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
     cls=Command,
     epilog="Example: dlgmd calibrate flights/labels.csv --set 3 --search sigma_i=1:5 --out best",
 )
-@click.argument("labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path))
+@labels_argument
 @model_options
 @input_options
 @rule_options
@@ -123,59 +117,53 @@ def calibrate(
 
     Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
-    from dlgmd_cli.lab.evaluation.calibration import Experiment, calibrate_thresholds
-    from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases
-    from dlgmd_cli.lab.evaluation.crossvalidation import Rules
-    from dlgmd_cli.lab.evaluation.search import parse_ranges
+    from dlgmd_cli.lab.evaluation import calibration
+    from dlgmd_cli.lab.evaluation.cases import read_cases, run_cases
+    from dlgmd_cli.lab.evaluation.search import Search, parse_ranges
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.setup import input_options as recorded
-    from dlgmd_cli.threads import n_processors
 
     if given.get("normalise") == "sequence":
         raise click.UsageError("--normalise sequence leaves no threshold to calibrate.")
     if not name.strip(". ") or Path(name).name != name:
         raise click.UsageError(f"--name: {printable(name)!r} is not the name of a file.")
     options = recorded(setup, given)
-    wanted = Rules(rules["horizon_s"], rules["max_false_per_min"], folds)
+    wanted = calibration.Rules(rules["horizon_s"], rules["max_false_per_min"], folds)
     ranges = parse_ranges(searched, setup.params)
     path = Path(out) / f"{name}.yaml"
     store.refuse_existing(path, overwrite=overwrite)
     cases = read_cases(labels_path)
-    with store.locked(Path(out)):
+    with ExitStack() as opened:
+        opened.enter_context(store.locked(Path(out)))
         search = None
         if ranges:
-            search = _open_search(setup, options, wanted, ranges, cases, Path(out), overwrite)
-        evaluation = Evaluation(baselines=False)
-        failed = run_over(evaluation, cases, [setup], options, jobs)
-        require_some(evaluation, labels_path)
+            asked = {
+                "cases": [[case.name, *case.collisions] for case in cases],
+                "rules": asdict(wanted),
+                "ranges": {key: one.text() for key, one in ranges.items()},
+                "model": setup.settings(),
+                "options": options.to_record(),
+            }
+            search = Search(Path(out), ranges, asked, overwrite=overwrite)
+            opened.callback(search.close)
+        found = run_cases(cases, [setup], options, jobs)
+        evaluation = opened.enter_context(scored(labels_path, cases, found))
         _require_collisions(evaluation.cases, labels_path)
-        experiment = Experiment(
-            setup, options, wanted, tuple(evaluation.cases), jobs or n_processors()
-        )
-        signals = [
-            evaluation.candidates[setup.label].signals[case.name] for case in evaluation.cases
-        ]
-        if search is None:
-            found = calibrate_thresholds(experiment, signals)
-        else:
-            found = _run_search(experiment, signals, search, n_trials)
-        text = _preset(found, experiment, labels_path.name, ranges, n_trials)
+        experiment = calibration.Experiment(setup, options, wanted, tuple(evaluation.cases), jobs)
+        trials = [] if search is None else _trials(experiment, search, n_trials)
+        result = calibration.calibrate(experiment, evaluation.signals(setup.label), trials)
+        text = _preset(result, experiment, labels_path.name, ranges, n_trials)
         with store.appearing(path) as (file,):
             file.write_text(text, encoding="utf-8")
-    if as_json:
-        print_json({"preset": str(path), **_facts(found, failed)})
-    else:
-        _show(found, experiment)
-        print_path(path)
-    raise_failed(failed, len(cases))
+        if as_json:
+            print_json({"preset": str(path), **_facts(result), "failed": evaluation.failed})
+        else:
+            _show(result, experiment)
+            print_path(path)
 
 
-def _run_search(
-    experiment: "Experiment", signals: "list[Signal]", search: "Search", n_trials: int
-) -> "Calibration":
-    """Run the missing trials of a search, and calibrate by the best."""
-    from dlgmd_cli.lab.evaluation.calibration import calibrate_by_search
-
+def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[Trial]":
+    """Run the missing trials of a search; returns all."""
     n_done = len(search)
     if n_done:
         say(f"{n_done} trials are done already.")
@@ -183,39 +171,13 @@ def _run_search(
         with progress("calibrate", n_trials, "trial") as advance:
             for n_done in search.run(n_trials, experiment.setup, experiment.choose):
                 advance(n_done)
-        trials = search.trials()
     except (cancel.Interrupted, KeyboardInterrupt):
         say(f"{n_done} of {n_trials} trials are done; the same command continues from there.")
         raise
-    finally:
-        search.close()
+    trials = search.trials()
     if not trials:
         raise Failed("no trial had a valid combination of parameters.", EXIT_FAILED)
-    return calibrate_by_search(experiment, signals, trials)
-
-
-def _open_search(
-    setup: "Setup",
-    options: "InputOptions",
-    rules: "Rules",
-    ranges: "Mapping[str, Range]",
-    cases: "Sequence[Case]",
-    out: Path,
-    overwrite: bool,
-) -> "Search":
-    """Open the search in a folder, or begin one."""
-    from dataclasses import asdict
-
-    from dlgmd_cli.lab.evaluation.search import Search
-
-    asked = {
-        "cases": [[case.name, *case.collisions] for case in cases],
-        "rules": asdict(rules),
-        "ranges": {key: one.text() for key, one in ranges.items()},
-        "model": setup.settings(),
-        "options": options.to_record(),
-    }
-    return Search(out, ranges, asked, overwrite=overwrite)
+    return trials
 
 
 def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
@@ -268,7 +230,7 @@ def _sentence(scores: "Scores") -> str:
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
 
 
-def _facts(found: "Calibration", failed: Mapping[str, str]) -> dict[str, Any]:
+def _facts(found: "Calibration") -> dict[str, Any]:
     """The facts that --json prints."""
     from dlgmd_cli.lab.evaluation.report import scores_json
 
@@ -276,7 +238,6 @@ def _facts(found: "Calibration", failed: Mapping[str, str]) -> dict[str, Any]:
         "parameters": found.setup.settings(),
         **{name: scores_json(one) for name, one in found.scores.items()},
         "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in found.choices],
-        "failed": dict(failed),
     }
 
 

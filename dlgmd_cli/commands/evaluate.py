@@ -1,6 +1,7 @@
 """`dlgmd evaluate`: score how well alarms announce labelled collisions."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,18 +33,24 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import DlgmdError
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
+    from dlgmd_cli.lab.evaluation.cases import Candidate, Case, Evaluation, Results
     from dlgmd_cli.lab.evaluation.report import Report
     from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.setup import Setup
-    from dlgmd_cli.video.options import InputOptions
 
 RECORD = "evaluate.yaml"
 FIGURES = ("trade-off", "leads")
+# Options that only matter when models are run.
+_NOT_WITH_RESULTS = {
+    *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size", "fps"),
+    *("repeats", "input_fps", "decoder", "start", "end", "crop", "mask", "normalise", "jobs"),
+}
 
+labels_argument = click.argument(
+    "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
+)
 rule_options = option_group(
     "rules",
     dict,
@@ -71,7 +78,7 @@ rule_options = option_group(
     cls=Command,
     epilog="Example: dlgmd evaluate flights/labels.csv --set 3 --set 9 --model lgmd --out results",
 )
-@click.argument("labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path))
+@labels_argument
 @setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
 @click.option(
@@ -122,59 +129,59 @@ def evaluate(
     false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
     of the trade-off and of the leads, and evaluate.yaml.
     """
-    from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases
+    from dlgmd_cli.lab.evaluation.cases import read_cases, stored_results
     from dlgmd_cli.lab.evaluation.report import make_report
     from dlgmd_cli.results import store
-    from dlgmd_cli.video.options import InputOptions
+    from dlgmd_cli.results.record import record_text
 
     if results is not None:
         _refuse_models()
     cases = read_cases(labels_path)
-    for name in _names(output):
+    names = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
+    for name in ("evaluate.csv", "curves.csv", "alarms.csv", *names, RECORD):
         store.refuse_existing(output.out / name, overwrite=output.overwrite)
-    evaluation = Evaluation(baselines=baselines)
-    if results is None:
-        failed = run_over(evaluation, cases, *_asked(setups, given, baselines), jobs)
-    else:
-        from dlgmd_cli.lab.evaluation.cases import stored_results
-
-        failed = _add_all(evaluation, cases, stored_results(results, cases))
-    require_some(evaluation, labels_path)
-    report = make_report(evaluation, rules["horizon_s"], rules["max_false_per_min"])
-    record = {
-        "labels": str(labels_path.absolute()),
-        **_counts(evaluation, failed),
-        **rules,
-        "models": [_described(evaluation, label) for label in evaluation.candidates],
-        "options": InputOptions(**given).to_record(),
-    }
-    files = _files(report, evaluation, rules, record, output, width)
-    with store.appearing(*(output.out / name for name in files)) as temporary:
-        for path, write in zip(temporary, files.values(), strict=True):
-            write(path)
-    if as_json:
-        from dlgmd_cli.lab.evaluation.report import report_json
-
-        models = report_json(report, evaluation.candidates)
-        print_json({"result": str(output.out), **_counts(evaluation, failed), "models": models})
-    else:
-        _show(report, evaluation)
-        for name in files:
-            print_path(output.out / name)
-    raise_failed(failed, len(cases))
-
-
-def _names(output: Output) -> list[str]:
-    """The names of the files to write, the record last."""
-    figures = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
-    return ["evaluate.csv", "curves.csv", "alarms.csv", *figures, RECORD]
+    found = (
+        _computed(cases, setups, given, jobs, baselines=baselines)
+        if results is None
+        else stored_results(results, cases)
+    )
+    with scored(labels_path, cases, found, baselines=baselines) as evaluation:
+        report = make_report(evaluation, **rules)
+        candidates = evaluation.candidates.values()
+        record = {
+            "labels": str(labels_path.absolute()),
+            **report.counts(),
+            **rules,
+            "models": [_described(one) for one in candidates],
+            "options": next(iter(candidates)).record["options"],
+        }
+        text = record_text(record, [])
+        files = report.tables()
+        if output.formats:
+            files |= _figures(report, rules, output, width)
+        files[RECORD] = lambda path: path.write_text(text, encoding="utf-8")
+        with store.appearing(*(output.out / name for name in files)) as temporary:
+            for path, write in zip(temporary, files.values(), strict=True):
+                write(path)
+        if as_json:
+            facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
+            print_json(facts)
+        else:
+            _show(report)
+            for name in files:
+                print_path(output.out / name)
 
 
-def _asked(
-    setups: "list[Setup]", given: dict[str, Any], baselines: bool
-) -> "tuple[list[Setup], InputOptions]":
-    """The models to run, and how videos are read; each model at the size that its file records."""
-    from dlgmd_cli.lab.evaluation.cases import with_flow
+def _computed(
+    cases: "list[Case]",
+    setups: "list[Setup]",
+    given: dict[str, Any],
+    jobs: int | None,
+    *,
+    baselines: bool,
+) -> "Iterator[tuple[Case, Results]]":
+    """Run the models over the videos, each model at the size that its file records."""
+    from dlgmd_cli.lab.evaluation.cases import run_cases, with_flow
     from dlgmd_cli.models.base import create_model
     from dlgmd_cli.runs.setup import input_options as recorded
     from dlgmd_cli.video.options import InputOptions
@@ -182,151 +189,86 @@ def _asked(
     for one in setups:
         create_model(one.params, engine=one.engine)  # raises if its engine is not installed
     options = recorded(setups[0], given) if len(setups) == 1 else InputOptions(**given)
-    return with_flow(setups) if baselines else setups, options
+    return run_cases(cases, with_flow(setups) if baselines else setups, options, jobs)
 
 
 def _refuse_models() -> None:
     """Raise UsageError if an option is given that only matters when models are run."""
     context = click.get_current_context()
-    asked = {
-        *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size"),
-        *("fps", "repeats", "input_fps", "decoder", "start", "end", "crop", "mask", "normalise"),
-        "jobs",
-    }
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
-        if parameter.name in asked and source is click.core.ParameterSource.COMMANDLINE:
+        is_given = source is click.core.ParameterSource.COMMANDLINE
+        if parameter.name in _NOT_WITH_RESULTS and is_given:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")
 
 
-def run_over(
-    evaluation: "Evaluation",
+@contextmanager
+def scored(
+    labels_path: Path,
     cases: "list[Case]",
-    setups: "list[Setup]",
-    options: "InputOptions",
-    jobs: int | None,
-) -> dict[str, str]:
-    """Run the models over the videos; returns why videos could not be scored, by name."""
-    from dlgmd_cli.lab.evaluation.cases import run_cases
-    from dlgmd_cli.threads import n_processors
+    found: "Iterator[tuple[Case, Results]]",
+    *,
+    baselines: bool = False,
+) -> "Iterator[Evaluation]":
+    """The models and the videos, which are computed with a progress bar; warns of those that fail.
 
-    labels = [one.label for one in setups]
-    n_jobs = max(1, min(jobs or n_processors(), len(cases)))
-    found = (
-        (case, one if isinstance(one, DlgmdError) else dict(zip(labels, one, strict=True)))
-        for case, one in run_cases(cases, setups, options, n_jobs)
-    )
-    return _add_all(evaluation, cases, found)
+    Raises Failed at once if no video can be scored, and at the end if some cannot.
+    """
+    from dlgmd_cli.lab.evaluation.cases import Evaluation
 
-
-def _add_all(
-    evaluation: "Evaluation", cases: "list[Case]", found: "Iterator[tuple[Case, Any]]"
-) -> dict[str, str]:
-    """Add every video in the order of the labels; warns of videos that fail, and returns why."""
-    failed, every = {}, {}
+    by_name = {}
     with progress("evaluate", len(cases), "video") as advance:
         for number, (case, results) in enumerate(found, start=1):
-            every[case.name] = results
+            by_name[case.name] = results
             advance(number)
+    evaluation = Evaluation(baselines=baselines)
     for case in cases:
-        try:
-            if isinstance(every[case.name], DlgmdError):
-                raise every[case.name]
-            evaluation.add(case, every[case.name])
-        except DlgmdError as error:
-            failed[case.name] = f"{error.why}. {error.mend}".strip().rstrip(".")
-            warn(f"{case.name}: {failed[case.name]}")
-    return failed
-
-
-def require_some(evaluation: "Evaluation", labels_path: Path) -> None:
-    """Raise Failed if no video can be scored."""
+        evaluation.add(case, by_name[case.name])
+    for name, why in evaluation.failed.items():
+        warn(f"{name}: {why}")
     if not evaluation.cases:
         raise Failed(f"{labels_path}: no video could be scored.", EXIT_FAILED)
-
-
-def raise_failed(failed: Mapping[str, str], n_cases: int) -> None:
-    """Raise Failed, exit code 1, if some videos could not be scored."""
-    if failed:
+    yield evaluation
+    if evaluation.failed:
         raise Failed(
-            f"{len(failed)} of {n_cases} videos could not be scored and are left out. Fix or "
-            "remove them, then run again.",
+            f"{len(evaluation.failed)} of {len(cases)} videos could not be scored and are left "
+            "out. Fix or remove them, then run again.",
             EXIT_FAILED,
         )
 
 
-def _counts(evaluation: "Evaluation", failed: Mapping[str, str]) -> dict[str, Any]:
-    """Numbers of videos, collisions and minutes, and the videos that failed."""
-    signals = next(iter(evaluation.candidates.values())).signals.values()
-    return {
-        "videos": len(evaluation.cases),
-        "collisions": sum(len(case.collisions) for case in evaluation.cases),
-        "minutes": round(sum(signal.minutes for signal in signals), 3),
-        "failed": dict(failed),
-    }
-
-
-def _described(evaluation: "Evaluation", label: str) -> dict[str, Any]:
+def _described(one: "Candidate") -> dict[str, Any]:
     """The entry of a candidate in the record."""
-    one = evaluation.candidates[label]
     processed = one.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
     if one.params is None:
-        return {"label": label, "n_sp": one.n_sp, **size}
-    return {"label": label, "model": one.params.model, **one.params.to_dict(), **size}
-
-
-def _files(
-    report: "Report",
-    evaluation: "Evaluation",
-    rules: Mapping[str, float],
-    record: dict[str, Any],
-    output: Output,
-    width: Any,
-) -> "dict[str, Write]":
-    """The function that writes each file, by name."""
-    from dlgmd_cli.lab.evaluation import report as tables
-    from dlgmd_cli.results.record import record_text
-
-    text = record_text(record, [])
-    horizon_s = rules["horizon_s"]
-    files: dict[str, Write] = {
-        "evaluate.csv": partial(tables.write_report, report=report),
-        "curves.csv": partial(tables.write_curves, report=report, candidates=evaluation.candidates),
-        "alarms.csv": partial(
-            tables.write_alarms, report=report, evaluation=evaluation, horizon_s=horizon_s
-        ),
-    }
-    if output.formats:
-        from dlgmd_cli.plots.style import figure_files
-
-        files |= figure_files(_figures(report, rules, width), output.formats, output.dpi)
-    files[RECORD] = lambda path: path.write_text(text, encoding="utf-8")
-    return files
+        return {"label": one.label, "n_sp": one.n_sp, **size}
+    return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}
 
 
 def _figures(
-    report: "Report", rules: Mapping[str, float], width: Any
-) -> dict[str, Callable[[], Any]]:
-    """The function that draws each figure, by name."""
+    report: "Report", rules: dict[str, float], output: Output, width: Any
+) -> "Mapping[str, Write]":
+    """The function that writes each figure, by file name."""
     from dlgmd_cli.lab.evaluation.report import DEFAULT
-    from dlgmd_cli.lab.plots import evaluation as plots
+    from dlgmd_cli.lab.plots.evaluation import leads, trade_off
+    from dlgmd_cli.plots.style import figure_files
 
     curves = {label: (one.false_alarms_per_min, one.recall) for label, one in report.curves.items()}
     points = {}
     for label in curves:
         row = report.row(label, DEFAULT)
         if row is not None:
-            rate, recall = (row.scores.measures[n] for n in ("false_alarms_per_min", "recall"))
-            points[label] = (rate.value, recall.value)
-    most = rules["max_false_per_min"]
-    return {
-        "evaluate-trade-off": partial(plots.trade_off, curves, points, most, width),
-        "evaluate-leads": partial(plots.leads, report.leads_s, rules["horizon_s"], width),
+            measures = row.scores.measures
+            points[label] = measures["false_alarms_per_min"].value, measures["recall"].value
+    figures = {
+        "evaluate-trade-off": partial(trade_off, curves, points, rules["max_false_per_min"], width),
+        "evaluate-leads": partial(leads, report.leads_s, rules["horizon_s"], width),
     }
+    return figure_files(figures, output.formats, output.dpi)
 
 
-def _show(report: "Report", evaluation: "Evaluation") -> None:
+def _show(report: "Report") -> None:
     """Print the tables: all videos, then hits and false alarms by target."""
     from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
@@ -339,20 +281,21 @@ def _show(report: "Report", evaluation: "Evaluation") -> None:
         label = row.candidate.label
         rows.append((label, f"{row.at} {row.threshold:.4g}", *cells, str(scores.at_contact)))
     print_table(header, rows)
-    counts = next(row.scores for row in report.rows)
+    counts = report.rows[0].scores
     click.echo(
         f"{counts.videos} videos, {counts.collisions} collisions, {counts.minutes:.2f} minutes "
         "before contact or the end."
     )
-    targets = list(dict.fromkeys(row.target for row in report.rows))[1:]
-    if not targets:
+    if not report.targets:
         return
     lines = []
-    for target in targets:
-        mains = [report.main(label, target).scores for label in evaluation.candidates]
-        shown = [f"{one.hits}/{one.collisions}" if one.collisions else "–" for one in mains]
-        rates = [one.measures["false_alarms_per_min"].value for one in mains]
-        cells = [f"{hits}, {rate:.1f}" for hits, rate in zip(shown, rates, strict=True)]
+    for target in report.targets:
+        mains = [report.main(label, target).scores for label in report.curves]
+        cells = [
+            f"{f'{one.hits}/{one.collisions}' if one.collisions else '–'}, "
+            f"{one.measures['false_alarms_per_min'].value:.1f}"
+            for one in mains
+        ]
         lines.append((target, str(mains[0].videos), *cells))
     click.echo("Collisions announced, and false alarms per minute, by target:")
-    print_table(("target", "videos", *evaluation.candidates), lines)
+    print_table(("target", "videos", *report.curves), lines)

@@ -1,26 +1,75 @@
-"""Calibrate a model on labelled videos: its thresholds alone, or with a search of parameters."""
+"""Choose the thresholds, and the values of a search, that announce labelled collisions best.
 
-from collections.abc import Sequence
+The best choice has the highest recall at an allowed rate of false alarms. Performance is estimated
+by cross-validation: the videos are split into folds, and each fold is scored with the choice that
+does best on the others. The preset has the choice that does best on all videos.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
+
+import numpy as np
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.evaluation.cases import Case, run_cases, signal_of, strength_at
-from dlgmd_cli.lab.evaluation.crossvalidation import (
-    Choice,
-    Choices,
-    Rules,
-    choose,
-    fold_of,
-    score_held_out,
-    score_same_videos,
-    with_choice,
-)
-from dlgmd_cli.lab.evaluation.measures import Scores, count, score
-from dlgmd_cli.lab.evaluation.scoring import Signal
-from dlgmd_cli.lab.evaluation.search import Trial, best_trial, with_values
+from dlgmd_cli.lab.evaluation.measures import Count, Scores, count, curve, score, thresholds
+from dlgmd_cli.lab.evaluation.scoring import Signal, tally
+from dlgmd_cli.models.detection import Flags, absolute
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
+
+WIDTH = "width_px"
+# Numbers of successive spikes that are tried.
+N_SP = (1, 2, 3, 4)
+# T_MP if the parameters have 0 or 1, at which no κ could be found.
+_T_MP = 0.4
+_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A threshold, the number of successive spikes, and their rank, see `Curve.rank`."""
+
+    n_sp: int
+    threshold: float
+    rank: tuple[float, float, float]
+
+
+# The choice on all videos, then for each fold the choice on all others.
+Choices = tuple[Choice, ...]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The values of a trial, and the thresholds chosen with them."""
+
+    values: dict[str, Any]
+    found: Choices
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The criteria of a calibration.
+
+    Attributes
+    ----------
+    horizon_s : float
+        An alarm up to so many seconds before a collision announces it.
+    max_false_per_min : float
+        Allowed rate of false alarms.
+    folds : int
+        Number of folds of the cross-validation.
+    seed : int
+        Seed of the split into folds.
+    """
+
+    horizon_s: float = 1.0
+    max_false_per_min: float = 1.0
+    folds: int = 5
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -31,7 +80,7 @@ class Experiment:
     options: InputOptions
     rules: Rules
     cases: tuple[Case, ...]
-    jobs: int
+    jobs: int | None
 
     @cached_property
     def folds(self) -> list[int]:
@@ -41,16 +90,15 @@ class Experiment:
     def signals(self, setup: Setup) -> list[Signal]:
         """Run a setup over all videos; returns their signals."""
         by_name = {}
-        jobs = max(1, min(self.jobs, len(self.cases)))
-        for case, results in run_cases(self.cases, [setup], self.options, jobs):
+        for case, results in run_cases(self.cases, [setup], self.options, self.jobs):
             if isinstance(results, DlgmdError):
                 raise results
-            by_name[case.name] = signal_of(results[0], case)
+            by_name[case.name] = signal_of(results[setup.label], case)
         return [by_name[case.name] for case in self.cases]
 
-    def choose(self, setup: Setup, signals: Sequence[Signal] | None = None) -> Choices:
-        """Choose on all signals of a setup, and without each fold; it is run if none are given."""
-        return choose(signals or self.signals(setup), self.folds, self.rules)
+    def choose(self, setup: Setup) -> Choices:
+        """Run a setup over all videos, and choose its thresholds."""
+        return choose(self.signals(setup), self.folds, self.rules)
 
 
 @dataclass(frozen=True)
@@ -69,53 +117,121 @@ class Calibration:
     """
 
     setup: Setup
-    choices: tuple[Choice, ...]
+    choices: Choices
     scores: dict[str, Scores]
 
 
-def calibrate_thresholds(experiment: Experiment, signals: Sequence[Signal]) -> Calibration:
-    """Calibrate the thresholds of a model from its signals."""
-    found = experiment.choose(experiment.setup, signals)
-    of_folds = [signals] * len(found.of_folds)
-    return _result(
-        experiment, experiment.setup, found.overall, signals, found.of_folds, of_folds, signals
+def calibrate(
+    experiment: Experiment, before: Sequence[Signal], trials: Sequence[Trial] = ()
+) -> Calibration:
+    """Calibrate the thresholds of a model, or choose the best of some trials.
+
+    Models of the best trials, on all videos and without each fold, run once more. `before` has the
+    signals of the original model.
+    """
+    rules, folds, old = experiment.rules, experiment.folds, experiment.setup.params
+    trials = trials or [Trial({}, choose(before, folds, rules))]
+    best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
+    setups = {
+        str(one.values): with_values(experiment.setup, one.values) for one in (best, *winners)
+    }
+    signals = {key: experiment.signals(one) for key, one in setups.items() if key != str({})}
+    signals[str({})] = list(before)
+    overall = best.found[0]
+    choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
+    own, final = signals[str(best.values)], setups[str(best.values)]
+    at = strength_at(old.t_mp, old.kappa)
+    scores = {
+        "held_out": score_held_out(
+            [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
+        ),
+        "same_videos": score([count_of(one, overall, rules.horizon_s) for one in own]),
+        "before": score([count(one, old.n_sp, at, rules.horizon_s) for one in before]),
+    }
+    return Calibration(replace(final, params=with_choice(final.params, overall)), choices, scores)
+
+
+def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
+    """A setup with other values; raises ParameterError if they contradict each other."""
+    own = {key: value for key, value in values.items() if key != WIDTH}
+    width_px = values.get(WIDTH, setup.width_px)
+    params: Parameters = replace(setup.params, **own)  # type: ignore[type-var]
+    return replace(setup, params=params, width_px=width_px)
+
+
+def best_trial(trials: Sequence[Trial], number: int = 0) -> Trial:
+    """The trial whose choice of a number, see `Choices`, ranks highest."""
+    return max(trials, key=lambda trial: trial.found[number].rank)
+
+
+def fold_of(has_collision: Sequence[bool], rules: Rules) -> list[int]:
+    """The fold of each video; videos with and without a collision are spread evenly."""
+    rng, n_dealt = np.random.default_rng(rules.seed), 0
+    found = np.zeros(len(has_collision), int)
+    n_folds = min(rules.folds, len(has_collision))
+    for kind in (True, False):
+        members = rng.permutation(np.flatnonzero(np.asarray(has_collision) == kind))
+        found[members] = (n_dealt + np.arange(len(members))) % n_folds
+        n_dealt += len(members)
+    return [int(one) for one in found]
+
+
+def choose(signals: Sequence[Signal], folds: Sequence[int], rules: Rules) -> Choices:
+    """Make the best choice on all signals, and for each fold on all others.
+
+    Of equal choices, that with the fewest spikes.
+    """
+    tables = {}
+    for n_sp in N_SP:
+        at = thresholds(signals, n_sp, rules.horizon_s)
+        tables[n_sp] = at, [tally(one, n_sp, at, rules.horizon_s) for one in signals]
+
+    def best(chosen: Flags) -> Choice:
+        found = []
+        for n_sp, (at, tallies) in tables.items():
+            one = curve([tallies[i] for i in np.flatnonzero(chosen)], at)
+            place = one.best(rules.max_false_per_min)
+            found.append(Choice(n_sp, float(at[place]), one.rank(place)))
+        return max(found, key=lambda one: (one.rank, -one.n_sp))
+
+    own = np.asarray(folds)
+    return best(own >= 0), *(best(own != fold) for fold in range(max(folds) + 1))
+
+
+def score_held_out(
+    signals: Sequence[Sequence[Signal]],
+    folds: Sequence[int],
+    choices: Choices,
+    horizon_s: float,
+) -> Scores:
+    """Score each fold with the choice that was made without it.
+
+    `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
+    """
+    return score(
+        [
+            count_of(signals[fold][number], choices[fold], horizon_s)
+            for number, fold in enumerate(folds)
+        ]
     )
 
 
-def calibrate_by_search(
-    experiment: Experiment, before: Sequence[Signal], trials: Sequence[Trial]
-) -> Calibration:
-    """Calibrate by the best of at least one trial, on all videos and without each fold.
+def count_of(signal: Signal, choice: Choice, horizon_s: float) -> Count:
+    """Count a signal's alarms with a choice.
 
-    The models of the best trials run once more. `before` has the signals of the original model.
+    The strength is divided by the choice's threshold, so that the AUC can compare folds.
     """
-    best = best_trial(trials)
-    winners = [best_trial(trials, fold) for fold in range(len(best.found.of_folds))]
-    ran: dict[str, list[Signal]] = {}
-    for one in (best, *winners):
-        if str(one.values) not in ran:
-            ran[str(one.values)] = experiment.signals(with_values(experiment.setup, one.values))
-    choices = tuple(one.found.of_folds[fold] for fold, one in enumerate(winners))
-    of_folds = [ran[str(one.values)] for one in winners]
-    setup, own = with_values(experiment.setup, best.values), ran[str(best.values)]
-    return _result(experiment, setup, best.found.overall, own, choices, of_folds, before)
+    unit = max(choice.threshold, np.finfo(np.float64).tiny)
+    return count(replace(signal, strength=signal.strength / unit), choice.n_sp, 1.0, horizon_s)
 
 
-def _result(
-    experiment: Experiment,
-    setup: Setup,
-    overall: Choice,
-    signals: Sequence[Signal],
-    choices: tuple[Choice, ...],
-    of_folds: Sequence[Sequence[Signal]],
-    before: Sequence[Signal],
-) -> Calibration:
-    """Score the final choice, the choices of the folds, and the original parameters."""
-    rules, old = experiment.rules, experiment.setup.params
-    at = strength_at(old.t_mp, old.kappa)
-    scores = {
-        "held_out": score_held_out(of_folds, experiment.folds, choices, rules),
-        "same_videos": score_same_videos(signals, overall, rules),
-        "before": score([count(one, old.n_sp, at, rules.horizon_s) for one in before]),
-    }
-    return Calibration(replace(setup, params=with_choice(setup.params, overall)), choices, scores)
+def with_choice(params: Parameters, choice: Choice) -> Parameters:
+    """The parameters with the n_sp of a choice, and with κ to four digits, or T_MP without κ."""
+    if params.kappa is None:
+        t_mp = float(absolute(choice.threshold, 1, None))
+        return replace(params, t_mp=min(t_mp, 1.0), n_sp=choice.n_sp)  # type: ignore[type-var]
+    t_mp = params.t_mp if 0.0 < params.t_mp < 1.0 else _T_MP
+    kappa = float(f"{choice.threshold / strength_at(t_mp, 1.0):.{_DIGITS}g}")
+    spec = params.specs()["kappa"]
+    kappa = min(max(kappa, spec.low), spec.high)
+    return replace(params, kappa=kappa, t_mp=t_mp, n_sp=choice.n_sp)  # type: ignore[type-var]

@@ -1,6 +1,6 @@
 """Labelled videos, and the results of models on them: computed here, or read from a batch."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -19,10 +19,14 @@ from dlgmd_cli.results.labels import Label, read_labels
 from dlgmd_cli.results.result import Result, read_result
 from dlgmd_cli.runs.run import run_input
 from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.threads import n_processors
 from dlgmd_cli.video.options import InputOptions
 
 SUMMARY = "summary.csv"
 P_SUM, FLOW = "ΣP alone", "flow divergence"
+
+# The results of a video by the models' labels, or why there are none.
+Results = dict[str, Result] | DlgmdError
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,10 @@ class Case:
     collisions: tuple[int, ...]
     targets: tuple[str, ...]
 
-    def of_target(self, chosen: Iterable[str]) -> Flags:
+    def of_target(self, wanted: Collection[str]) -> Flags:
         """Which collisions are with one of these targets."""
-        wanted = set(chosen)
-        return np.array([self.targets[i] in wanted for i in range(len(self.collisions))], np.bool_)
+        targets = self.targets[: len(self.collisions)]
+        return np.array([target in wanted for target in targets], np.bool_)
 
 
 def read_cases(path: Path) -> list[Case]:
@@ -126,30 +130,31 @@ def strength_at(level: float, kappa: float | None) -> float:
 
 
 def run_cases(
-    cases: Sequence[Case], setups: Sequence[Setup], options: InputOptions, jobs: int
-) -> Iterator[tuple[Case, "list[Result] | DlgmdError"]]:
-    """Run all setups over every video; yields each video with one result per setup, or its error.
+    cases: Sequence[Case], setups: Sequence[Setup], options: InputOptions, jobs: int | None
+) -> Iterator[tuple[Case, Results]]:
+    """Run all setups over every video; yields each video with its results, or its error.
 
     Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
     error that is not a DlgmdError is raised.
     """
+    run = partial(_run, tuple(setups), options)
+    jobs = max(1, min(jobs or n_processors(), len(cases)))
     if jobs == 1:
         for case in cases:
             try:
-                yield case, _run(tuple(setups), options, case)
+                yield case, run(case)
             except DlgmdError as error:
                 yield case, error
             cancel.check()
         return
-    for case, outcome in run_tasks(partial(_run, tuple(setups), options), cases, jobs):
-        if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
-            raise outcome.error
-        yield case, outcome.error or outcome.value
+    for case, outcome in run_tasks(run, cases, jobs):
+        yield case, outcome.error if isinstance(outcome.error, DlgmdError) else outcome.result()
 
 
-def _run(setups: tuple[Setup, ...], options: InputOptions, case: Case) -> list[Result]:
+def _run(setups: tuple[Setup, ...], options: InputOptions, case: Case) -> dict[str, Result]:
     """All models over one video."""
-    return run_input(case.path, setups, options)
+    results = run_input(case.path, setups, options)
+    return {setup.label: one for setup, one in zip(setups, results, strict=True)}
 
 
 def with_flow(setups: Sequence[Setup]) -> list[Setup]:
@@ -159,27 +164,35 @@ def with_flow(setups: Sequence[Setup]) -> list[Setup]:
     return [*setups, replace(first, params=params, label=FLOW, engine="auto")]
 
 
-def stored_results(
-    folder: Path, cases: Sequence[Case]
-) -> Iterator[tuple[Case, "dict[str, Result] | DlgmdError"]]:
-    """Every video with its results by label, read from the folder of a batch, or its error."""
-    places = stored_models(folder)
-    for case in cases:
-        try:
-            yield case, {label: _stored(place, case) for label, place in places.items()}
-        except DlgmdError as error:
-            yield case, error
+def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:
+    """Every video with its results, read from the folder of a batch, or its error.
 
-
-def stored_models(folder: Path) -> dict[str, Path]:
-    """The folder of each model of a batch, by label; raises ResultError if there is none."""
-    if (folder / SUMMARY).is_file():
-        return {"": folder}
-    found = {path.parent.name: path.parent for path in sorted(folder.glob(f"*/{SUMMARY}"))}
-    if not found:
+    Raises ResultError if it is not the folder of a batch.
+    """
+    is_single = (folder / SUMMARY).is_file()
+    places = (
+        [folder] if is_single else [path.parent for path in sorted(folder.glob(f"*/{SUMMARY}"))]
+    )
+    if not places:
         why = f"it holds no results of a batch (no {SUMMARY})"
         raise ResultError(str(folder), why, "Run 'dlgmd batch' first.")
-    return found
+    label = ""
+    for case in cases:
+        try:
+            found = {place.name: _stored(place, case) for place in places}
+        except DlgmdError as error:
+            yield case, error
+            continue
+        if is_single:
+            (result,) = found.values()
+            label = label or _label(result.record)
+            found = {label: result}
+        yield case, found
+
+
+def _label(record: Mapping[str, Any]) -> str:
+    """The name of a model as its record has it: a set, a preset, or the model."""
+    return f"set{record['set']}" if "set" in record else str(record.get("preset", record["model"]))
 
 
 def _stored(place: Path, case: Case) -> Result:
@@ -231,40 +244,55 @@ class Evaluation:
         By label, models first.
     cases : list of Case
         The videos for which all candidates have a result.
+    failed : dict of str to str
+        Why the other videos cannot be scored, by name.
     """
 
     def __init__(self, *, baselines: bool = True) -> None:
         self.candidates: dict[str, Candidate] = {}
         self.cases: list[Case] = []
+        self.failed: dict[str, str] = {}
         self._has_baselines = baselines
 
-    def add(self, case: Case, results: Mapping[str, Result]) -> None:
-        """Add the results of a video, by label; raises DlgmdError if it cannot be scored."""
-        found: dict[str, tuple[Result, Signal]] = {
-            label: (result, signal_of(result, case)) for label, result in results.items()
-        }
+    def signals(self, label: str) -> list[Signal]:
+        """The signals of a candidate, in the order of the videos."""
+        return [self.candidates[label].signals[case.name] for case in self.cases]
+
+    def add(self, case: Case, results: Results) -> None:
+        """Add the results of a video, or note why it cannot be scored."""
+        try:
+            if isinstance(results, DlgmdError):
+                raise results
+            self._add(case, results)
+        except DlgmdError as error:
+            self.failed[case.name] = f"{error.why}. {error.mend}".strip().rstrip(".")
+
+    def _add(self, case: Case, results: Mapping[str, Result]) -> None:
+        """Add the results of a video; raises DlgmdError if it cannot be scored."""
+        signals = {label: signal_of(result, case) for label, result in results.items()}
         first = next(iter(results.values()))
+        known = dict(results)
         if self._has_baselines:
-            p_sum = first.p_sum / first.n_cells
-            found.pop(FLOW, None)
-            found[P_SUM] = (first, signal_of(first, case, p_sum))
-            if FLOW in results:
-                flow = results[FLOW]
-                found[FLOW] = (flow, signal_of(flow, case, flow.mp / flow.n_cells))
-        for label, (result, _) in found.items():
-            known = self.candidates.get(label)
-            if known and known.params not in (None, result.params):
+            flow = known.pop(FLOW, None)
+            known[P_SUM] = first
+            signals[P_SUM] = signal_of(first, case, first.p_sum / first.n_cells)
+            if flow is not None:
+                known[FLOW] = flow
+                signals[FLOW] = signal_of(flow, case, flow.mp / flow.n_cells)
+        for label, result in known.items():
+            before = self.candidates.get(label)
+            if before and before.params not in (None, result.params):
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-        for label, (result, signal) in found.items():
+        for label, result in known.items():
             if label not in self.candidates:
-                is_baseline = label in (P_SUM, FLOW)
+                own = None if label in (P_SUM, FLOW) else result.params
                 self.candidates[label] = Candidate(
                     label,
-                    first.params.n_sp if is_baseline else result.params.n_sp,
-                    None if is_baseline else result.params,
-                    result.by_sequence and not is_baseline,
+                    (own or first.params).n_sp,
+                    own,
+                    result.by_sequence and own is not None,
                     record=result.record,
                 )
-            self.candidates[label].signals[case.name] = signal
+            self.candidates[label].signals[case.name] = signals[label]
         self.cases.append(case)

@@ -113,12 +113,7 @@ def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_
     return np.unique(np.concatenate((edges[:1], (edges[1:] + edges[:-1]) / 2, [top])))
 
 
-def curve(signals: Sequence[Signal], n_sp: int, at: Series, horizon_s: float = HORIZON_S) -> Curve:
-    """Recall, rate of false alarms and median lead at every threshold."""
-    return curve_of([tally(signal, n_sp, at, horizon_s) for signal in signals], at)
-
-
-def curve_of(tallies: Sequence[Tally], at: Series) -> Curve:
+def curve(tallies: Sequence[Tally], at: Series) -> Curve:
     """The curve of videos that were tallied at the same thresholds."""
     leads_s = np.concatenate([one.lead_s for one in tallies])
     n_false = np.sum([one.n_false for one in tallies], axis=0)

@@ -1,8 +1,9 @@
 """The tables of an evaluation: scores by model, threshold and target; curves; alarms."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from dlgmd_cli.lab.evaluation.measures import (
     score,
     thresholds,
 )
-from dlgmd_cli.lab.evaluation.scoring import HIT, IGNORED, KINDS, alarms
+from dlgmd_cli.lab.evaluation.scoring import HIT, IGNORED, KINDS, alarms, tally
 from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
+from dlgmd_cli.results.store import Write
 
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 DEFAULT, BEST = "default", "best"
@@ -71,6 +73,8 @@ class Report:
     NaN for collisions that are not announced.
     """
 
+    evaluation: Evaluation
+    horizon_s: float
     rows: list[Row]
     curves: dict[str, Curve]
     leads_s: dict[str, Series]
@@ -88,11 +92,108 @@ class Report:
         assert found is not None
         return found
 
+    @property
+    def targets(self) -> list[str]:
+        """The groups of targets but `all`, in the order of the rows."""
+        return list(dict.fromkeys(row.target for row in self.rows if row.target != ALL))
+
+    def counts(self) -> dict[str, Any]:
+        """Numbers of videos, collisions and minutes, and the videos that failed."""
+        signals = self.evaluation.signals(self.rows[0].candidate.label)
+        return {
+            "videos": len(self.evaluation.cases),
+            "collisions": sum(len(case.collisions) for case in self.evaluation.cases),
+            "minutes": round(sum(signal.minutes for signal in signals), 3),
+            "failed": dict(self.evaluation.failed),
+        }
+
+    def tables(self) -> dict[str, Write]:
+        """The function that writes each table, by file name; OSError passes through."""
+        written = {
+            "evaluate.csv": (COLUMNS, self._score_rows),
+            "curves.csv": (CURVE_COLUMNS, self._curve_rows),
+            "alarms.csv": (ALARM_COLUMNS, self._alarm_rows),
+        }
+
+        def write(path: Path, header: Sequence[str], rows: Any) -> None:
+            write_rows(path, header, rows())
+
+        return {
+            name: partial(write, header=header, rows=rows)
+            for name, (header, rows) in written.items()
+        }
+
+    def _score_rows(self) -> Iterator[list[str]]:
+        """The rows of evaluate.csv."""
+        for row in self.rows:
+            scores = row.scores
+            numbers: list[Any] = [row.threshold, row.excitation, row.candidate.n_sp]
+            numbers += [getattr(scores, name) for name in COUNTS]
+            numbers += [value for name in MEASURES for value in scores.measures[name]]
+            words = (text_cell(row.candidate.label), row.at, text_cell(row.target))
+            yield [*words, *map(cell, numbers)]
+
+    def _curve_rows(self) -> Iterator[list[str]]:
+        """The rows of curves.csv: the points of every curve at which a measure changes."""
+        for label, found in self.curves.items():
+            columns = np.stack([found.recall, found.false_alarms_per_min, found.lead_s])
+            changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
+            for i in np.flatnonzero(np.concatenate(([True], changes))):
+                strength = float(found.threshold[i])
+                level = self.evaluation.candidates[label].level(strength)
+                yield [text_cell(label), *map(cell, [level, strength, *columns[:, i]])]
+
+    def _alarm_rows(self) -> Iterator[list[str]]:
+        """The rows of alarms.csv: every alarm that is not ignored, and every missed collision."""
+        for case in self.evaluation.cases:
+            for label, candidate in self.evaluation.candidates.items():
+                row, signal = self.main(label), candidate.signals[case.name]
+                found: list[tuple[int, float, str, float]] = []
+                announced = set()
+                for number, kind in alarms(signal, candidate.n_sp, row.excitation, self.horizon_s):
+                    time_s, lead_s = float(signal.time_s[number]), math.nan
+                    if kind == HIT:
+                        contact_s = min(one for one in signal.contacts_s if one > time_s)
+                        announced.add(contact_s)
+                        lead_s = contact_s - time_s
+                    if kind != IGNORED:
+                        frame = number if signal.frame is None else int(signal.frame[number])
+                        found.append((frame, time_s, KINDS[kind], lead_s))
+                for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
+                    if contact_s not in announced:
+                        found.append((frame, contact_s, "missed", math.nan))
+                for frame, time_s, word, lead_s in sorted(found):
+                    words = (text_cell(case.name), text_cell(label), row.at)
+                    yield [*words, str(frame), cell(time_s), word, cell(lead_s)]
+
+    def to_json(self) -> dict[str, Any]:
+        """The measures of every candidate over all videos, by label; None where undefined."""
+
+        def facts(row: Row) -> dict[str, Any]:
+            return {
+                "at": row.at,
+                "threshold": defined(row.threshold),
+                "n_sp": row.candidate.n_sp,
+                **scores_json(row.scores),
+            }
+
+        found = {}
+        for label in self.evaluation.candidates:
+            row, best = self.main(label), self.row(label, BEST)
+            found[label] = facts(row)
+            if best is not None and best is not row:
+                found[label]["best"] = facts(best)
+            found[label]["recall_by_target"] = {
+                target: defined(self.main(label, target).scores.measures["recall"].value)
+                for target in sorted(self.targets)
+            }
+        return found
+
 
 def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
     """For each group of targets, its videos by number, and flags of the collisions in the group."""
     known = sorted({target for case in cases for target in case.targets if target})
-    chosen: dict[str, Iterable[str]] = {}
+    chosen: dict[str, Collection[str]] = {}
     if WALL in known and len(known) > 1:
         chosen[WITHOUT_WALLS] = {target for case in cases for target in case.targets} - {WALL}
     chosen |= {target: {target} for target in known}
@@ -109,107 +210,24 @@ def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
 def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: float) -> Report:
     """Score every candidate of an evaluation, which has at least one video."""
     rows: list[Row] = []
-    curves, leads_s = {}, {}
+    curves: dict[str, Curve] = {}
+    leads_s: dict[str, Series] = {}
+    members = groups(evaluation.cases)
     for label, candidate in evaluation.candidates.items():
-        signals = [candidate.signals[case.name] for case in evaluation.cases]
-        n_sp = candidate.n_sp
-        curves[label] = curve(signals, n_sp, thresholds(signals, n_sp, horizon_s), horizon_s)
-        best = curves[label].best(max_false_per_min)
-        at = {BEST: float(curves[label].threshold[best])}
+        signals, n_sp = evaluation.signals(label), candidate.n_sp
+        levels = thresholds(signals, n_sp, horizon_s)
+        curves[label] = curve([tally(one, n_sp, levels, horizon_s) for one in signals], levels)
+        at = {BEST: float(levels[curves[label].best(max_false_per_min)])}
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
         for name, strength in at.items():
             counts = [count(one, n_sp, strength, horizon_s) for one in signals]
-            if label not in leads_s:
-                leads_s[label] = np.concatenate([one.lead_s for one in counts])
-            for target, members in groups(evaluation.cases).items():
-                chosen = [counts[i].only(wanted) for i, wanted in members.items()]
+            leads_s.setdefault(label, np.concatenate([one.lead_s for one in counts]))
+            for target, wanted in members.items():
+                chosen = [counts[i].only(flags) for i, flags in wanted.items()]
                 rows.append(Row(candidate, name, target, strength, score(chosen)))
     rows.sort(key=lambda row: row.target != ALL)
-    return Report(rows, curves, leads_s)
-
-
-def write_report(path: Path, report: Report) -> None:
-    """Write evaluate.csv, see `COLUMNS`; OSError passes through."""
-
-    def cells(row: Row) -> list[str]:
-        scores = row.scores
-        numbers: list[Any] = [row.threshold, row.excitation, row.candidate.n_sp]
-        numbers += [getattr(scores, name) for name in COUNTS]
-        numbers += [value for name in MEASURES for value in scores.measures[name]]
-        words = (text_cell(row.candidate.label), row.at, text_cell(row.target))
-        return [*words, *map(cell, numbers)]
-
-    write_rows(path, COLUMNS, map(cells, report.rows))
-
-
-def write_curves(path: Path, report: Report, candidates: Mapping[str, Candidate]) -> None:
-    """Write curves.csv: the points of every curve at which a measure changes."""
-
-    def rows() -> Iterator[list[str]]:
-        for label, found in report.curves.items():
-            columns = np.stack([found.recall, found.false_alarms_per_min, found.lead_s])
-            before = np.nan_to_num(columns[:, :-1], nan=-1.0)
-            changes = (np.nan_to_num(columns[:, 1:], nan=-1.0) != before).any(axis=0)
-            for i in np.flatnonzero(np.concatenate(([True], changes))):
-                strength = float(found.threshold[i])
-                numbers = [candidates[label].level(strength), strength, *columns[:, i]]
-                yield [text_cell(label), *map(cell, numbers)]
-
-    write_rows(path, CURVE_COLUMNS, rows())
-
-
-def write_alarms(path: Path, report: Report, evaluation: Evaluation, horizon_s: float) -> None:
-    """Write alarms.csv: every alarm that is not ignored, and every missed collision."""
-
-    def rows() -> Iterator[list[str]]:
-        for case in evaluation.cases:
-            for label, candidate in evaluation.candidates.items():
-                row, signal = report.main(label), candidate.signals[case.name]
-                found: list[tuple[int, float, str, float]] = []
-                announced = set()
-                for number, kind in alarms(signal, candidate.n_sp, row.excitation, horizon_s):
-                    time_s, lead_s = float(signal.time_s[number]), math.nan
-                    if kind == HIT:
-                        contact_s = min(one for one in signal.contacts_s if one > time_s)
-                        announced.add(contact_s)
-                        lead_s = contact_s - time_s
-                    if kind != IGNORED:
-                        frame = number if signal.frame is None else int(signal.frame[number])
-                        found.append((frame, time_s, KINDS[kind], lead_s))
-                for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
-                    if contact_s not in announced:
-                        found.append((frame, contact_s, "missed", math.nan))
-                for frame, time_s, word, lead_s in sorted(found):
-                    words = (text_cell(case.name), text_cell(label), row.at)
-                    yield [*words, str(frame), cell(time_s), word, cell(lead_s)]
-
-    write_rows(path, ALARM_COLUMNS, rows())
-
-
-def report_json(report: Report, candidates: Mapping[str, Candidate]) -> dict[str, Any]:
-    """The measures of every candidate over all videos, by label; None where undefined."""
-
-    def facts(row: Row) -> dict[str, Any]:
-        return {
-            "at": row.at,
-            "threshold": defined(row.threshold),
-            "n_sp": row.candidate.n_sp,
-            **scores_json(row.scores),
-        }
-
-    found = {}
-    for label in candidates:
-        row, best = report.main(label), report.row(label, BEST)
-        found[label] = facts(row)
-        if best is not None and best is not row:
-            found[label]["best"] = facts(best)
-        targets = {one.target for one in report.rows} - {ALL}
-        found[label]["recall_by_target"] = {
-            target: defined(report.main(label, target).scores.measures["recall"].value)
-            for target in sorted(targets)
-        }
-    return found
+    return Report(evaluation, horizon_s, rows, curves, leads_s)
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:

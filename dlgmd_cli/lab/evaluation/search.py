@@ -4,18 +4,17 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
-from dlgmd_cli.lab.evaluation.crossvalidation import Choice, Choices
+from dlgmd_cli.lab.evaluation.calibration import WIDTH, Choice, Choices, Trial, with_values
 from dlgmd_cli.parameters import Parameters, shown
 from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
 _NAME = "calibrate"
-WIDTH = "width_px"
 # Ranges wider than this ratio are searched on a logarithmic scale.
 _WIDE = 10.0
 # Parameters that are calibrated in every trial, and need no search.
@@ -79,22 +78,6 @@ def _range(text: str, params: Parameters) -> tuple[str, Range]:
     return key, Range(low, high, is_whole)
 
 
-def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
-    """A setup with other values; raises ParameterError if they contradict each other."""
-    own = {key: value for key, value in values.items() if key != WIDTH}
-    width_px = values.get(WIDTH, setup.width_px)
-    params: Parameters = replace(setup.params, **own)  # type: ignore[type-var]
-    return replace(setup, params=params, width_px=width_px)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """The values of a trial, and the thresholds chosen with them."""
-
-    values: dict[str, Any]
-    found: Choices
-
-
 class Search:
     """The trials in `folder`/trials.db; a search with the same settings continues them.
 
@@ -132,35 +115,31 @@ class Search:
                 "--search", "Optuna is not installed", "Run: pip install 'dlgmd[calibrate]'."
             ) from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
-        self.ranges, self._optuna = ranges, optuna
-        path = folder / TRIALS
+        self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
         text = json.dumps(asked, sort_keys=True)
-        self._study = self._open(path)
-        known = self._study.user_attrs.get("asked")
-        if known not in (None, text):
+        self._open()
+        if self._study.user_attrs.get("asked") not in (None, text):
             self.close()
             if not overwrite:
                 raise OutputExistsError(
-                    str(path),
+                    str(self._path),
                     "contains the trials of another search",
                     "Add --overwrite to remove them, or choose another --out.",
                 )
-            path.unlink()
-            self._study = self._open(path)
-            known = None
-        if known is None:
+            self._path.unlink()
+            self._open()
+        if "asked" not in self._study.user_attrs:
             self._study.set_user_attr("asked", text)
 
-    def _open(self, path: Path) -> Any:
-        """Open or create the study in a file; its sampler's seed is the number of its trials."""
+    def _open(self) -> None:
+        """Open or create the study in the file; its sampler's seed is the number of its trials."""
         optuna = self._optuna
-        storage = optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}")
-        study = optuna.create_study(
-            storage=storage, study_name=_NAME, direction="maximize", load_if_exists=True
+        self._storage = optuna.storages.RDBStorage(f"sqlite:///{self._path.absolute()}")
+        self._study = optuna.create_study(
+            storage=self._storage, study_name=_NAME, direction="maximize", load_if_exists=True
         )
-        study.sampler = optuna.samplers.TPESampler(seed=len(study.get_trials(deepcopy=False)))
-        self._storage = storage
-        return study
+        n_trials = len(self._study.get_trials(deepcopy=False))
+        self._study.sampler = optuna.samplers.TPESampler(seed=n_trials)
 
     def close(self) -> None:
         """Close the file."""
@@ -175,7 +154,10 @@ class Search:
         """Every trial whose values were valid, in order."""
         state = self._optuna.trial.TrialState.COMPLETE
         return [
-            Trial(dict(one.params), _from_json(one.user_attrs["found"]))
+            Trial(
+                dict(one.params),
+                tuple(Choice(n_sp, at, tuple(rank)) for n_sp, at, rank in one.user_attrs["found"]),
+            )
             for one in self._study.get_trials(deepcopy=False, states=(state,))
         ]
 
@@ -201,8 +183,9 @@ class Search:
                 self._study.tell(trial, state=state.FAIL)
             else:
                 found = measure(changed)
-                trial.set_user_attr("found", _as_json(found))
-                recall, rate, lead_s = found.overall.rank
+                numbers = [[one.n_sp, one.threshold, list(one.rank)] for one in found]
+                trial.set_user_attr("found", numbers)
+                recall, rate, lead_s = found[0].rank
                 # Small weights: false alarms and lead decide between nearly equal recalls.
                 self._study.tell(trial, recall + 1e-3 * rate + 1e-4 * lead_s)
             yield n_done + 1
@@ -215,27 +198,3 @@ class Search:
             return whole
         value: float = trial.suggest_float(key, one.low, one.high, log=one.is_wide)
         return value
-
-
-def best_trial(trials: Sequence[Trial], fold: int | None = None) -> Trial:
-    """The trial whose choice ranks highest: on all videos, or on all but those of a fold."""
-
-    def rank(trial: Trial) -> tuple[float, float, float]:
-        chosen = trial.found.overall if fold is None else trial.found.of_folds[fold]
-        return chosen.rank
-
-    return max(trials, key=rank)
-
-
-def _as_json(found: Choices) -> list[Any]:
-    """A calibration as lists of numbers."""
-    return [[one.n_sp, one.threshold, list(one.rank)] for one in (found.overall, *found.of_folds)]
-
-
-def _from_json(lists: Sequence[Any]) -> Choices:
-    """The inverse of `_as_json`."""
-    overall, *of_folds = (
-        Choice(n_sp, threshold, tuple(rank))  # type: ignore[arg-type]
-        for n_sp, threshold, rank in lists
-    )
-    return Choices(overall, tuple(of_folds))

@@ -9,19 +9,21 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import load_config
 from dlgmd_cli.errors import OutputExistsError, ParameterError
-from dlgmd_cli.lab.evaluation.cases import strength_at
-from dlgmd_cli.lab.evaluation.crossvalidation import (
+from dlgmd_cli.lab.evaluation.calibration import (
     Choice,
-    Choices,
     Rules,
+    best_trial,
     choose,
+    count_of,
     fold_of,
     score_held_out,
-    score_same_videos,
     with_choice,
+    with_values,
 )
+from dlgmd_cli.lab.evaluation.cases import strength_at
+from dlgmd_cli.lab.evaluation.measures import score
 from dlgmd_cli.lab.evaluation.scoring import Signal
-from dlgmd_cli.lab.evaluation.search import Search, best_trial, parse_ranges, with_values
+from dlgmd_cli.lab.evaluation.search import Search, parse_ranges
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
 from dlgmd_cli.runs.setup import Setup
@@ -48,46 +50,46 @@ def material(n=10):
     return near + [signal([(50, 2, 3.0), (90, 20, 0.4)]) for _ in range(n)]
 
 
-def test_the_threshold_and_the_count_are_found_again():
-    signals, rules = material(), Rules(max_false_per_min=0.0)
+def judged(signals, max_false_per_min=0.0):
+    """The choices, and the scores held out and on the same videos."""
+    rules = Rules(max_false_per_min=max_false_per_min)
     folds = fold_of([bool(one.contacts_s) for one in signals], rules)
-    found = choose(signals, folds, rules)
-    for choice in (found.overall, *found.of_folds):
+    overall, *others = choose(signals, folds, rules)
+    held_out = score_held_out([signals] * 5, folds, others, rules.horizon_s)
+    same = score([count_of(one, overall, rules.horizon_s) for one in signals])
+    return [overall, *others], held_out, same, folds
+
+
+def test_the_threshold_and_the_count_are_found_again():
+    choices, held_out, same, _ = judged(material())
+    for choice in choices:
         assert choice.n_sp == 3 and 0.4 < choice.threshold <= 0.55
         assert choice.rank[:2] == (1.0, 0.0)
-    scores = score_held_out([signals] * 5, folds, found.of_folds, rules)
-    assert scores.collisions == 10 and scores.false_alarms == 0
     # Whether the weakest is announced depends on the others alone.
-    assert scores.hits >= 9
-    assert score_same_videos(signals, found.overall, rules).measures["recall"].value == 1.0
+    assert held_out.collisions == 10 and held_out.false_alarms == 0 and held_out.hits >= 9
+    assert same.measures["recall"].value == 1.0
     # With room for mistakes it announces no more, and so makes none.
-    assert choose(signals, folds, Rules(max_false_per_min=60.0)).overall == found.overall
+    assert judged(material(), 60.0)[0][0] == choices[0]
 
 
 def test_recall_is_bought_with_the_false_alarms_that_are_allowed():
     signals = [signal([(135, 3, 0.5)], 150), signal([(135, 3, 0.2)], 150), signal([(50, 9, 0.3)])]
     minutes = sum(one.minutes for one in signals)
-    allowed, strict = (
-        Rules(max_false_per_min=1.01 / minutes),
-        Rules(max_false_per_min=0.99 / minutes),
-    )
-    folds = [0, 1, 0]
-    assert choose(signals, folds, allowed).overall.rank[0] == 1.0
-    assert choose(signals, folds, strict).overall.rank[0] == 0.5
+    for allowed, recall in ((1.01, 1.0), (0.99, 0.5)):
+        rules = Rules(max_false_per_min=allowed / minutes)
+        assert choose(signals, [0, 1, 0], rules)[0].rank[0] == recall
 
 
 def test_no_video_judges_what_was_chosen_on_it():
-    signals, rules = material(), Rules(max_false_per_min=0.0)
-    folds = fold_of([bool(one.contacts_s) for one in signals], rules)
+    *_, folds = judged(material())
     # The videos of fold 0 are ten times as strong: what is chosen without them stays, and fails.
     scaled = [
         replace(one, strength=10 * one.strength) if fold == 0 else one
-        for one, fold in zip(signals, folds, strict=True)
+        for one, fold in zip(material(), folds, strict=True)
     ]
-    found = choose(scaled, folds, rules)
-    assert 0.4 < found.of_folds[0].threshold <= 0.55
-    scores = score_held_out([scaled] * 5, folds, found.of_folds, rules)
-    assert scores.false_alarms > 0 < score_same_videos(scaled, found.overall, rules).hits < 10
+    choices, held_out, same, _ = judged(scaled)
+    assert 0.4 < choices[1].threshold <= 0.55
+    assert held_out.false_alarms > 0 < same.hits < 10
 
 
 @pytest.mark.parametrize(("n_with", "n_without", "n_folds"), [(10, 15, 5), (3, 4, 5), (2, 0, 5)])
@@ -147,7 +149,7 @@ def test_a_search_continues_from_its_trials(tmp_path):
         seen.append((changed.params.sigma_i, changed.width_px))
         recall = 1 - abs(changed.params.sigma_i - 2.5)
         one = Choice(2, 0.1, (recall, -0.5, 0.2))
-        return Choices(one, (one, Choice(3, 0.2, (changed.width_px / 500, 0.0, 0.0))))
+        return one, one, Choice(3, 0.2, (changed.width_px / 500, 0.0, 0.0))
 
     search = Search(tmp_path, ranges, {"a": 1})
     assert list(search.run(3, setup, measure)) == [1, 2, 3]
@@ -158,7 +160,7 @@ def test_a_search_continues_from_its_trials(tmp_path):
     trials = again.trials()
     assert [(one.values["sigma_i"], one.values["width_px"]) for one in trials] == seen
     assert best_trial(trials).values["sigma_i"] == min(seen, key=lambda s: abs(s[0] - 2.5))[0]
-    assert best_trial(trials, 1).values["width_px"] == max(width for _, width in seen)
+    assert best_trial(trials, 2).values["width_px"] == max(width for _, width in seen)
     assert trials[0].found == measure(with_values(setup, trials[0].values))
     again.close()
     with pytest.raises(OutputExistsError, match="trials of another search"):

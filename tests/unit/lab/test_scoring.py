@@ -21,6 +21,10 @@ def signal(bursts, contacts=(), n=200, fps=FPS):
     return Signal(np.arange(n) / fps, strength, tuple(frame / fps for frame in contacts), 1 / fps)
 
 
+def curve(signals, n_sp, at):
+    return measures.curve([scoring.tally(one, n_sp, at) for one in signals], at)
+
+
 def verdict(one, n_sp=2):
     """Kinds of the alarms at threshold 0.5."""
     return [KINDS[kind] for _, kind in scoring.alarms(one, n_sp, 0.5)]
@@ -196,21 +200,21 @@ def test_the_best_threshold():
         one.strength[20:23] = noise
         signals.append(one)
     at = measures.thresholds(signals, 2)
-    found = measures.curve(signals, 2, at)
+    found = curve(signals, 2, at)
     best = at[found.best(0.0)]
     assert 0.25 < best <= 0.5
-    assert measures.curve(signals, 2, np.array([best])).recall[0] == 1.0
+    assert curve(signals, 2, np.array([best])).recall[0] == 1.0
     # Allowed 60 false alarms a minute, it is still this one: of equal recall, the fewest.
     assert at[found.best(60.0)] == best
     # Every threshold in between says the same as one of the curve.
     grid = np.linspace(0.01, 1.2, 200)
-    dense = measures.curve(signals, 2, grid)
+    dense = curve(signals, 2, grid)
     pairs = set(zip(found.recall, found.false_alarms_per_min, strict=True))
     assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
     assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
     silent = [signal([], [150])]
     at = measures.thresholds(silent, 2)
-    assert at[measures.curve(silent, 2, at).best(1.0)] > 0
+    assert at[curve(silent, 2, at).best(1.0)] > 0
 
 
 def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
