@@ -15,7 +15,7 @@ from dlgmd_cli.models.base import (
     checked_params,
     undefined,
 )
-from dlgmd_cli.parameters import FlowDivergenceParameters
+from dlgmd_cli.parameters import DEFAULT_MODEL_FPS, FlowDivergenceParameters
 
 
 class FlowDivergence(Model):
@@ -23,8 +23,8 @@ class FlowDivergence(Model):
 
     The flow (u, v) from the previous frame, in px, is OpenCV's DIS (Kroeger et al. 2016) with its
     preset `fast`. For a frontal surface that approaches, the mean of ∂u/∂x + ∂v/∂y is two over the
-    time to contact. K is the positive part of the sum over the cells, per second if the frames have
-    times, else per frame.
+    time to contact. K is the positive part of the sum over the cells, per second; frames without
+    times count as 30 per second.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class FlowDivergence(Model):
         divergence[:, 1:-1] += (flow[:, 2:, 0] - flow[:, :-2, 0]) / 2
         divergence[1:-1] += (flow[2:, :, 1] - flow[:-2, :, 1]) / 2
         receptors.clear(divergence)
-        duration_s = 1.0
+        duration_s = 1.0 / DEFAULT_MODEL_FPS
         if time_s is not None and before_s is not None and time_s > before_s:
             duration_s = time_s - before_s
         mp = max(float(divergence.sum(dtype=np.float64)), 0.0) / duration_s

@@ -113,6 +113,32 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     assert read_result("ba/set9/near").params.kappa == 1e-4
 
 
+def test_options_that_a_config_sets_are_recorded(dlgmd, footage, tmp_path):
+    assert dlgmd("run", footage / "near.avi", "--scale", 0.5, "--end", 0.5).exit_code == 0
+    config = tmp_path / "dlgmd-out/near/run.yaml"
+    (footage / "one.csv").write_text("video,collision_frame\nnear.avi,10\n")
+    more = ("--no-plots", "--out", "ev", "--repeats", "keep")
+    assert dlgmd("evaluate", footage / "one.csv", "--config", config, *more).exit_code == 0
+    record = yaml.safe_load((tmp_path / "ev/evaluate.yaml").read_text(encoding="utf-8"))
+    assert record["options"] == {"scale": 0.5, "end": 0.5, "repeats": "keep"}
+
+
+@pytest.mark.parametrize(
+    ("options", "label"), [(["--set", 3], "set3"), ([], "flight"), (["--model", "lgmd"], "lgmd")]
+)
+def test_results_of_one_model_have_its_name(dlgmd, footage, options, label):
+    batch = ["batch", footage, *options, "--no-plots", "--repeats", "keep", "--jobs", 1]
+    assert dlgmd(*batch, "--out", "one").exit_code == 0
+    result = dlgmd(
+        *["evaluate", footage / "labels.csv", "--results", "one", "--out", "ev", "--no-plots"]
+    )
+    assert result.exit_code == 0, result.output
+    assert {row["model"] for row in table("ev/evaluate.csv")} == {label, "ΣP alone"}
+    with open("ev/evaluate.yaml", encoding="utf-8") as file:
+        record = yaml.safe_load(file)
+    assert record["models"][0]["label"] == label and record["options"] == {"repeats": "keep"}
+
+
 @pytest.mark.parametrize("options", [{"set": 3}, {"model": "lgmd"}, {"normalise": "sequence"}])
 @pytest.mark.parametrize("repeats", ["skip", "keep"])
 def test_alarms_are_those_of_a_run(footage, options, repeats):
