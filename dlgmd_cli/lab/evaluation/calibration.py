@@ -14,8 +14,8 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.evaluation.cases import Case, run_cases, signal_of, strength_at
-from dlgmd_cli.lab.evaluation.measures import Count, Scores, count, curve, score, thresholds
-from dlgmd_cli.lab.evaluation.scoring import Signal, tally
+from dlgmd_cli.lab.evaluation.measures import Scores, curve, score, thresholds
+from dlgmd_cli.lab.evaluation.scoring import Signal, Tally, tally
 from dlgmd_cli.models.detection import Flags, absolute
 from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.runs.setup import Setup
@@ -145,8 +145,8 @@ def calibrate(
         "held_out": score_held_out(
             [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
         ),
-        "same_videos": score([count_of(one, overall, rules.horizon_s) for one in own]),
-        "before": score([count(one, old.n_sp, at, rules.horizon_s) for one in before]),
+        "same_videos": score([tally_of(one, overall, rules.horizon_s) for one in own]),
+        "before": score([tally(one, old.n_sp, at, rules.horizon_s) for one in before]),
     }
     return Calibration(replace(final, params=with_choice(final.params, overall)), choices, scores)
 
@@ -210,19 +210,19 @@ def score_held_out(
     """
     return score(
         [
-            count_of(signals[fold][number], choices[fold], horizon_s)
+            tally_of(signals[fold][number], choices[fold], horizon_s)
             for number, fold in enumerate(folds)
         ]
     )
 
 
-def count_of(signal: Signal, choice: Choice, horizon_s: float) -> Count:
+def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:
     """Count a signal's alarms with a choice.
 
     The strength is divided by the choice's threshold, so that the AUC can compare folds.
     """
     unit = max(choice.threshold, np.finfo(np.float64).tiny)
-    return count(replace(signal, strength=signal.strength / unit), choice.n_sp, 1.0, horizon_s)
+    return tally(replace(signal, strength=signal.strength / unit), choice.n_sp, 1.0, horizon_s)
 
 
 def with_choice(params: Parameters, choice: Choice) -> Parameters:

@@ -1,7 +1,7 @@
 """Measures over many videos: recall, false alarms, leads, AUC and their confidence intervals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +14,8 @@ from dlgmd_cli.lab.evaluation.scoring import (
     Tally,
     kinds,
     onset_thresholds,
-    peaks,
-    tally,
 )
-from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.models.detection import Series
 
 # Bootstrap resamples of the videos, and the confidence level of the intervals.
 N_RESAMPLES, CONFIDENCE = 1000, 0.95
@@ -132,61 +130,30 @@ def _medians(columns: Series) -> Series:
     return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
-@dataclass(frozen=True)
-class Count:
-    """The contribution of one video to the measures, see `Tally` and `scoring.peaks`.
+def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
+    """The measures over at least one video, tallied at one threshold.
 
-    `lead_s`, `at_contact` and `inside` have one entry per collision; `outside` has shape (m,).
+    Intervals are from `N_RESAMPLES` resamples.
     """
-
-    lead_s: Series
-    at_contact: Flags
-    n_false: int
-    n_early: int
-    minutes: float
-    inside: Series
-    outside: Series
-
-    def only(self, collisions: Flags) -> "Count":
-        """The same for some of the collisions, but with all false alarms."""
-        return replace(
-            self,
-            lead_s=self.lead_s[collisions],
-            at_contact=self.at_contact[collisions],
-            inside=self.inside[collisions],
-        )
-
-
-def count(signal: Signal, n_sp: int, threshold: float, horizon_s: float = HORIZON_S) -> Count:
-    """The contribution of a video to the measures at one threshold."""
-    one = tally(signal, n_sp, threshold, horizon_s)
-    n_false, n_early = int(one.n_false[0]), int(one.n_early[0])
-    sides = peaks(signal, n_sp, horizon_s)
-    return Count(one.lead_s[:, 0], one.at_contact[:, 0], n_false, n_early, one.minutes, *sides)
-
-
-def score(counts: Sequence[Count], seed: int = 0) -> Scores:
-    """The measures over at least one video, with intervals from `N_RESAMPLES` resamples."""
-    n = len(counts)
-    leads = [one.lead_s[~np.isnan(one.lead_s)] for one in counts]
+    n = len(tallies)
+    leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
     sums = np.array(
         [
-            (len(one.lead_s), len(found), one.n_false, one.minutes)
-            for one, found in zip(counts, leads, strict=True)
-        ],
-        np.float64,
+            (len(one.lead_s), len(found), one.n_false[0], one.minutes)
+            for one, found in zip(tallies, leads, strict=True)
+        ]
     )
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
     weights = np.concatenate((np.ones((1, n), np.int64), draws))
-    values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in counts])
+    values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
     n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
     return Scores(
         n,
         int(n_collisions),
         int(n_hits),
-        sum(int(one.at_contact.sum()) for one in counts),
+        sum(int(one.at_contact.sum()) for one in tallies),
         int(n_false),
-        sum(one.n_early for one in counts),
+        sum(int(one.n_early[0]) for one in tallies),
         minutes,
         {name: _estimate(drawn) for name, drawn in values.items()},
     )

@@ -1,7 +1,7 @@
 """The tables of an evaluation: scores by model, threshold and target; curves; alarms."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,6 @@ from dlgmd_cli.lab.evaluation.measures import (
     Curve,
     Estimate,
     Scores,
-    count,
     curve,
     score,
     thresholds,
@@ -192,19 +191,19 @@ class Report:
 
 def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
     """For each group of targets, its videos by number, and flags of the collisions in the group."""
-    known = sorted({target for case in cases for target in case.targets if target})
-    chosen: dict[str, Collection[str]] = {}
-    if WALL in known and len(known) > 1:
-        chosen[WITHOUT_WALLS] = {target for case in cases for target in case.targets} - {WALL}
-    chosen |= {target: {target} for target in known}
-    found = {ALL: {i: case.of_target(case.targets) for i, case in enumerate(cases)}}
-    for name, targets in chosen.items():
-        found[name] = {
+    every = {target for case in cases for target in case.targets}
+    chosen = {ALL: every}
+    if WALL in every and every - {WALL, ""}:
+        chosen[WITHOUT_WALLS] = every - {WALL}
+    chosen |= {target: {target} for target in sorted(every - {""})}
+    return {
+        name: {
             i: case.of_target(targets)
             for i, case in enumerate(cases)
-            if set(case.targets) & set(targets)
+            if targets.intersection(case.targets)
         }
-    return found
+        for name, targets in chosen.items()
+    }
 
 
 def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: float) -> Report:
@@ -221,10 +220,10 @@ def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: flo
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
         for name, strength in at.items():
-            counts = [count(one, n_sp, strength, horizon_s) for one in signals]
-            leads_s.setdefault(label, np.concatenate([one.lead_s for one in counts]))
+            tallies = [tally(one, n_sp, strength, horizon_s) for one in signals]
+            leads_s.setdefault(label, np.concatenate([one.lead_s[:, 0] for one in tallies]))
             for target, wanted in members.items():
-                chosen = [counts[i].only(flags) for i, flags in wanted.items()]
+                chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
                 rows.append(Row(candidate, name, target, strength, score(chosen)))
     rows.sort(key=lambda row: row.target != ALL)
     return Report(evaluation, horizon_s, rows, curves, leads_s)

@@ -11,7 +11,7 @@ An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of
 The minutes end at the first collision, or with the video: after a collision no alarm is false.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -84,6 +84,8 @@ class Tally:
         Number of false alarms, and how many of them are early.
     minutes : float
         Time in which an alarm counts as false.
+    inside, outside : ndarray, shape (collisions,) and (m,)
+        Peaks of the strength, see `peaks`.
     """
 
     lead_s: Series
@@ -91,6 +93,13 @@ class Tally:
     n_false: npt.NDArray[np.intp]
     n_early: npt.NDArray[np.intp]
     minutes: float
+    inside: Series
+    outside: Series
+
+    def only(self, collisions: Flags) -> "Tally":
+        """The same for some of the collisions, but with all false alarms."""
+        own = ("lead_s", "at_contact", "inside")
+        return replace(self, **{name: getattr(self, name)[collisions] for name in own})
 
 
 def onset_thresholds(signal: Signal, n_sp: int) -> tuple[Series, Series]:
@@ -147,7 +156,7 @@ def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.N
 def tally(
     signal: Signal, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float = HORIZON_S
 ) -> Tally:
-    """Count the alarms of a video by kind, at thresholds of shape (T,)."""
+    """Count the alarms of a video by kind, at one threshold or at T."""
     at = np.atleast_1d(np.asarray(thresholds, np.float64))
     low, high = onset_thresholds(signal, n_sp)
     kind, collision = kinds(signal, horizon_s)
@@ -169,7 +178,8 @@ def tally(
         at_contact[number] = (count(is_own & (kind == AT_CONTACT)) > 0) & np.isnan(lead_s[number])
     n_early = count(may_begin & (kind == EARLY))
     n_false = count(may_begin & (kind == FALSE)) + n_early
-    return Tally(lead_s, at_contact, n_false, n_early, signal.minutes)
+    sides = peaks(signal, n_sp, horizon_s)
+    return Tally(lead_s, at_contact, n_false, n_early, signal.minutes, *sides)
 
 
 def alarms(

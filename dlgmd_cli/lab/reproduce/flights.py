@@ -107,9 +107,6 @@ def _shares(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
     return _panel(title, flight, curves, level=0.4)
 
 
-# --- Fig. 1 -----------------------------------------------------------------------------------
-
-
 def fig1(plan: Plan, data: Data) -> Evidence:
     """The LGMD responds to the camera's own motion."""
     flights = _flights(plan, data, 1)
@@ -120,8 +117,6 @@ def fig1(plan: Plan, data: Data) -> Evidence:
     }
     return Evidence(values, {"fig1": partial(plot_panels, panels, "Frame", "K / max K")})
 
-
-# --- Fig. 13 ----------------------------------------------------------------------------------
 
 _FIG_13 = {**_SET9, **other_models("lgmd", "emd-lgmd")}
 _FIG_13B = _SET9 | {
@@ -183,8 +178,6 @@ def fig13b(plan: Plan, data: Data) -> Evidence:
     return Evidence(values, {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)})
 
 
-# --- Fig. 14 ----------------------------------------------------------------------------------
-
 _FIG_14_SETS = (3, 6, 7, 8)
 _FIG_14 = all_formulations(*(f"set{n}" for n in _FIG_14_SETS)) | _LGMD
 _BRAKE_FRAMES = 10
@@ -232,8 +225,6 @@ def fig14(plan: Plan, data: Data) -> Evidence:
     panels = [_shares(f, flights[0], {**own, "lgmd": "LGMD"}) for f, own in shown.items()]
     return Evidence(values, {"fig14": partial(plot_panels, panels, "Frame", "K / max K")})
 
-
-# --- Figs. 15, 16 and 17 ------------------------------------------------------------------------
 
 _FIG_15 = {**_SET9, **_LGMD}
 
@@ -288,8 +279,6 @@ def fig17(plan: Plan, data: Data) -> Evidence:
     return Evidence(values, {"fig17": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
-# --- Table IV ---------------------------------------------------------------------------------
-
 _SET = 7
 BEST_SCALE = 0.25
 
@@ -340,7 +329,7 @@ def table4_da(plan: Plan, data: Data) -> Evidence:
         flight = data[_da_name(formulation, seed)]
         return np.array([[distinguishability(flight, _point(r, x)) for x in scales] for r in RADII])
 
-    tables = by_formulation(lambda f: [da(f, seed) for seed in plan.seeds[:2]])
+    tables = {f: [da(f, seed) for seed in plan.seeds[:2]] for f in FORMULATIONS}
     at_best = scales.index(BEST_SCALE)
 
     def best(table: Series) -> float:
@@ -405,12 +394,12 @@ def time_model(formulation: str, *, quick: bool) -> list[dict[str, Any]]:
 
 def table4_time(plan: Plan, data: Data) -> Evidence:
     """The computing times by radius and scale, as in Table IV."""
-    timed = by_formulation(lambda f: data[f"{TIMING}, {f}"])
+    timed = {f: data[f"{TIMING}, {f}"] for f in FORMULATIONS}
 
     def paper_s(row: Mapping[str, Any]) -> float:
         return PAPER_S[row["radius"], row["scale"]]
 
-    values = by_formulation(lambda f: [min(paper_s(row) / row["whole_s"] for row in timed[f])])
+    values = by_formulation(lambda f: min(paper_s(row) / row["whole_s"] for row in timed[f]))
     rows = [
         (same[0]["radius"], same[0]["scale"], paper_s(same[0]), *(one["whole_s"] for one in same))
         for same in zip(*timed.values(), strict=True)

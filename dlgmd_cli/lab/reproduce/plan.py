@@ -62,9 +62,10 @@ class Exhibit:
     show: Callable[[Plan, Data], Evidence]
 
 
-def by_formulation(value: Callable[[str], Any]) -> dict[str, Any]:
-    """The values for each formulation."""
-    return {formulation: value(formulation) for formulation in FORMULATIONS}
+def by_formulation(value: Callable[[str], float | list[float]]) -> dict[str, list[float]]:
+    """The values for each formulation: one per seed, or a single one."""
+    found = {formulation: value(formulation) for formulation in FORMULATIONS}
+    return {f: one if isinstance(one, list) else [float(one)] for f, one in found.items()}
 
 
 def needed(exhibits: Iterable[Exhibit], plan: Plan) -> Needs:

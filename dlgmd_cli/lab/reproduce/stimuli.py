@@ -41,6 +41,8 @@ from dlgmd_cli.runs.sweep import Sweep
 # Least response, as a share of the peak: in a figure, less cannot be told from zero.
 ONSET = 0.05
 SIZE = (270, 480)
+# Sets that differ only in their latency: radial, and none.
+_PAIRS = ((4, 1), (5, 2), (6, 3))
 
 
 def mean_db(result: Result, first: int = 0, last: int | None = None) -> float:
@@ -62,9 +64,6 @@ def share_of_peak(result: Result) -> Series:
 def onset(result: Result) -> int:
     """The first frame at which K reaches `ONSET` of its peak."""
     return int(np.argmax(share_of_peak(result) >= ONSET))
-
-
-# --- Fig. 3 -----------------------------------------------------------------------------------
 
 
 _LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
@@ -89,9 +88,6 @@ def fig3(plan: Plan, data: Data) -> Evidence:
     return Evidence(values, {"fig3": draw})
 
 
-# --- Fig. 5 -----------------------------------------------------------------------------------
-
-
 def fig5(plan: Plan, data: Data) -> Evidence:
     """The latency of inhibition by distance, and the kernels."""
     params = load_set(9)
@@ -108,15 +104,10 @@ def fig5(plan: Plan, data: Data) -> Evidence:
         "fig5-centre": {ANY: [abs(float(along[0]) - 0.567)]},
         "fig5-limit": {ANY: [float(limit - along[-1])]},
     }
-    return Evidence(
-        values, {"fig5": partial(draw, "default"), "fig5-equations": partial(draw, "equations")}
-    )
+    figures = {"fig5": partial(draw, "default"), "fig5-equations": partial(draw, "equations")}
+    return Evidence(values, figures)
 
 
-# --- Fig. 6, and inhibition's strength ---------------------------------------------------------
-
-# Sets that differ only in their latency: radial, and none.
-_PAIRS = ((4, 1), (5, 2), (6, 3))
 _SETS_1_TO_6 = all_formulations(*(f"set{n}" for n in range(1, 7)))
 _STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
 _STRONGER = {
@@ -146,13 +137,11 @@ def fig6(plan: Plan, data: Data) -> Evidence:
 
     def gain(formulation: str) -> Series:
         """The attenuation with radial latency minus that without, by pair of sets and speed."""
-        return np.array(
-            [
-                _cube_db(data, f"set{radial}/{formulation}")
-                - _cube_db(data, f"set{plain}/{formulation}")
-                for radial, plain in _PAIRS
-            ]
+        radial, plain = (
+            np.array([_cube_db(data, f"set{pair[place]}/{formulation}") for pair in _PAIRS])
+            for place in (0, 1)
         )
+        return radial - plain
 
     speeds = np.array(SPEEDS_PX)
     sets = [number for pair in _PAIRS for number in pair[::-1]]
@@ -162,8 +151,8 @@ def fig6(plan: Plan, data: Data) -> Evidence:
     ]
     draw = partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)
     values = {
-        "fig6-slow": by_formulation(lambda f: [float(gain(f)[:, 0].max())]),
-        "fig6-fast": by_formulation(lambda f: [float(gain(f)[:, -1].min())]),
+        "fig6-slow": by_formulation(lambda f: gain(f)[:, 0].max()),
+        "fig6-fast": by_formulation(lambda f: gain(f)[:, -1].min()),
     }
     return Evidence(values, {"fig6": draw})
 
@@ -183,13 +172,11 @@ def strength(plan: Plan, data: Data) -> Evidence:
     panels = [panel(f) for f in FORMULATIONS]
     draw = partial(plot_panels, panels, "Strength of inhibition a", "Attenuation (dB)", dots=True)
     values = {
-        "strength-grows": by_formulation(lambda f: [float((db(f)[-1] - db(f)[0]).max())]),
-        "strength-throughout": by_formulation(lambda f: [float(np.diff(db(f), axis=0).max())]),
+        "strength-grows": by_formulation(lambda f: (db(f)[-1] - db(f)[0]).max()),
+        "strength-throughout": by_formulation(lambda f: np.diff(db(f), axis=0).max()),
     }
     return Evidence(values, {"strength": draw})
 
-
-# --- Fig. 8 -----------------------------------------------------------------------------------
 
 # Number of frames before contact over which the ball is measured.
 _BALL_FRAMES = 10
@@ -224,13 +211,11 @@ def fig8(plan: Plan, data: Data) -> Evidence:
 
     panels = [Panel(f, curves(data["fig8"][f"set9/{f}"])) for f in FORMULATIONS]
     values = {
-        "fig8-capsules": by_formulation(lambda f: [float(db(f)[1:].max())]),
-        "fig8-ball": by_formulation(lambda f: [float(db(f)[0] - db(f)[1:].max())]),
+        "fig8-capsules": by_formulation(lambda f: db(f)[1:].max()),
+        "fig8-ball": by_formulation(lambda f: db(f)[0] - db(f)[1:].max()),
     }
     return Evidence(values, {"fig8": partial(plot_panels, panels, "Frame", "Attenuation (dB)")})
 
-
-# --- Fig. 9 -----------------------------------------------------------------------------------
 
 _FIG_9 = {**all_formulations("set9"), **other_models("lgmd")}
 _APPROACHES = {
@@ -244,19 +229,17 @@ def fig9(plan: Plan, data: Data) -> Evidence:
     """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
     results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
 
-    def later(kind: str, formulation: str) -> list[float]:
-        own, lgmd = results[kind][f"set9/{formulation}"], results[kind]["lgmd"]
-        return [float(onset(own) - onset(lgmd))]
+    def later(kind: str, formulation: str) -> float:
+        return onset(results[kind][f"set9/{formulation}"]) - onset(results[kind]["lgmd"])
 
-    def sharper(kind: str, formulation: str) -> list[float]:
-        own, lgmd = results[kind][f"set9/{formulation}"], results[kind]["lgmd"]
-        return [own.sharpness / lgmd.sharpness]
+    def sharper(kind: str, formulation: str) -> float:
+        return results[kind][f"set9/{formulation}"].sharpness / results[kind]["lgmd"].sharpness
 
     def rest(label: str) -> int:
         """The last frame with a response to the receding cube."""
         return int(np.flatnonzero(share_of_peak(results["receding"][label]) >= ONSET)[-1])
 
-    values = {"fig9b-rest": by_formulation(lambda f: [float(rest(f"set9/{f}") - rest("lgmd"))])}
+    values = {"fig9b-rest": by_formulation(lambda f: rest(f"set9/{f}") - rest("lgmd"))}
     for kind in ("cube", "ball"):
         values[f"fig9a-silent-{kind}"] = by_formulation(partial(later, kind))
         values[f"fig9a-sharper-{kind}"] = by_formulation(partial(sharper, kind))
@@ -268,8 +251,6 @@ def fig9(plan: Plan, data: Data) -> Evidence:
         panels.append(Panel(title, curves, level=ONSET))
     return Evidence(values, {"fig9": partial(plot_panels, panels, "Time (s)", "K / max K")})
 
-
-# --- Figs. 10 and 12 ----------------------------------------------------------------------------
 
 _FIG_10 = {**all_formulations("set7"), **other_models("lgmd")}
 
@@ -285,9 +266,9 @@ def fig10(plan: Plan, data: Data) -> Evidence:
     def db(label: str) -> Series:
         return np.maximum(results[label].attenuation_db, FLOOR_DB)[3:]
 
-    def rise(formulation: str) -> list[float]:
+    def rise(formulation: str) -> float:
         own = db(f"set7/{formulation}")
-        return [float(np.nanmean(own[-3:]) - np.nanmean(own[:3]))]
+        return float(np.nanmean(own[-3:]) - np.nanmean(own[:3]))
 
     curves = {
         label: (results[label].frame.astype(float), results[label].attenuation_db)
@@ -295,12 +276,10 @@ def fig10(plan: Plan, data: Data) -> Evidence:
     }
     panel = Panel("Looming ball, set 7", curves)
     values = {
-        "fig10-stronger": by_formulation(
-            lambda f: [float(np.nanmax(db(f"set7/{f}") - db("lgmd")))]
-        ),
-        "fig10-attenuates": by_formulation(lambda f: [float(np.nanmax(db(f"set7/{f}")))]),
+        "fig10-stronger": by_formulation(lambda f: np.nanmax(db(f"set7/{f}") - db("lgmd"))),
+        "fig10-attenuates": by_formulation(lambda f: np.nanmax(db(f"set7/{f}"))),
         "fig10-rising": by_formulation(rise),
-    }  # fmt: skip
+    }
     return Evidence(values, {"fig10": partial(plot_panels, [panel], "Frame", "Attenuation (dB)")})
 
 
@@ -311,17 +290,17 @@ def fig12(plan: Plan, data: Data) -> Evidence:
     def k(number: int, formulation: str) -> Series:
         return results[f"set{number}/{formulation}"].mp[3:]
 
-    def early(wide: int, narrow: int, formulation: str) -> list[float]:
+    def early(wide: int, narrow: int, formulation: str) -> float:
         a, b = k(wide, formulation), k(narrow, formulation)
         half = len(a) // 2
-        return [float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan]
+        return float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan
 
-    def contact(wide: int, narrow: int, formulation: str) -> list[float]:
-        return [float(k(wide, formulation).max() / k(narrow, formulation).max())]
+    def contact(wide: int, narrow: int, formulation: str) -> float:
+        return float(k(wide, formulation).max() / k(narrow, formulation).max())
 
-    def sharper(formulation: str) -> list[float]:
+    def sharper(formulation: str) -> float:
         found = [results[f"set{n}/{formulation}"].sharpness for n in range(1, 7)]
-        return [max(found[radial - 1] / found[plain - 1] for radial, plain in _PAIRS)]
+        return max(found[radial - 1] / found[plain - 1] for radial, plain in _PAIRS)
 
     raw, scaled = [], []
     for f in FORMULATIONS:
@@ -344,8 +323,6 @@ def fig12(plan: Plan, data: Data) -> Evidence:
     }
     return Evidence(values, figures)
 
-
-# --- Fig. 11 -----------------------------------------------------------------------------------
 
 # Only 1 px/frame is suppressed if at most a tenth of its change passes, and half at other speeds.
 _SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
@@ -376,31 +353,26 @@ def sweep_cubes(formulation: str, grid: Grid, n_frames: int | None) -> SweepResu
 
 def fig11(plan: Plan, data: Data) -> Evidence:
     """The attenuation of cubes over the widths of excitation and inhibition."""
-    db = by_formulation(
-        lambda f: np.maximum(data[f"fig11, {f}"].columns["attenuation_db"], FLOOR_DB)
-    )
+    db = {
+        f: np.maximum(data[f"fig11, {f}"].columns["attenuation_db"], FLOOR_DB) for f in FORMULATIONS
+    }
     # A kernel with r = 4 cuts off wider Gaussians.
     n_within = sum(value <= FIG_11["r"] for value in _grid(plan).y.values)
 
-    def share(ordered: Any) -> list[float]:
-        return [float(np.mean(ordered))]
-
-    def alone(formulation: str) -> list[float]:
-        slowest, *others = db[formulation]
-        return share((slowest <= _SUPPRESSED_DB) & (np.array(others) >= _FREE_DB).all(axis=0))
+    def alone(formulation: str) -> float:
+        slow, others = db[formulation][0], db[formulation][1:]
+        return float(((slow <= _SUPPRESSED_DB) & (others >= _FREE_DB).all(axis=0)).mean())
 
     values = {
-        "fig11-speed": by_formulation(lambda f: share(np.diff(db[f], axis=0) >= 0.0)),
+        "fig11-speed": by_formulation(lambda f: (np.diff(db[f], axis=0) >= 0.0).mean()),
         "fig11-sigma-i": by_formulation(
-            lambda f: share(np.diff(db[f][2:, :n_within], axis=1) <= 0.0)
+            lambda f: (np.diff(db[f][2:, :n_within], axis=1) <= 0.0).mean()
         ),
-        "fig11-sigma-e": by_formulation(lambda f: share(np.diff(db[f][2:], axis=2) >= 0.0)),
+        "fig11-sigma-e": by_formulation(lambda f: (np.diff(db[f][2:], axis=2) >= 0.0).mean()),
         "fig11-alone": by_formulation(alone),
     }
     return Evidence(values, {"fig11": partial(plot_sweep, data["fig11, default"], "two")})
 
-
-# --- The paper's stated limit -------------------------------------------------------------------
 
 _LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.0,))
 
@@ -410,7 +382,7 @@ def lateral(plan: Plan, data: Data) -> Evidence:
     results = data[_LATERAL].results
     curves = {label: (r.frame.astype(float), r.mp_abs) for label, r in results.items()}
     panel = Panel("Square of 160 px at 12 px/frame", curves, level=0.4)
-    level = by_formulation(lambda f: [float(np.nanmedian(results[f"set9/{f}"].mp_abs))])
+    level = by_formulation(lambda f: np.nanmedian(results[f"set9/{f}"].mp_abs))
     draw = partial(plot_panels, [panel], "Frame", "mp_abs")
     return Evidence({"lateral-alarms": level}, {"lateral": draw})
 

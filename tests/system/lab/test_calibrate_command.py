@@ -14,9 +14,9 @@ from dlgmd_cli.lab.evaluation.calibration import (
     Rules,
     best_trial,
     choose,
-    count_of,
     fold_of,
     score_held_out,
+    tally_of,
     with_choice,
     with_values,
 )
@@ -56,7 +56,7 @@ def judged(signals, max_false_per_min=0.0):
     folds = fold_of([bool(one.contacts_s) for one in signals], rules)
     overall, *others = choose(signals, folds, rules)
     held_out = score_held_out([signals] * 5, folds, others, rules.horizon_s)
-    same = score([count_of(one, overall, rules.horizon_s) for one in signals])
+    same = score([tally_of(one, overall, rules.horizon_s) for one in signals])
     return [overall, *others], held_out, same, folds
 
 

@@ -150,7 +150,7 @@ def test_the_strongest_inside_and_outside_of_horizons():
 
 def test_measures_of_several_videos():
     counts = [
-        measures.count(signal(bursts, contacts), 2, 0.5)
+        scoring.tally(signal(bursts, contacts), 2, 0.5)
         for bursts, contacts in [
             ([(119, 130)], [150]),  # 1 s
             ([(143, 150)], [150]),  # 0.2 s
@@ -181,7 +181,7 @@ def test_measures_of_several_videos():
 def test_an_interval_is_that_of_resampled_videos():
     rng = np.random.default_rng(5)
     counts = [
-        measures.count(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
+        scoring.tally(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
         for _ in range(100)
     ]
     recall = measures.score(counts).measures["recall"]
