@@ -1,8 +1,8 @@
 """`dlgmd bench`: the computing times of the paper's Table IV, measured on this machine."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import progress
 
-TABLE_IV_SET = 7
 # Title of a column: key of the row, format.
 _COLUMNS = {
     "r": ("radius", "d"),
@@ -102,7 +101,14 @@ def bench(
     camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
     grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
-    from dlgmd_cli.lab.benchmark import RADII, SCALES, measure
+    from dlgmd_cli.lab.benchmark import (
+        PAPER_SIZE_WH,
+        RADII,
+        SCALES,
+        TABLE_IV_SET,
+        measure,
+        rendered_pan,
+    )
     from dlgmd_cli.parameters import load_set
     from dlgmd_cli.results.store import appearing, refuse_existing
     from dlgmd_cli.video.opening import open_video
@@ -110,16 +116,18 @@ def bench(
     radii = tuple(dict.fromkeys(radii)) or RADII
     scales = tuple(dict.fromkeys(scales)) or SCALES
     csv_paths = () if csv_path is None else (csv_path,)
-    with appearing(*csv_paths, option="--csv") as files:
+    with ExitStack() as opened:
+        files = opened.enter_context(appearing(*csv_paths, option="--csv"))
         for path, file in zip(csv_paths, files, strict=True):
             refuse_existing(path, overwrite=overwrite, option="--csv")
             file.touch()  # an unwritable folder fails at once, not after minutes
-        n_steps = repeats * len(radii) * len(scales)
-        with _clip(input_path, n_frames) as clip, progress("bench", n_steps, "step") as on_step:
+        clip = input_path
+        if clip is None:
+            say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
+            clip = opened.enter_context(rendered_pan(n_frames))
+        with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
             measured = measure(
-                lambda scale: open_video(
-                    clip, scale=scale, max_frames=n_frames, decoder=decoder or "opencv"
-                ),
+                partial(open_video, clip, max_frames=n_frames, decoder=decoder or "opencv"),
                 load_set(TABLE_IV_SET),
                 radii=radii,
                 scales=scales,
@@ -137,20 +145,6 @@ def bench(
             _write_csv(file, measured["rows"])
     if csv_path is not None and not as_json:
         print_path(csv_path)
-
-
-@contextmanager
-def _clip(given: str | None, n_frames: int) -> Iterator[str]:
-    """The path of the input; without one, of a clip rendered into a temporary folder."""
-    if given is not None:
-        yield given
-        return
-    from dlgmd_cli.lab.benchmark import PAPER_SIZE_WH, rendered_pan
-
-    width, height = PAPER_SIZE_WH
-    say(f"Rendering {n_frames} frames of {width}x{height}.")
-    with rendered_pan(n_frames) as path:
-        yield path
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

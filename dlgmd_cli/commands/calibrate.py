@@ -119,7 +119,7 @@ def calibrate(
     """
     from dlgmd_cli.lab.evaluation import calibration
     from dlgmd_cli.lab.evaluation.cases import read_cases, run_cases
-    from dlgmd_cli.lab.evaluation.search import Search, parse_ranges
+    from dlgmd_cli.lab.evaluation.search import Search, parse_range
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.setup import input_options as recorded
 
@@ -129,7 +129,7 @@ def calibrate(
         raise click.UsageError(f"--name: {printable(name)!r} is not the name of a file.")
     options = recorded(setup, given)
     wanted = calibration.Rules(rules["horizon_s"], rules["max_false_per_min"], folds)
-    ranges = parse_ranges(searched, setup.params)
+    ranges = dict(parse_range(text, setup.params) for text in searched)
     path = Path(out) / f"{name}.yaml"
     store.refuse_existing(path, overwrite=overwrite)
     cases = read_cases(labels_path)

@@ -24,6 +24,7 @@ from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import write_video
 
+TABLE_IV_SET = 7
 RADII = (6, 4, 3, 2)
 SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)
 N_FRAMES = 120

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,10 +78,9 @@ class Report:
 
     def row(self, label: str, at: str, target: str = ALL) -> Row | None:
         """The row of a candidate, threshold and target, or None."""
-        for row in self.rows:
-            if (row.candidate.label, row.at, row.target) == (label, at, target):
-                return row
-        return None
+        asked = label, at, target
+        rows = (row for row in self.rows if (row.candidate.label, row.at, row.target) == asked)
+        return next(rows, None)
 
     def main(self, label: str, target: str = ALL) -> Row:
         """The row at the default threshold, or, for a baseline, at the best one."""
@@ -108,18 +105,10 @@ class Report:
 
     def tables(self) -> dict[str, Write]:
         """The function that writes each table, by file name; OSError passes through."""
-        written = {
-            "evaluate.csv": (COLUMNS, self._score_rows),
-            "curves.csv": (CURVE_COLUMNS, self._curve_rows),
-            "alarms.csv": (ALARM_COLUMNS, self._alarm_rows),
-        }
-
-        def write(path: Path, header: Sequence[str], rows: Any) -> None:
-            write_rows(path, header, rows())
-
         return {
-            name: partial(write, header=header, rows=rows)
-            for name, (header, rows) in written.items()
+            "evaluate.csv": lambda path: write_rows(path, COLUMNS, self._score_rows()),
+            "curves.csv": lambda path: write_rows(path, CURVE_COLUMNS, self._curve_rows()),
+            "alarms.csv": lambda path: write_rows(path, ALARM_COLUMNS, self._alarm_rows()),
         }
 
     def _score_rows(self) -> Iterator[list[str]]:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,16 +40,11 @@ class Range:
         return f"{self.low:.9g}:{self.high:.9g}"
 
 
-def parse_ranges(texts: Sequence[str], params: Parameters) -> dict[str, Range]:
-    """Parse `KEY=LOW:HIGH`, KEY a parameter or `width_px`; returns the ranges by key.
+def parse_range(text: str, params: Parameters) -> tuple[str, Range]:
+    """Parse `KEY=LOW:HIGH`, KEY a parameter or `width_px`; returns the key and the range.
 
     Raises ParameterError.
     """
-    return dict(_range(text, params) for text in texts)
-
-
-def _range(text: str, params: Parameters) -> tuple[str, Range]:
-    """The key and the range in one `KEY=LOW:HIGH`."""
     key, _, bounds = text.partition("=")
     key = key.strip()
     try:

@@ -2,10 +2,10 @@
 
 import math
 import operator
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -82,12 +82,6 @@ class Finding:
     def _meets(self, value: float) -> bool:
         return bool(_HOLDS[self.claim.holds][0](value, self.claim.threshold))
 
-    def row(self) -> list[str]:
-        """The row of `claims.csv`."""
-        one = self.claim
-        numbers = cell(self.value), cell(one.threshold)
-        return [one.id, one.claim, self.source, self.formulation, one.measure, *numbers, self.holds]
-
 
 def load_claims(path: Path = CLAIMS) -> tuple[dict[str, ExhibitSpec], list[str]]:
     """The exhibits by id, in the order of the file, and the inconsistencies of the paper."""
@@ -111,8 +105,6 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
         If nothing begins with one of `only`.
     """
     asked = [text.strip() for text in only if text.strip()]
-    if not asked:
-        return dict(specs)
     ids = {each: spec.id for spec in specs.values() for each in (spec.id, *spec.claims)}
     for text in asked:
         if not any(_matches(text, each) for each in ids):
@@ -123,15 +115,14 @@ def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, E
                 "Invalid value for '--only'", f"there is no {text[:40]!r} to reproduce", mend
             )
     found = {}
-    for spec in specs.values():
-        is_whole = any(_matches(text, spec.id) for text in asked)
+    for name, spec in specs.items():
         claims = {
             key: claim
             for key, claim in spec.claims.items()
-            if is_whole or any(_matches(text, key) for text in asked)
+            if not asked or any(_matches(text, each) for text in asked for each in (name, key))
         }
         if claims:
-            found[spec.id] = ExhibitSpec(**{**vars(spec), "claims": claims})
+            found[name] = replace(spec, claims=claims)
     return found
 
 
@@ -154,7 +145,14 @@ def findings(
 
 def write_claims(path: Path, found: Iterable[Finding]) -> None:
     """Write `claims.csv`; OSError passes through."""
-    write_rows(path, COLUMNS, (one.row() for one in found))
+    rows = (
+        [
+            *(one.claim.id, one.claim.claim, one.source, one.formulation, one.claim.measure),
+            *(cell(one.value), cell(one.claim.threshold), one.holds),
+        ]
+        for one in found
+    )
+    write_rows(path, COLUMNS, rows)
 
 
 def counts(found: Sequence[Finding]) -> dict[str, dict[str, int]]:
@@ -162,8 +160,6 @@ def counts(found: Sequence[Finding]) -> dict[str, dict[str, int]]:
 
     Claims that are not about the D-LGMD count under `any`.
     """
-    result: dict[str, Any] = {}
-    for one in found:
-        result.setdefault(one.formulation, dict.fromkeys((YES, NO, UNDECIDED), 0))
-        result[one.formulation][one.holds] += 1
-    return result
+    numbers = Counter((one.formulation, one.holds) for one in found)
+    names = dict.fromkeys(one.formulation for one in found)
+    return {name: {kind: numbers[name, kind] for kind in (YES, NO, UNDECIDED)} for name in names}

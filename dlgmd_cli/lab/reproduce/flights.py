@@ -13,6 +13,7 @@ from dlgmd_cli.lab.benchmark import (
     PAPER_SIZE_WH,
     RADII,
     SCALES,
+    TABLE_IV_SET,
     measure,
     rendered_pan,
 )
@@ -279,7 +280,6 @@ def fig17(plan: Plan, data: Data) -> Evidence:
     return Evidence(values, {"fig17": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
-_SET = 7
 BEST_SCALE = 0.25
 
 
@@ -305,7 +305,7 @@ def _da_needs(plan: Plan) -> Needs:
         clip = Clip.of("group2", size=(height, width), seed=seed)
         for f in FORMULATIONS:
             models = {
-                _point(r, x): ModelSpec(model(f"set{_SET}", f, r=r), x / scales[0])
+                _point(r, x): ModelSpec(model(f"set{TABLE_IV_SET}", f, r=r), x / scales[0])
                 for r in RADII
                 for x in scales
             }
@@ -382,7 +382,7 @@ def _time_needs(plan: Plan) -> Needs:
 
 def time_model(formulation: str, *, quick: bool) -> list[dict[str, Any]]:
     """The rows of `dlgmd bench`; if `quick`, only three combinations of radius and scale."""
-    params, rows = load_set(_SET, formulation=formulation), []
+    params, rows = load_set(TABLE_IV_SET, formulation=formulation), []
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
     with rendered_pan(24 if quick else 48) as path:
         for radii, scales in points:

@@ -23,7 +23,7 @@ from dlgmd_cli.lab.evaluation.calibration import (
 from dlgmd_cli.lab.evaluation.cases import strength_at
 from dlgmd_cli.lab.evaluation.measures import score
 from dlgmd_cli.lab.evaluation.scoring import Signal
-from dlgmd_cli.lab.evaluation.search import Search, parse_ranges
+from dlgmd_cli.lab.evaluation.search import Search, parse_range
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
 from dlgmd_cli.runs.setup import Setup
@@ -111,6 +111,10 @@ def test_the_choice_becomes_parameters(params):
     assert strength_at(found.t_mp, found.kappa) == pytest.approx(0.0123456, rel=1e-3)
 
 
+def ranges_of(*texts):
+    return dict(parse_range(text, DlgmdParameters()) for text in texts)
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -127,11 +131,11 @@ def test_the_choice_becomes_parameters(params):
 )
 def test_ranges_that_cannot_be_searched(text, why):
     with pytest.raises(ParameterError, match=why):
-        parse_ranges([text], DlgmdParameters())
+        ranges_of(text)
 
 
 def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm():
-    found = parse_ranges(["sigma_e=0.1:2", "r=2:8", "width_px=100:500"], DlgmdParameters())
+    found = ranges_of("sigma_e=0.1:2", "r=2:8", "width_px=100:500")
     assert [(one.is_wide, one.is_whole) for one in found.values()] == [
         (True, False),
         (False, True),
@@ -141,7 +145,7 @@ def test_ranges_wider_than_tenfold_are_searched_by_their_logarithm():
 
 def test_a_search_continues_from_its_trials(tmp_path):
     setup = Setup(DlgmdParameters(), "set9")
-    ranges = parse_ranges(["sigma_i=1:4", "width_px=100:500"], setup.params)
+    ranges = ranges_of("sigma_i=1:4", "width_px=100:500")
     seen = []
 
     def measure(changed):
@@ -172,7 +176,7 @@ def test_a_search_continues_from_its_trials(tmp_path):
 
 def test_values_that_do_not_go_together_are_passed_over(tmp_path):
     setup = Setup(DlgmdParameters(), "set9")
-    search = Search(tmp_path, parse_ranges(["alpha=-9:-5"], setup.params), {})
+    search = Search(tmp_path, ranges_of("alpha=-9:-5"), {})
     assert list(search.run(3, setup, lambda changed: pytest.fail("impossible"))) == [1, 2, 3]
     assert search.trials() == []
     search.close()
