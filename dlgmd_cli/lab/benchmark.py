@@ -63,7 +63,7 @@ def measure(
     scales: Sequence[float] = SCALES,
     repeats: int = 1,
     engine: str = "auto",
-    on_step: Callable[[int], object] = int,
+    on_step: Callable[[int], object] = lambda n_done: None,
 ) -> dict[str, Any]:
     """Time the model for every radius and scale, in turn so that slow moments affect all alike.
 

@@ -95,18 +95,18 @@ class Candidate:
         The model's parameters; None for a baseline.
     by_sequence : bool
         Whether the potential is normalised by its own sequence.
-    signals : dict of str to Signal
-        The thresholded signal of each video, by the video's name in the labels.
     record : dict
         The record (run.yaml) of one of its results.
+    signals : dict of str to Signal
+        The thresholded signal of each video, by the video's name in the labels.
     """
 
     label: str
     n_sp: int
     params: Parameters | None
-    by_sequence: bool = False
+    by_sequence: bool
+    record: dict[str, Any]
     signals: dict[str, Signal] = field(default_factory=dict)
-    record: dict[str, Any] = field(default_factory=dict)
 
     @property
     def threshold(self) -> float | None:
@@ -269,30 +269,25 @@ class Evaluation:
 
     def _add(self, case: Case, results: Mapping[str, Result]) -> None:
         """Add the results of a video; raises DlgmdError if it cannot be scored."""
-        signals = {label: signal_of(result, case) for label, result in results.items()}
-        first = next(iter(results.values()))
-        known = dict(results)
+        found: list[tuple[str, Result, Parameters | None, Signal]] = [
+            (label, result, result.params, signal_of(result, case))
+            for label, result in results.items()
+            if label != FLOW
+        ]
+        first = found[0][1]
         if self._has_baselines:
-            flow = known.pop(FLOW, None)
-            known[P_SUM] = first
-            signals[P_SUM] = signal_of(first, case, first.p_sum / first.n_cells)
-            if flow is not None:
-                known[FLOW] = flow
-                signals[FLOW] = signal_of(flow, case, flow.mp / flow.n_cells)
-        for label, result in known.items():
-            before = self.candidates.get(label)
-            if before and before.params not in (None, result.params):
+            found.append((P_SUM, first, None, signal_of(first, case, first.p_sum / first.n_cells)))
+            if FLOW in results:
+                flow = results[FLOW]
+                found.append((FLOW, flow, None, signal_of(flow, case, flow.mp / flow.n_cells)))
+        for label, _, params, _ in found:
+            if label in self.candidates and self.candidates[label].params != params:
                 why = f"the result of {case.name} ({label}) has other parameters than those before"
                 raise ResultError(case.name, why, "Run 'dlgmd batch' again.")
-        for label, result in known.items():
+        for label, result, params, signal in found:
             if label not in self.candidates:
-                own = None if label in (P_SUM, FLOW) else result.params
-                self.candidates[label] = Candidate(
-                    label,
-                    (own or first.params).n_sp,
-                    own,
-                    result.by_sequence and own is not None,
-                    record=result.record,
-                )
-            self.candidates[label].signals[case.name] = signals[label]
+                n_sp = (params or first.params).n_sp
+                by_sequence = params is not None and result.by_sequence
+                self.candidates[label] = Candidate(label, n_sp, params, by_sequence, result.record)
+            self.candidates[label].signals[case.name] = signal
         self.cases.append(case)

@@ -48,35 +48,30 @@ def test_every_column_holds_what_it_says(dlgmd, clips, monkeypatch):
     assert (row["frames_per_s"], row["whole_s"]) == (200.0, 0.6)
     assert found["decoding_alone_ms"] == 2.0
     shown = dlgmd("bench", clips / "loom.avi", *ONE_CELL).stdout
-    assert "alone takes 2.000 ms per frame (opencv)" in shown
-    assert "With r = 2, the whole pipeline takes 2.50 times as long at 16x12." in shown
+    assert "2.000 ms per frame (opencv)" in shown and "2.50 times as long at 16x12" in shown
 
 
 def test_own_clip_is_compared_with_the_paper(dlgmd):
     options = ["--radius", 2, "--scale", 0.02, "--repeat", 1, "--frames", 12]
     result = dlgmd("bench", *options)
     assert result.exit_code == 0, result.output
-    assert result.stderr == "Rendering 12 frames of 1920x1080.\n"
+    assert "Rendering 12 frames of 1920x1080" in result.stderr
     assert "38x22" in result.stdout and " 0.57 " in result.stdout
-    assert "Decoding 12 frames of 1920x1080 alone takes" in result.stdout
-
-
-def test_the_ratio_says_how_many_times_as_fast_as_the_paper():
     video = SimpleNamespace(info=SimpleNamespace(width=1920, height=1080), size_wh=(1920, 1080))
     row = benchmark.row(6, 1.0, video, "opencv", {"whole_ms": 7.65})
-    assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))
+    assert (row["paper_s"], row["ratio"]) == (9.18, pytest.approx(10.0))  # ten times as fast
 
 
-def test_too_few_frames(dlgmd, clips):
+def test_too_few_frames_warnings_and_an_interruption(dlgmd, clips, tmp_path, stop):
     result = dlgmd("bench", clips / "short.avi", *ONE_CELL)
-    assert result.exit_code == 1
-    assert "short.avi: 3 frames are too few to time, at least 7 are needed." in result.stderr
-
-
-def test_an_interruption_ends_it(dlgmd, clips, stop):
+    assert result.exit_code == 1 and "short.avi: 3 frames are too few" in result.stderr
+    data = (clips / "loom.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) * 7 // 10])
+    result = dlgmd("bench", "cut.avi", *ONE_CELL)
+    assert result.exit_code == 0 and result.stderr.count("Warning: cut.avi: ") == 1
     stop()
     result = dlgmd("bench", clips / "loom.avi", *ONE_CELL, "--csv", "b.csv")
-    assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
+    assert result.exit_code == 130 and not (tmp_path / "b.csv").exists()
 
 
 def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, clips, tmp_path):
@@ -84,21 +79,12 @@ def test_a_csv_that_cannot_be_written_is_refused_before_it_takes_long(dlgmd, cli
     file.write_text("mine")
     command = ["bench", clips / "loom.avi", *ONE_CELL, "--csv"]
     result = dlgmd(*command, "b.csv/b.csv")
-    assert result.exit_code == 1 and result.stdout == ""
-    assert "cannot be written" in result.stderr and "Choose another --csv" in result.stderr
+    assert result.exit_code == 1 and "another --csv" in result.stderr and result.stdout == ""
     result = dlgmd(*command, "b.csv")
     assert result.exit_code == 2 and "b.csv: already exists" in result.stderr
     assert file.read_text() == "mine"
     assert dlgmd(*command, "b.csv", "--overwrite").exit_code == 0
     assert file.read_text().startswith("radius,scale,")
-
-
-def test_warnings_about_the_input(dlgmd, clips, tmp_path):
-    data = (clips / "loom.avi").read_bytes()
-    (tmp_path / "cut.avi").write_bytes(data[: len(data) * 7 // 10])
-    result = dlgmd("bench", "cut.avi", *ONE_CELL)
-    assert result.exit_code == 0
-    assert result.stderr.count("Warning: cut.avi: ") == 1 and "of about 20 frames" in result.stderr
 
 
 def test_pan_moves_and_repeats():
