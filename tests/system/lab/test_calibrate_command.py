@@ -1,6 +1,7 @@
 """`dlgmd calibrate`: thresholds found again, folds that are held out, searches that continue."""
 
 import json
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -148,35 +149,30 @@ def test_a_search_continues_from_its_trials(tmp_path):
     def measure(changed):
         """Better the nearer sigma_i is to 2.5; fold 1 likes wide frames."""
         seen.append((changed.params.sigma_i, changed.width_px))
-        recall = 1 - abs(changed.params.sigma_i - 2.5)
-        one = Choice(2, 0.1, (recall, -0.5, 0.2))
+        one = Choice(2, 0.1, (1 - abs(changed.params.sigma_i - 2.5), -0.5, 0.2))
         return one, one, Choice(3, 0.2, (changed.width_px / 500, 0.0, 0.0))
 
-    search = Search(tmp_path, ranges, {"a": 1})
-    assert list(search.run(3, setup, measure)) == [1, 2, 3]
-    search.close()
+    with closing(Search(tmp_path, ranges, {"a": 1})) as search:
+        assert list(search.run(3, setup, measure)) == [1, 2, 3]
     assert seen[0] == (4.0, 480)  # the setup's own, within the range
-    again = Search(tmp_path, ranges, {"a": 1})
-    assert len(again) == 3 and list(again.run(6, setup, measure)) == [4, 5, 6]
-    trials = again.trials()
+    with closing(Search(tmp_path, ranges, {"a": 1})) as search:
+        assert len(search) == 3 and list(search.run(6, setup, measure)) == [4, 5, 6]
+        trials = search.trials()
     assert [(one.values["sigma_i"], one.values["width_px"]) for one in trials] == seen
     assert best_trial(trials).values["sigma_i"] == min(seen, key=lambda s: abs(s[0] - 2.5))[0]
     assert best_trial(trials, 2).values["width_px"] == max(width for _, width in seen)
     assert trials[0].found == measure(with_values(setup, trials[0].values))
-    again.close()
-    with pytest.raises(OutputExistsError, match="trials of another search"):
+    with pytest.raises(OutputExistsError, match="another search"):
         Search(tmp_path, ranges, {"a": 2})
-    anew = Search(tmp_path, ranges, {"a": 2}, overwrite=True)
-    assert len(anew) == 0
-    anew.close()
+    with closing(Search(tmp_path, ranges, {"a": 2}, overwrite=True)) as search:
+        assert len(search) == 0
 
 
 def test_values_that_do_not_go_together_are_passed_over(tmp_path):
     setup = Setup(DlgmdParameters(), "set9")
-    search = Search(tmp_path, ranges_of("alpha=-9:-5"), {})
-    assert list(search.run(3, setup, lambda changed: pytest.fail("impossible"))) == [1, 2, 3]
-    assert search.trials() == []
-    search.close()
+    with closing(Search(tmp_path, ranges_of("alpha=-9:-5"), {})) as search:
+        assert list(search.run(3, setup, lambda changed: pytest.fail("impossible"))) == [1, 2, 3]
+        assert search.trials() == []
 
 
 @pytest.fixture(scope="module")
@@ -195,29 +191,24 @@ def footage(tmp_path_factory):
 
 
 def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
-    common = ["calibrate", footage / "labels.csv", "--set", 3, "--jobs", 1, "--folds", 3]
-    result = dlgmd(*common, "--name", "mine", "--size", "32x24")
+    labels = footage / "labels.csv"
+    common = ["calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 3, "--name", "mine"]
+    result = dlgmd(*common, "--size", "32x24")
     assert result.exit_code == 0, result.output
     assert "held out (3 folds)" in result.stdout and "before (set3)" in result.stdout
     assert "only 4 videos have a collision" in result.stderr
     preset = tmp_path / "dlgmd-out/mine.yaml"
     text = preset.read_text(encoding="utf-8")
-    assert (
-        "on labels.csv: 6 videos, 4 collisions" in text and "# Held out (3 folds): recall" in text
-    )
+    assert "6 videos, 4 collisions" in text and "# Held out (3 folds): recall" in text
     assert load_config(preset).options == {"size": "32x24"}
-    again = dlgmd(*common, "--name", "mine")
+    again = dlgmd(*common)
     assert again.exit_code == 2 and "already exists" in again.stderr
-    as_json = dlgmd(*common, "--name", "mine", "--size", "32x24", "--overwrite", "--json")
-    facts = json.loads(as_json.stdout)
+    facts = json.loads(dlgmd(*common, "--size", "32x24", "--overwrite", "--json").stdout)
     assert preset.read_text(encoding="utf-8") == text and len(facts["folds"]) == 3
-    assert facts["same_videos"]["recall"] >= 0.75 and facts["same_videos"]["false_alarms"] == 0
-    judged = dlgmd(
-        *["evaluate", footage / "labels.csv", "--config", preset, "--jobs", 1, "--json"],
-        *["--no-plots", "--no-baselines"],
-    )
-    found = json.loads(judged.stdout)["models"]["mine"]
     same = facts["same_videos"]
+    assert same["recall"] >= 0.75 and same["false_alarms"] == 0
+    more = ("--config", preset, "--jobs", 1, "--json", "--no-plots", "--no-baselines")
+    found = json.loads(dlgmd("evaluate", labels, *more).stdout)["models"]["mine"]
     for key in ("recall", "false_alarms_per_min", "lead_s", "auc", "minutes", "n_sp"):
         assert found[key] == pytest.approx(same[key] if key in same else facts["parameters"][key])
 
@@ -230,20 +221,20 @@ def test_a_search_from_the_command_line(dlgmd, footage, tmp_path):
     params = json.loads(result.stdout)["parameters"]
     assert 2 <= params["r"] <= 4 and 24 <= params["width_px"] <= 32
     text = (tmp_path / "cal/calibrated.yaml").read_text(encoding="utf-8")
-    assert "searched in 2 trials: r = 2:4, width_px = 24:32" in text
+    assert "2 trials: r = 2:4, width_px = 24:32" in text
     more = dlgmd(*common, *search, "--trials", 3, "--name", "more")
     assert more.exit_code == 0 and "2 trials are done already" in more.stderr
     other = dlgmd(*common, "--search", "r=2:5", "--name", "other")
-    assert other.exit_code == 2 and "trials of another search" in other.stderr
+    assert other.exit_code == 2 and "another search" in other.stderr
 
 
 @pytest.mark.parametrize(
     ("options", "code", "why"),
     [
-        (["--normalise", "sequence"], 2, "leaves no threshold"),
-        (["--name", "../x"], 2, "is not the name of a file"),
-        (["--search", "n_sp=1:4"], 2, "calibrated without a search"),
-        ([], 1, "needs at least 2"),
+        (["--normalise", "sequence"], 2, "no threshold"),
+        (["--name", "../x"], 2, "not the name of a file"),
+        (["--search", "n_sp=1:4"], 2, "without a search"),
+        ([], 1, "at least 2"),
     ],
 )
 def test_what_cannot_be_calibrated(dlgmd, footage, options, code, why):

@@ -16,6 +16,7 @@ from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, read_cases
 from dlgmd_cli.lab.evaluation.report import groups
 from dlgmd_cli.lab.evaluation.scoring import alarms
 
+NAN = float("nan")
 STILL = [looming_frames(1)[0]] * 12
 
 
@@ -37,22 +38,23 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-COMMON = ("--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
+def recorded(path="ev/evaluate.yaml"):
+    with open(path, encoding="utf-8") as file:
+        return yaml.safe_load(file)
+
+
+SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
 
 
 def test_files_and_tables(dlgmd, footage, tmp_path):
-    result = dlgmd(
-        *["evaluate", footage / "labels.csv", "--set", 3, "--set", 9, *COMMON, "--out", "ev"],
-        *["--format", "svg"],
-    )
+    command = ("evaluate", footage / "labels.csv", *SETS, "--out", "ev", "--format", "svg")
+    result = dlgmd(*command)
     assert result.exit_code == 0, result.output
-    names = {path.name for path in (tmp_path / "ev").iterdir()}
-    assert names == {
-        *("evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"),
-        *("evaluate-trade-off.svg", "evaluate-leads.svg"),
-    }
+    figures = {"evaluate-trade-off.svg", "evaluate-leads.svg"}
+    tables = {"evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"}
+    assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
-    rows = table(tmp_path / "ev/evaluate.csv")
+    rows = table("ev/evaluate.csv")
     at = [(r["model"], r["at"]) for r in rows if r["target"] == "all"]
     both = [(label, kind) for label in ("set3", "set9") for kind in ("default", "best")]
     assert at == [*both, ("ΣP alone", "best"), ("flow divergence", "best")]
@@ -60,83 +62,68 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     assert list(by_target) == ["all", "all without walls", "chair", "wall"]
     assert [r["videos"] for r in by_target.values()] == ["3", "2", "2", "1"]
     assert [r["collisions"] for r in by_target.values()] == ["2", "1", "1", "1"]
-    assert by_target["all"]["threshold"] == "0.4"
-    assert float(by_target["all"]["excitation"]) == pytest.approx(1e-4 * 0.4 / 0.6)
-    assert float(by_target["all"]["minutes"]) == pytest.approx((20 + 52 + 12) / 25 / 60)
-    assert int(by_target["all"]["false_alarms"]) == 1 == int(by_target["chair"]["false_alarms"])
-    alarms = [
-        (r["video"], r["kind"]) for r in table(tmp_path / "ev/alarms.csv") if r["model"] == "set3"
-    ]
-    assert ("twice.avi", "early") in alarms and not any("still" in name for name, _ in alarms)
-    frames = [int(r["frame"]) for r in table(tmp_path / "ev/alarms.csv") if r["kind"] == "missed"]
-    assert set(frames) == {20, 52}
-    hits = sum(kind == "hit" for _, kind in alarms)
-    assert hits == int(by_target["all"]["hits"]) > 0
-    assert sum(kind == "missed" for _, kind in alarms) == 2 - hits
-    curve = [r for r in table(tmp_path / "ev/curves.csv") if r["model"] == "set9"]
+    every = by_target["all"]
+    assert every["threshold"] == "0.4"
+    assert float(every["excitation"]) == pytest.approx(1e-4 * 0.4 / 0.6)
+    assert float(every["minutes"]) == pytest.approx((20 + 52 + 12) / 25 / 60)
+    assert int(every["false_alarms"]) == 1 == int(by_target["chair"]["false_alarms"])
+    alarms = [row for row in table("ev/alarms.csv") if row["model"] == "set3"]
+    kinds = [row["kind"] for row in alarms]
+    assert "early" in kinds and {row["video"] for row in alarms} <= {"near.avi", "twice.avi"}
+    assert {row["frame"] for row in alarms if row["kind"] == "missed"} <= {"20", "52"}
+    assert 2 - kinds.count("missed") == kinds.count("hit") == int(every["hits"]) > 0
+    curve = [r for r in table("ev/curves.csv") if r["model"] == "set9"]
     assert float(curve[-1]["recall"]) == float(curve[-1]["false_alarms_per_min"]) == 0
-    record = yaml.safe_load((tmp_path / "ev/evaluate.yaml").read_text(encoding="utf-8"))
-    assert record["models"][1]["kappa"] == 1e-4 and record["horizon_s"] == 1.0
-    again = dlgmd("evaluate", footage / "labels.csv", "--out", "ev")
+    assert recorded()["models"][1]["kappa"] == 1e-4 and recorded()["horizon_s"] == 1.0
+    again = dlgmd(*command)
     assert again.exit_code == 2 and "already exists" in again.stderr
 
 
 def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
-    sets = ["--set", 3, "--set", 9, *COMMON]
-    assert dlgmd("batch", footage, *sets, "--no-plots", "--out", "ba").exit_code == 0
+    assert dlgmd("batch", footage, *SETS, "--no-plots", "--out", "ba").exit_code == 0
+    common = ("evaluate", footage / "labels.csv", "--no-baselines", "--no-plots")
     both = []
-    for source in ([*sets, "--no-baselines"], ["--results", "ba", "--no-baselines"]):
-        result = dlgmd(
-            "evaluate", footage / "labels.csv", *source, "--json", "--no-plots", "--overwrite"
-        )
+    for source in (SETS, ("--results", "ba")):
+        result = dlgmd(*common, *source, "--json", "--out", f"ev{len(both)}")
         assert result.exit_code == 0, result.output
         both.append(json.loads(result.stdout)["models"])
-    assert list(both[0]) == ["set3", "set9"]
+    assert list(both[0]) == list(both[1]) == ["set3", "set9"]
     facts = both[0]["set9"]
     assert {"recall", "false_alarms_per_min", "lead_s", "auc"} <= set(facts)
     assert facts["intervals"]["recall"][0] <= facts["recall"] <= facts["intervals"]["recall"][1]
-
-    def flat(value):
-        if isinstance(value, dict):
-            return [one for key in value for one in flat(value[key])]
-        if isinstance(value, list):
-            return [one for part in value for one in flat(part)]
-        return [value]
-
-    for one, other in zip(flat(both[0]), flat(both[1]), strict=True):
-        is_number = isinstance(one, float) and isinstance(other, float)
-        assert one == (pytest.approx(other, rel=1e-6) if is_number else other)
-    refused = dlgmd("evaluate", footage / "labels.csv", "--results", "ba", "--set", 3)
-    assert refused.exit_code == 2 and "--set does not work with --results" in refused.stderr
-    refused = dlgmd("evaluate", footage / "labels.csv", "--results", "ba", "--crop", "16x16+0+0")
-    assert refused.exit_code == 2 and "--crop does not work with --results" in refused.stderr
+    for row, other in zip(table("ev0/evaluate.csv"), table("ev1/evaluate.csv"), strict=True):
+        for key, text in row.items():
+            if key in ("model", "at", "target"):
+                assert text == other[key]
+            else:
+                assert float(text or NAN) == pytest.approx(
+                    float(other[key] or NAN), rel=1e-6, nan_ok=True
+                )
+    for options in (["--set", 3], ["--crop", "16x16+0+0"]):
+        refused = dlgmd(*common, "--results", "ba", *options)
+        assert refused.exit_code == 2 and f"{options[0]} does not work" in refused.stderr
     assert read_result("ba/set9/near").params.kappa == 1e-4
 
 
-def test_options_that_a_config_sets_are_recorded(dlgmd, footage, tmp_path):
+def test_options_that_a_config_sets_are_recorded(dlgmd, footage):
     assert dlgmd("run", footage / "near.avi", "--scale", 0.5, "--end", 0.5).exit_code == 0
-    config = tmp_path / "dlgmd-out/near/run.yaml"
     (footage / "one.csv").write_text("video,collision_frame\nnear.avi,10\n")
-    more = ("--no-plots", "--out", "ev", "--repeats", "keep")
-    assert dlgmd("evaluate", footage / "one.csv", "--config", config, *more).exit_code == 0
-    record = yaml.safe_load((tmp_path / "ev/evaluate.yaml").read_text(encoding="utf-8"))
-    assert record["options"] == {"scale": 0.5, "end": 0.5, "repeats": "keep"}
+    more = ("--config", "dlgmd-out/near/run.yaml", "--no-plots", "--out", "ev", "--repeats", "keep")
+    assert dlgmd("evaluate", footage / "one.csv", *more).exit_code == 0
+    assert recorded()["options"] == {"scale": 0.5, "end": 0.5, "repeats": "keep"}
 
 
 @pytest.mark.parametrize(
     ("options", "label"), [(["--set", 3], "set3"), ([], "flight"), (["--model", "lgmd"], "lgmd")]
 )
 def test_results_of_one_model_have_its_name(dlgmd, footage, options, label):
-    batch = ["batch", footage, *options, "--no-plots", "--repeats", "keep", "--jobs", 1]
-    assert dlgmd(*batch, "--out", "one").exit_code == 0
-    result = dlgmd(
-        *["evaluate", footage / "labels.csv", "--results", "one", "--out", "ev", "--no-plots"]
-    )
-    assert result.exit_code == 0, result.output
+    common = ("--no-plots", "--repeats", "keep", "--jobs", 1, "--out", "one")
+    assert dlgmd("batch", footage, *options, *common).exit_code == 0
+    more = ("--results", "one", "--out", "ev", "--no-plots")
+    assert dlgmd("evaluate", footage / "labels.csv", *more).exit_code == 0
     assert {row["model"] for row in table("ev/evaluate.csv")} == {label, "ΣP alone"}
-    with open("ev/evaluate.yaml", encoding="utf-8") as file:
-        record = yaml.safe_load(file)
-    assert record["models"][0]["label"] == label and record["options"] == {"repeats": "keep"}
+    assert recorded()["models"][0]["label"] == label
+    assert recorded()["options"] == {"repeats": "keep"}
 
 
 @pytest.mark.parametrize("options", [{"set": 3}, {"model": "lgmd"}, {"normalise": "sequence"}])
@@ -157,13 +144,12 @@ def test_alarms_are_those_of_a_run(footage, options, repeats):
 def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, tmp_path):
     labels = footage / "more.csv"
     labels.write_text("video,collision_frame\nnear.avi,19\ngone.avi,3\nstill.avi,500\n")
-    result = dlgmd("evaluate", labels, *COMMON, "--json", "--no-plots", "--no-baselines")
-    assert result.exit_code == 1
-    assert "gone.avi: there is no such file" in result.stderr
-    assert "still.avi: its collision is at frame 500, but frames 0 to 11" in result.stderr
-    assert "2 of 3 videos could not be scored" in result.stderr
+    result = dlgmd("evaluate", labels, *SETS, "--json", "--no-plots", "--no-baselines")
+    assert result.exit_code == 1 and "2 of 3 videos" in result.stderr
     found = json.loads(result.stdout)
     assert found["videos"] == 1 and list(found["failed"]) == ["gone.avi", "still.avi"]
+    for name, why in (("gone.avi", "no such file"), ("still.avi", "frames 0 to 11")):
+        assert name in result.stderr and why in found["failed"][name]
     labels.write_text("video,collision_frame\ngone.avi,3\n")
     alone = dlgmd("evaluate", labels, "--out", "x")
     assert alone.exit_code == 1 and not (tmp_path / "x").exists()

@@ -25,9 +25,9 @@ def curve(signals, n_sp, at):
     return measures.curve([scoring.tally(one, n_sp, at) for one in signals], at)
 
 
-def verdict(one, n_sp=2):
+def verdict(one, **options):
     """Kinds of the alarms at threshold 0.5."""
-    return [KINDS[kind] for _, kind in scoring.alarms(one, n_sp, 0.5)]
+    return [KINDS[kind] for _, kind in scoring.alarms(one, 2, 0.5, **options)]
 
 
 # The alarm is raised at the second frame of a burst.
@@ -76,8 +76,7 @@ def test_minutes_run_to_contact_or_the_end(contacts, n_frames):
 
 def test_a_longer_horizon_leaves_less_that_is_false():
     one = signal([(80, 90)], [150])
-    assert [KINDS[kind] for _, kind in scoring.alarms(one, 2, 0.5, horizon_s=3.0)] == ["hit"]
-    assert scoring.tally(one, 2, 0.5, horizon_s=3.0).n_false[0] == 0
+    assert verdict(one) == ["false"] and verdict(one, horizon_s=3.0) == ["hit"]
 
 
 def plain(one, n_sp, threshold, horizon_s):
