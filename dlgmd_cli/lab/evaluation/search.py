@@ -70,7 +70,7 @@ def parse_range(text: str, params: Parameters) -> tuple[str, Range]:
         raise ParameterError(_OPTION, f"{key} may only be from {least:g} to {most:g}")
     if is_whole and (low != round(low) or high != round(high)):
         raise ParameterError(_OPTION, f"{key} takes whole numbers only")
-    return key, Range(low, high, is_whole)
+    return key, Range(int(low), int(high), True) if is_whole else Range(low, high, False)
 
 
 class Search:
@@ -163,19 +163,24 @@ class Search:
 
         The first trial has the setup's own values, limited to the ranges.
         """
-        state = self._optuna.trial.TrialState
+        kinds = self._optuna.distributions
+        distributions = {
+            key: (kinds.IntDistribution if one.is_whole else kinds.FloatDistribution)(
+                one.low, one.high, log=one.is_wide
+            )
+            for key, one in self.ranges.items()
+        }
         if not self._study.get_trials(deepcopy=False):
             own = {**setup.params.to_dict(), WIDTH: setup.width_px}
             self._study.enqueue_trial(
                 {key: min(max(own[key], r.low), r.high) for key, r in self.ranges.items()}
             )
         while (n_done := len(self)) < n_trials:
-            trial = self._study.ask()
-            values = {key: self._suggest(trial, key, one) for key, one in self.ranges.items()}
+            trial = self._study.ask(distributions)
             try:
-                changed = with_values(setup, values)
+                changed = with_values(setup, trial.params)
             except ParameterError:  # the values contradict each other
-                self._study.tell(trial, state=state.FAIL)
+                self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
             else:
                 found = measure(changed)
                 numbers = [[one.n_sp, one.threshold, list(one.rank)] for one in found]
@@ -184,12 +189,3 @@ class Search:
                 # Small weights: false alarms and lead decide between nearly equal recalls.
                 self._study.tell(trial, recall + 1e-3 * rate + 1e-4 * lead_s)
             yield n_done + 1
-
-    @staticmethod
-    def _suggest(trial: Any, key: str, one: Range) -> int | float:
-        """Let Optuna suggest a value within a range."""
-        if one.is_whole:
-            whole: int = trial.suggest_int(key, int(one.low), int(one.high), log=one.is_wide)
-            return whole
-        value: float = trial.suggest_float(key, one.low, one.high, log=one.is_wide)
-        return value

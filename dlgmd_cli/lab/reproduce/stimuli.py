@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.lab.reproduce.clips import (
+    CAPSULES,
     LAST_APART,
     Clip,
     all_formulations,
@@ -197,7 +198,7 @@ def _object_db(sums: Series) -> Series:
 
 def fig8(plan: Plan, data: Data) -> Evidence:
     """The attenuation around a ball that approaches and capsules that translate."""
-    names = ("ball", *(f"capsule, {speed:g} px/frame" for speed in (6.4, 4.8, 3.2, 1.6)))
+    names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
     def db(formulation: str) -> Series:
         return _object_db(data["fig8"][f"set9/{formulation}"])
