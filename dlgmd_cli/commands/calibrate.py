@@ -208,8 +208,8 @@ def _preset(
     trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
     n_folds = max(experiment.folds) + 1
     lines = [
-        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held.videos} "
-        f"videos, {held.collisions} collisions, {held.minutes:.2f} minutes.",
+        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held['videos']} "
+        f"videos, {held['collisions']} collisions, {held['minutes']:.2f} minutes.",
         f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute; alarms "
         f"up to {rules.horizon_s:g} s before a collision are hits.",
         f"Calibrated: kappa (LGMD: t_mp) and n_sp{trials}.",
@@ -226,7 +226,7 @@ def _sentence(scores: "Scores") -> str:
     """The measures with their 95 % intervals, in words."""
     from dlgmd_cli.lab.evaluation.report import interval_text
 
-    recall, rate, lead, auc = (interval_text(scores.measures[name]) for name in _SHOWN)
+    recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
 
 
@@ -251,7 +251,7 @@ def _show(found: "Calibration", experiment: "Experiment") -> None:
         "before": f"before ({experiment.setup.label})",
     }
     rows = [
-        (title, *(interval_text(found.scores[key].measures[name]) for name in _SHOWN))
+        (title, *(interval_text(found.scores[key], name) for name in _SHOWN))
         for key, title in names.items()
     ]
     print_table(("", "recall", "false/min", "lead s", "AUC"), rows)

@@ -259,8 +259,7 @@ def _figures(
     for label in curves:
         row = report.row(label, DEFAULT)
         if row is not None:
-            measures = row.scores.measures
-            points[label] = measures["false_alarms_per_min"].value, measures["recall"].value
+            points[label] = row["false_alarms_per_min"], row["recall"]
     figures = {
         "evaluate-trade-off": partial(trade_off, curves, points, rules["max_false_per_min"], width),
         "evaluate-leads": partial(leads, report.leads_s, rules["horizon_s"], width),
@@ -273,29 +272,33 @@ def _show(report: "Report") -> None:
     from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
     header = ("model", "threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
-    rows = []
-    for row in (one for one in report.rows if one.target == ALL):
-        scores = row.scores
-        names = ("recall", "false_alarms_per_min", "precision", "lead_s", "auc")
-        cells = [interval_text(scores.measures[name]) for name in names]
-        label = row.candidate.label
-        rows.append((label, f"{row.at} {row.threshold:.4g}", *cells, str(scores.at_contact)))
+    names = ("recall", "false_alarms_per_min", "precision", "lead_s", "auc")
+    rows = [
+        (
+            row["model"],
+            f"{row['at']} {row['threshold']:.4g}",
+            *(interval_text(row, name) for name in names),
+            str(row["at_contact"]),
+        )
+        for row in report.rows
+        if row["target"] == ALL
+    ]
     print_table(header, rows)
-    counts = report.rows[0].scores
+    first = report.rows[0]
     click.echo(
-        f"{counts.videos} videos, {counts.collisions} collisions, {counts.minutes:.2f} minutes "
-        "before contact or the end."
+        f"{first['videos']} videos, {first['collisions']} collisions, {first['minutes']:.2f} "
+        "minutes before contact or the end."
     )
     if not report.targets:
         return
     lines = []
     for target in report.targets:
-        mains = [report.main(label, target).scores for label in report.curves]
+        mains = [report.main(label, target) for label in report.curves]
         cells = [
-            f"{f'{one.hits}/{one.collisions}' if one.collisions else '–'}, "
-            f"{one.measures['false_alarms_per_min'].value:.1f}"
-            for one in mains
+            f"{'{hits}/{collisions}'.format(**row) if row['collisions'] else '–'}, "
+            f"{row['false_alarms_per_min']:.1f}"
+            for row in mains
         ]
-        lines.append((target, str(mains[0].videos), *cells))
+        lines.append((target, str(mains[0]["videos"]), *cells))
     click.echo("Collisions announced, and false alarms per minute, by target:")
     print_table(("target", "videos", *report.curves), lines)

@@ -109,11 +109,12 @@ class Candidate:
     signals: dict[str, Signal] = field(default_factory=dict)
 
     @property
-    def threshold(self) -> float | None:
-        """The strength at which the normalised potential reaches T_MP; None for a baseline."""
-        if self.params is None or self.by_sequence:
-            return None if self.params is None else self.params.t_mp
-        return strength_at(self.params.t_mp, self.params.kappa)
+    def threshold(self) -> tuple[float, float] | None:
+        """T_MP, and the strength at which the potential reaches it; None for a baseline."""
+        if self.params is None:
+            return None
+        t_mp, kappa = self.params.t_mp, self.params.kappa
+        return t_mp, t_mp if self.by_sequence else strength_at(t_mp, kappa)
 
     def level(self, strength: float) -> float:
         """The normalised potential at a strength; for a baseline, the strength itself."""

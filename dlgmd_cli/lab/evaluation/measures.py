@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,42 +21,11 @@ N_RESAMPLES, CONFIDENCE = 1000, 0.95
 # Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
 # alarms are few, and each counts.
 MAX_THRESHOLDS = 4000
+COUNTS = ("videos", "collisions", "hits", "at_contact", "false_alarms", "early", "minutes")
 MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
 
-
-class Estimate(NamedTuple):
-    """A measure and its bootstrap interval over the videos; NaN where undefined."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Scores:
-    """The performance of a model on some videos at one threshold.
-
-    Attributes
-    ----------
-    videos, collisions, hits, at_contact, false_alarms, early : int
-        Counts. Hits are announced collisions. Early alarms are included in the false ones.
-    minutes : float
-        Time in which an alarm counts as false.
-    measures : dict of str to Estimate
-        `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
-        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`: the
-        probability that the peak strength before a collision exceeds one elsewhere, see
-        `scoring.peaks`.
-    """
-
-    videos: int
-    collisions: int
-    hits: int
-    at_contact: int
-    false_alarms: int
-    early: int
-    minutes: float
-    measures: dict[str, Estimate]
+# The performance of a model on some videos at one threshold, see `score`.
+Scores = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -133,7 +101,17 @@ def _medians(columns: Series) -> Series:
 def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
     """The measures over at least one video, tallied at one threshold.
 
-    Intervals are from `N_RESAMPLES` resamples.
+    Returns
+    -------
+    dict of str to float
+        `videos`, `collisions`, `hits` (announced collisions), `at_contact`, `false_alarms`, `early`
+        (included in the false ones) and `minutes` (time in which an alarm counts as false).
+
+        `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
+        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`: the
+        probability that the peak strength before a collision exceeds one elsewhere, see
+        `scoring.peaks`. Each is followed by its bounds, `recall_low` and `recall_high`, from
+        `N_RESAMPLES` resamples of the videos. NaN where undefined.
     """
     n = len(tallies)
     leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
@@ -143,20 +121,18 @@ def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
             for one, found in zip(tallies, leads, strict=True)
         ]
     )
+    n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
+    n_contact = sum(int(one.at_contact.sum()) for one in tallies)
+    n_early = sum(int(one.n_early[0]) for one in tallies)
+    counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
+    found: Scores = dict(zip(COUNTS, counts, strict=True))
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
     weights = np.concatenate((np.ones((1, n), np.int64), draws))
     values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
-    n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
-    return Scores(
-        n,
-        int(n_collisions),
-        int(n_hits),
-        sum(int(one.at_contact.sum()) for one in tallies),
-        int(n_false),
-        sum(int(one.n_early[0]) for one in tallies),
-        minutes,
-        {name: _estimate(drawn) for name, drawn in values.items()},
-    )
+    for name, drawn in values.items():
+        found[name] = float(drawn[0])
+        found[f"{name}_low"], found[f"{name}_high"] = _interval(drawn)
+    return found
 
 
 def _measured(
@@ -221,11 +197,11 @@ def _ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
     return np.divide(above, below, out=np.full(np.shape(above), np.nan), where=below > 0)
 
 
-def _estimate(drawn: Series) -> Estimate:
-    """The first value, with the interval of the others that are not NaN."""
+def _interval(drawn: Series) -> tuple[float, float]:
+    """The interval of all values but the first that are not NaN; NaN if the first one is."""
     others = drawn[1:][~np.isnan(drawn[1:])]
     if np.isnan(drawn[0]) or not others.size:
-        return Estimate(float(drawn[0]), np.nan, np.nan)
+        return np.nan, np.nan
     tail = (1.0 - CONFIDENCE) / 2
     low, high = np.quantile(others, [tail, 1.0 - tail])
-    return Estimate(float(drawn[0]), float(low), float(high))
+    return float(low), float(high)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.lab.evaluation.cases import Candidate, Case, Evaluation
+from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
 from dlgmd_cli.lab.evaluation.measures import (
+    COUNTS,
     MEASURES,
     Curve,
-    Estimate,
     Scores,
     curve,
     score,
@@ -24,42 +24,18 @@ from dlgmd_cli.results.store import Write
 
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 DEFAULT, BEST = "default", "best"
-COUNTS = ("videos", "collisions", "hits", "at_contact", "false_alarms", "early", "minutes")
-COLUMNS = (
-    *("model", "at", "target", "threshold", "excitation", "n_sp", *COUNTS),
-    *(f"{name}{end}" for name in MEASURES for end in ("", "_low", "_high")),
-)
+# The words in a row of scores.
+_WORDS = ("model", "at", "target")
 CURVE_COLUMNS = ("model", "threshold", "excitation", "recall", "false_alarms_per_min", "lead_s")
 ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 
 
-@dataclass(frozen=True)
-class Row:
-    """The scores of a candidate on a group of videos at one threshold.
-
-    Attributes
-    ----------
-    at : str
-        `default`: the threshold of the parameters. `best`: the threshold with the highest recall at
-        the allowed rate of false alarms, chosen on the same videos.
-    target : str
-        `all`, `all without walls`, or the name of a target.
-    excitation : float
-        The threshold of the mean excitation; `threshold` is that of the normalised potential.
-    """
-
-    candidate: Candidate
-    at: str
-    target: str
-    excitation: float
-    scores: Scores
-
-    @property
-    def threshold(self) -> float:
-        """The threshold of the normalised potential."""
-        if self.at == DEFAULT and self.candidate.params is not None:
-            return self.candidate.params.t_mp
-        return self.candidate.level(self.excitation)
+# The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
+# `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
+# allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
+# a target's name. `threshold` is that of the normalised potential, `excitation` that of the mean
+# excitation; the other columns are those of `measures.score`.
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -79,7 +55,7 @@ class Report:
     def row(self, label: str, at: str, target: str = ALL) -> Row | None:
         """The row of a candidate, threshold and target, or None."""
         asked = label, at, target
-        rows = (row for row in self.rows if (row.candidate.label, row.at, row.target) == asked)
+        rows = (row for row in self.rows if tuple(row[word] for word in _WORDS) == asked)
         return next(rows, None)
 
     def main(self, label: str, target: str = ALL) -> Row:
@@ -91,11 +67,11 @@ class Report:
     @property
     def targets(self) -> list[str]:
         """The groups of targets but `all`, in the order of the rows."""
-        return list(dict.fromkeys(row.target for row in self.rows if row.target != ALL))
+        return list(dict.fromkeys(row["target"] for row in self.rows if row["target"] != ALL))
 
     def counts(self) -> dict[str, Any]:
         """Numbers of videos, collisions and minutes, and the videos that failed."""
-        signals = self.evaluation.signals(self.rows[0].candidate.label)
+        signals = self.evaluation.signals(self.rows[0]["model"])
         return {
             "videos": len(self.evaluation.cases),
             "collisions": sum(len(case.collisions) for case in self.evaluation.cases),
@@ -106,7 +82,7 @@ class Report:
     def tables(self) -> dict[str, Write]:
         """The function that writes each table, by file name; OSError passes through."""
         return {
-            "evaluate.csv": lambda path: write_rows(path, COLUMNS, self._score_rows()),
+            "evaluate.csv": lambda path: write_rows(path, list(self.rows[0]), self._score_rows()),
             "curves.csv": lambda path: write_rows(path, CURVE_COLUMNS, self._curve_rows()),
             "alarms.csv": lambda path: write_rows(path, ALARM_COLUMNS, self._alarm_rows()),
         }
@@ -114,12 +90,7 @@ class Report:
     def _score_rows(self) -> Iterator[list[str]]:
         """The rows of evaluate.csv."""
         for row in self.rows:
-            scores = row.scores
-            numbers: list[Any] = [row.threshold, row.excitation, row.candidate.n_sp]
-            numbers += [getattr(scores, name) for name in COUNTS]
-            numbers += [value for name in MEASURES for value in scores.measures[name]]
-            words = (text_cell(row.candidate.label), row.at, text_cell(row.target))
-            yield [*words, *map(cell, numbers)]
+            yield [text_cell(v) if key in _WORDS else cell(v) for key, v in row.items()]
 
     def _curve_rows(self) -> Iterator[list[str]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""
@@ -138,7 +109,9 @@ class Report:
                 row, signal = self.main(label), candidate.signals[case.name]
                 found: list[tuple[int, float, str, float]] = []
                 announced = set()
-                for number, kind in alarms(signal, candidate.n_sp, row.excitation, self.horizon_s):
+                for number, kind in alarms(
+                    signal, candidate.n_sp, row["excitation"], self.horizon_s
+                ):
                     time_s, lead_s = float(signal.time_s[number]), math.nan
                     if kind == HIT:
                         contact_s = min(one for one in signal.contacts_s if one > time_s)
@@ -151,7 +124,7 @@ class Report:
                     if contact_s not in announced:
                         found.append((frame, contact_s, "missed", math.nan))
                 for frame, time_s, word, lead_s in sorted(found):
-                    words = (text_cell(case.name), text_cell(label), row.at)
+                    words = (text_cell(case.name), text_cell(label), row["at"])
                     yield [*words, str(frame), cell(time_s), word, cell(lead_s)]
 
     def to_json(self) -> dict[str, Any]:
@@ -159,10 +132,10 @@ class Report:
 
         def facts(row: Row) -> dict[str, Any]:
             return {
-                "at": row.at,
-                "threshold": defined(row.threshold),
-                "n_sp": row.candidate.n_sp,
-                **scores_json(row.scores),
+                "at": row["at"],
+                "threshold": defined(row["threshold"]),
+                "n_sp": row["n_sp"],
+                **scores_json(row),
             }
 
         found = {}
@@ -172,7 +145,7 @@ class Report:
             if best is not None and best is not row:
                 found[label]["best"] = facts(best)
             found[label]["recall_by_target"] = {
-                target: defined(self.main(label, target).scores.measures["recall"].value)
+                target: defined(self.main(label, target)["recall"])
                 for target in sorted(self.targets)
             }
         return found
@@ -205,28 +178,28 @@ def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: flo
         signals, n_sp = evaluation.signals(label), candidate.n_sp
         levels = thresholds(signals, n_sp, horizon_s)
         curves[label] = curve([tally(one, n_sp, levels, horizon_s) for one in signals], levels)
-        at = {BEST: float(levels[curves[label].best(max_false_per_min)])}
+        best = float(levels[curves[label].best(max_false_per_min)])
+        at = {BEST: (candidate.level(best), best)}
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
-        for name, strength in at.items():
+        for name, (level, strength) in at.items():
             tallies = [tally(one, n_sp, strength, horizon_s) for one in signals]
             leads_s.setdefault(label, np.concatenate([one.lead_s[:, 0] for one in tallies]))
             for target, wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
-                rows.append(Row(candidate, name, target, strength, score(chosen)))
-    rows.sort(key=lambda row: row.target != ALL)
+                own = {"model": label, "at": name, "target": target, "threshold": level}
+                rows.append({**own, "excitation": strength, "n_sp": n_sp, **score(chosen)})
+    rows.sort(key=lambda row: row["target"] != ALL)
     return Report(evaluation, horizon_s, rows, curves, leads_s)
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:
     """The measures, their intervals and the counts as JSON values."""
-    measures = scores.measures
+    intervals = {name: (scores[f"{name}_low"], scores[f"{name}_high"]) for name in MEASURES}
     return {
-        **{name: defined(one.value) for name, one in measures.items()},
-        "intervals": {
-            name: [defined(one.low), defined(one.high)] for name, one in measures.items()
-        },
-        **{name: getattr(scores, name) for name in COUNTS},
+        **{name: defined(scores[name]) for name in MEASURES},
+        "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
+        **{name: scores[name] for name in COUNTS},
     }
 
 
@@ -235,10 +208,9 @@ def defined(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def interval_text(one: Estimate, digits: int = 2) -> str:
+def interval_text(scores: Scores, name: str) -> str:
     """A measure with its interval, for tables."""
-    if math.isnan(one.value):
+    value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
+    if math.isnan(value):
         return "–"
-    if math.isnan(one.low):
-        return f"{one.value:.{digits}f}"
-    return f"{one.value:.{digits}f} ({one.low:.{digits}f}–{one.high:.{digits}f})"
+    return f"{value:.2f}" if math.isnan(low) else f"{value:.2f} ({low:.2f}–{high:.2f})"

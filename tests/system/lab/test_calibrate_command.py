@@ -67,8 +67,8 @@ def test_the_threshold_and_the_count_are_found_again():
         assert choice.n_sp == 3 and 0.4 < choice.threshold <= 0.55
         assert choice.rank[:2] == (1.0, 0.0)
     # Whether the weakest is announced depends on the others alone.
-    assert held_out.collisions == 10 and held_out.false_alarms == 0 and held_out.hits >= 9
-    assert same.measures["recall"].value == 1.0
+    assert held_out["collisions"] == 10 and held_out["false_alarms"] == 0 and held_out["hits"] >= 9
+    assert same["recall"] == 1.0
     # With room for mistakes it announces no more, and so makes none.
     assert judged(material(), 60.0)[0][0] == choices[0]
 
@@ -90,7 +90,7 @@ def test_no_video_judges_what_was_chosen_on_it():
     ]
     choices, held_out, same, _ = judged(scaled)
     assert 0.4 < choices[1].threshold <= 0.55
-    assert held_out.false_alarms > 0 < same.hits < 10
+    assert held_out["false_alarms"] > 0 < same["hits"] < 10
 
 
 @pytest.mark.parametrize(("n_with", "n_without", "n_folds"), [(10, 15, 5), (3, 4, 5), (2, 0, 5)])

@@ -136,7 +136,7 @@ def test_alarms_are_those_of_a_run(footage, options, repeats):
     evaluation = Evaluation(baselines=False)
     evaluation.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
     one = evaluation.candidates["x"]
-    rows = [row for row, _ in alarms(one.signals["twice.avi"], one.n_sp, one.threshold)]
+    rows = [row for row, _ in alarms(one.signals["twice.avi"], one.n_sp, one.threshold[1])]
     assert rows == found.alarm_onsets.tolist() and rows
     assert found.is_repeat.any() == (repeats == "skip")
 
