@@ -33,7 +33,7 @@ Openable = str | os.PathLike[str] | Iterable[Any]
 MAX_SIDE = 8192
 
 # How far a video may exceed the default rate: nominal 30 frames/s can be up to 30.3.
-_RATE_TOLERANCE = 1.1
+RATE_TOLERANCE = 1.1
 # The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
@@ -125,7 +125,7 @@ def open_video(
         width, height, fps, n_frames, *_ = opened.stream_info
         fps = fps or input_fps or FALLBACK_FPS
         if max_fps is None:
-            max_fps = _RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
+            max_fps = RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]

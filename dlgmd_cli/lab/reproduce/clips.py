@@ -170,7 +170,7 @@ def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series
     sums: dict[str, list[Series]] = {label: [] for label in models}
     with open_clip(clip) as video:
         for frame, each in responses(video, steppers, layers=lambda frame: True):
-            boxes = _boxes(frame.grey.shape, frame.index)
+            boxes = object_boxes(frame.grey.shape, frame.index)
             for label, response in zip(models, each, strict=True):
                 found = np.full((2, len(boxes)), np.nan)
                 if response.is_valid and response.layers is not None:
@@ -181,7 +181,7 @@ def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series
     return {label: np.stack(found, axis=1) for label, found in sums.items()}
 
 
-def _boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
+def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
     """Rows and columns of the boxes around the ball and each capsule at a frame."""
     height, width = shape
     px = width / 800.0

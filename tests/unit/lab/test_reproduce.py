@@ -117,10 +117,11 @@ def test_clips_are_rendered_once_for_all_their_models():
 
 def test_boxes_hold_the_objects_of_fig_8():
     clip = Clip.of("ball-and-capsules", size=(150, 200))
-    frames = [frame.astype(float) for frame in islice(clips._open_clip(clip)[0], 42)]
+    with clips.open_clip(clip) as video:
+        frames = [frame.grey.astype(float) for frame in islice(video, 42)]
     for index in (5, 20, 41):
         change = np.abs(frames[index] - frames[index - 1]) > 12
-        boxes = clips._boxes(change.shape, index)
+        boxes = clips.object_boxes(change.shape, index)
         assert change.sum() > 50 and all(change[box].any() for box in boxes)
         for box in boxes:
             change[box] = False
