@@ -208,6 +208,7 @@ def _advice(facts: "Survey") -> list[str]:
 
 def _rate_advice(facts: "Survey") -> list[str]:
     """Advice about the frame rate."""
+    from dlgmd_cli.video.opening import RATE_TOLERANCE
     from dlgmd_cli.video.source import sampling_step
 
     lines = []
@@ -220,7 +221,7 @@ def _rate_advice(facts: "Survey") -> list[str]:
             "The frame rate varies, and the model counts frames, not seconds: record at a "
             "constant rate, or convert with 'ffmpeg -i INPUT -r 30 OUTPUT'."
         )
-    every, _ = sampling_step(facts.fps_stated or 0.0, 1.1 * model_fps)
+    every, _ = sampling_step(facts.fps_stated or 0.0, RATE_TOLERANCE * model_fps)
     if every > 1:
         lines.append(
             f"At most {model_fps:g} frames a second are processed by default: one in {every} of "

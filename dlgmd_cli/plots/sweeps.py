@@ -21,7 +21,6 @@ from dlgmd_cli.plots.style import (
     new_figure,
     width_in,
 )
-from dlgmd_cli.plots.traces import FLOOR_DB
 from dlgmd_cli.results.result import Flags, Series
 from dlgmd_cli.results.sweep import Axis, SweepResult
 

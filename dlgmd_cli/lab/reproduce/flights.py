@@ -39,7 +39,7 @@ from dlgmd_cli.lab.reproduce.plan import (
 from dlgmd_cli.lab.reproduce.stimuli import SIZE, mean_db, share_of_peak
 from dlgmd_cli.parameters import FORMULATIONS, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
-from dlgmd_cli.plots.traces import FLOOR_DB
+from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.video.opening import open_video
 

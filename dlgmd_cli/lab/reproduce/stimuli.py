@@ -32,8 +32,8 @@ from dlgmd_cli.models.kernels import connect, latency_map
 from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters, load_set
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.sweeps import plot_sweep
-from dlgmd_cli.plots.traces import FLOOR_DB
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 from dlgmd_cli.runs.setup import Setup
