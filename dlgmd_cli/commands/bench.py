@@ -10,10 +10,10 @@ import click
 
 from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
 from dlgmd_cli.commands.options import (
-    FiniteRange,
     decoder_option,
     engine_option,
     json_option,
+    numeric,
     optional_input_argument,
     overwrite_option,
 )
@@ -50,7 +50,7 @@ _COLUMNS = {
 @click.option(
     "--scale",
     "scales",
-    type=FiniteRange(min=0, min_open=True, max=1),
+    type=numeric(low_open=True, high=1),
     multiple=True,
     metavar="S",
     help="Scale of the processed frames; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -11,22 +12,24 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
+    ENGINES,
     FORMULATIONS,
     MODELS,
     PRESETS,
+    find_model,
+    installed_models,
     parse_overrides,
     preset_names,
 )
-from dlgmd_cli.video.base import DECODERS, REPEATS, parse_crop, parse_size
+from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
-
-ENGINES = ("opencv", "numba")
 
 
 class Parsed(click.ParamType):
@@ -67,17 +70,49 @@ class Time(click.ParamType):
         return time_s
 
 
-class FiniteRange(click.FloatRange):
-    """A range of finite numbers."""
+class Number(click.FloatRange):
+    """A number that a `Spec` checks; the help shows its range."""
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """A finite float within the range."""
-        number: float = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return number
+    def __init__(self, spec: Spec) -> None:
+        low, high = (None if math.isinf(bound) else bound for bound in (spec.low, spec.high))
+        super().__init__(low, high, min_open=spec.low_open)
+        self.name, self.spec = "integer" if spec.kind is int else "number", spec
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The value, as the spec has it."""
+        try:
+            return self.spec.parse(str(value))
+        except ParameterError as error:
+            self.fail(str(error), param, ctx)
+
+
+def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Number:
+    """The type of a number that only the command line takes."""
+    return Number(Spec(kind, low, high, **facts))
+
+
+class ModelName(click.ParamType):
+    """One of our models, an installed one, or package.module:Class."""
+
+    name = "model"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """The names of our models."""
+        return f"[{'|'.join(MODELS)}|MODULE:CLASS]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The name; a class is imported later."""
+        if value not in MODELS and ":" not in value and value not in installed_models():
+            known = ", ".join((*MODELS, *installed_models()))
+            self.fail(f"{value!r} is not one of {known}, or MODULE:CLASS.", param, ctx)
+        return str(value)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Our models and the installed ones."""
+        names = (*MODELS, *installed_models())
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 def file_ending(example: str) -> Callable[[str], Path]:
@@ -150,9 +185,10 @@ def complete_key(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Keys of parameters with an equals sign; if a model is named, only its own."""
-    named = ctx.params.get("model")
-    kinds = [MODELS[named]] if named in MODELS else MODELS.values()
-    specs = {key: spec for kind in kinds for key, spec in kind.parameters.specs().items()}
+    kinds = list(MODELS.values())
+    with suppress(ParameterError):  # none is named, several are, or it cannot be imported
+        kinds = [find_model(ctx.params.get("model"))]
+    specs = {key: spec for kind in kinds for key, spec in kind.specs().items()}
     return [
         CompletionItem(f"{key}=", help=spec.meaning)
         for key, spec in specs.items()
@@ -195,7 +231,9 @@ PARAM_HELP = "Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9'
 CONFIG_HELP = (
     "YAML file of parameters, or the name of a preset. The run.yaml of a result repeats its run."
 )
-MODEL_HELP = "A model with its published parameters; dlgmd means set 9."
+MODEL_HELP = (
+    "A model with its published parameters; dlgmd means set 9. Your own is package.module:Class."
+)
 FORMULATION_HELP = (
     "How inhibition is computed where its delay is not a whole number of frames. default: delays "
     "are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
@@ -260,7 +298,7 @@ def _naming_options(*, many: bool) -> list[Option]:
         option(
             "--model",
             f"model{plural}",
-            type=click.Choice(list(MODELS)),
+            type=ModelName(),
             help=f"{MODEL_HELP}{note}",
         ),
     ]
@@ -298,32 +336,32 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
 # How the input is read.
 
 
-class RateOrAll(FiniteRange):
-    """A frame rate above 0, or all."""
+def _number(name: str) -> Number:
+    """The type of a numeric option of `InputOptions`."""
+    return Number(INPUT_SPECS[name])
 
-    name = "rate"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """`25` -> 25.0, `all` -> all."""
-        return value if value == "all" else super().convert(value, param, ctx)
+def _choice(name: str) -> click.Choice:
+    """The type of an option of `InputOptions` with a few words."""
+    return click.Choice(INPUT_SPECS[name].choices)
 
 
 input_fps_option = click.option(
     "--input-fps",
-    type=FiniteRange(min=0, min_open=True, max=100_000),
+    type=_number("input_fps"),
     metavar="F",
     help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
 )
 decoder_option = click.option(
     "--decoder",
-    type=click.Choice(DECODERS),
+    type=_choice("decoder"),
     help="Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]",
 )
 # What `live` has too.
 _PICTURES = (
     click.option(
         "--scale",
-        type=FiniteRange(min=0, min_open=True, max=1),
+        type=_number("scale"),
         metavar="S",
         help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
         f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
@@ -331,14 +369,14 @@ _PICTURES = (
     click.option("--size", type=SIZE, help="Scale frames to this size in px instead."),
     click.option(
         "--fps",
-        type=RateOrAll(min=0, min_open=True, max=100_000),
+        type=_number("fps"),
         metavar="F|all",
         help="Process at most F frames a second, by taking every k-th. Times stay true.  "
         f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
     ),
     click.option(
         "--repeats",
-        type=click.Choice(REPEATS),
+        type=_choice("repeats"),
         help="Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
@@ -366,7 +404,7 @@ input_options = option_group(
     decoder_option,
     click.option(
         "--normalise",
-        type=click.Choice(["absolute", "sequence"]),
+        type=_choice("normalise"),
         help="How the membrane potential (MP) is normalised before the spiking threshold: absolute "
         "needs no later frames; sequence scales to the extremes of the whole video, as in the "
         "paper's figures.  [default: absolute]",
@@ -421,7 +459,7 @@ format_option = click.option(
 )
 dpi_option = click.option(
     "--dpi",
-    type=click.IntRange(50, 1200),
+    type=numeric(int, 50, 1200),
     default=200,
     show_default=True,
     metavar="N",
@@ -437,7 +475,7 @@ json_option = click.option(
 )
 jobs_option = click.option(
     "--jobs",
-    type=click.IntRange(1, 512),
+    type=numeric(int, 1, 512),
     metavar="N",
     help="Number of processes that share the work.  [default: all processors]",
 )

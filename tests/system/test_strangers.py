@@ -307,7 +307,7 @@ def test_a_fitting_name_is_a_beginning_and_short(name):
         ('model: "\\e[2J\\x9b\\0"', r"there is no model '\x1b[2J\x9b\x00'."),
         ("options: {fps: 0x" + "f" * 5000 + "}", "options: --fps a huge number is not"),
         ("options: {? 0x" + "f" * 5000 + " : 1}", "unknown option a huge number under"),
-        ("options: {scale: true}", "options: --scale True is not above 0 and up to 1."),
+        ("options: {scale: true}", "options: --scale = True is not a number."),
         ("options: {start: '" + "9" * 400 + "'}", "options: --start '9999"),
         ("options: {fps: 1, fps: 2}", "key 'fps' appears twice in line 1."),
         ("options: {out: /tmp/x}", "unknown option 'out' under 'options'."),

@@ -345,10 +345,10 @@ def test_usage_names_the_command(dlgmd, clips):
         ({"pace": 1}, "unknown option 'pace' under 'options'"),
         ({"size": "big"}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
         ({"size": [480, 270]}, "is not WIDTHxHEIGHT. Write 480x270."),
-        ({"scale": [1]}, "my.yaml: options: --scale a list or mapping is not above 0 and up to 1"),
-        ({"scale": True}, "my.yaml: options: --scale True is not above 0"),
-        ({"fps": float("nan")}, "my.yaml: options: --fps nan is not a frame rate above 0"),
-        ({"decoder": "vlc"}, "options: --decoder 'vlc' is not one of opencv, pyav"),
+        ({"scale": [1]}, "my.yaml: options: --scale = a list or mapping is not a number"),
+        ({"scale": True}, "my.yaml: options: --scale = True is not a number"),
+        ({"fps": float("nan")}, "my.yaml: options: --fps = nan is not a finite number"),
+        ({"decoder": "vlc"}, "options: --decoder = 'vlc' is not one of opencv, pyav"),
     ],
 )
 def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):

@@ -69,7 +69,7 @@ def test_values_of_a_range_are_what_one_would_write(start, step, count):
         ("a=1,1.0", "a = 1.0 appears twice"),
         ("a=one", "a = 'one' is not a number"),
         ("r=2:3:0.5", "r = 2.5 is not a whole number"),
-        ("ffi_gd=0:1:1", "is not one of true, false"),
+        ("ffi_gd=0:1:1", "is not true or false"),
         ("formulation=printed", "is not one of default, released, equations"),
     ],
 )

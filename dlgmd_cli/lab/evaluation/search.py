@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.evaluation.crossvalidation import Choice, Choices
-from dlgmd_cli.parameters import Parameters, shown
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
@@ -68,10 +69,9 @@ def _range(text: str, params: Parameters) -> tuple[str, Range]:
         specs = params.specs()
         if key not in specs:
             raise params.unknown(key)
-        default = params.defaults()[key]
-        if isinstance(default, bool | str):
+        if specs[key].kind in (bool, str):
             raise ParameterError(_OPTION, f"{key} is not a number", "Set it with --param.")
-        least, most, is_whole = specs[key].low, specs[key].high, isinstance(default, int)
+        least, most, is_whole = specs[key].low, specs[key].high, specs[key].kind is int
     if low < least or high > most:
         raise ParameterError(_OPTION, f"{key} may only be from {least:g} to {most:g}")
     if is_whole and (low != round(low) or high != round(high)):
