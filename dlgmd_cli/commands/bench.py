@@ -42,7 +42,7 @@ _COLUMNS = {
 @click.option(
     "--radius",
     "radii",
-    type=click.IntRange(1, 32),
+    type=numeric(int, 1, 32),
     multiple=True,
     metavar="R",
     help="Radius of the kernels in px; repeatable.  [default: 6, 4, 3, 2]",
@@ -58,7 +58,7 @@ _COLUMNS = {
 @click.option(
     "--frames",
     "n_frames",
-    type=click.IntRange(12, 100_000),
+    type=numeric(int, 12, 100_000),
     default=120,
     show_default=True,
     metavar="N",
@@ -67,7 +67,7 @@ _COLUMNS = {
 @click.option(
     "--repeat",
     "repeats",
-    type=click.IntRange(1, 1000),
+    type=numeric(int, 1, 1000),
     default=3,
     show_default=True,
     metavar="N",

@@ -29,6 +29,7 @@ from dlgmd_cli.commands.options import (
     jobs_option,
     json_option,
     model_options,
+    numeric,
     out_option,
     overwrite_option,
 )
@@ -60,7 +61,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
 @rule_options
 @click.option(
     "--folds",
-    type=click.IntRange(2, 1000),
+    type=numeric(int, 2, 1000),
     default=5,
     show_default=True,
     metavar="K",
@@ -77,7 +78,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
 @click.option(
     "--trials",
     "n_trials",
-    type=click.IntRange(1, 1_000_000),
+    type=numeric(int, 1, 1_000_000),
     default=50,
     show_default=True,
     metavar="N",

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.checks import Spec
+from dlgmd_cli.checks import Spec, require_known
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
@@ -33,10 +33,15 @@ if TYPE_CHECKING:
 
 
 class Parsed(click.ParamType):
-    """A value that the library parses; a ParameterError becomes click's error."""
+    """A value that the library parses; a ParameterError becomes click's error.
 
-    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
-        self.name, self.parse = name, parse
+    `names` gives the words to complete.
+    """
+
+    def __init__(
+        self, name: str, parse: Callable[[str], Any], names: Callable[[], Iterable[str]] = tuple
+    ) -> None:
+        self.name, self.parse, self.names = name, parse, names
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """`480x270` -> (480, 270), for example."""
@@ -45,45 +50,20 @@ class Parsed(click.ParamType):
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
-
-SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
-
-
-class Time(click.ParamType):
-    """Seconds, or HH:MM:SS.mmm."""
-
-    name = "TIME"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """`00:01:30.250` -> 90.25."""
-        match = re.fullmatch(
-            r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)", str(value).strip(), re.ASCII
-        )
-        if match is None or (match[2] and float(match[3]) >= 60.0):
-            self.fail(f"{value!r} is not a time. Write 12.5 or 00:01:30.250.", param, ctx)
-        hours, minutes, seconds = (float(part or 0) for part in match.groups())
-        time_s = hours * 3600 + minutes * 60 + seconds
-        if not math.isfinite(time_s):
-            self.fail("no video is that long.", param, ctx)
-        return time_s
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names that match."""
+        return [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
 
 
-class Number(click.FloatRange):
+class Number(Parsed, click.FloatRange):
     """A number that a `Spec` checks; the help shows its range."""
 
     def __init__(self, spec: Spec) -> None:
         low, high = (None if math.isinf(bound) else bound for bound in (spec.low, spec.high))
-        super().__init__(low, high, min_open=spec.low_open)
-        self.name, self.spec = "integer" if spec.kind is int else "number", spec
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The value, as the spec has it."""
-        try:
-            return self.spec.parse(str(value))
-        except ParameterError as error:
-            self.fail(str(error), param, ctx)
+        click.FloatRange.__init__(self, low, high, min_open=spec.low_open)
+        Parsed.__init__(self, "integer" if spec.kind is int else "float", spec.parse)
 
 
 def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Number:
@@ -91,28 +71,36 @@ def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts:
     return Number(Spec(kind, low, high, **facts))
 
 
-class ModelName(click.ParamType):
-    """One of our models, an installed one, or package.module:Class."""
+def _time(text: str) -> float:
+    """`00:01:30.250` -> 90.25."""
+    match = re.fullmatch(
+        r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)", text.strip(), re.ASCII
+    )
+    if match is None or (match[2] and float(match[3]) >= 60.0):
+        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
+    hours, minutes, seconds = (float(part or 0) for part in match.groups())
+    time_s: float = INPUT_SPECS["end"].check(hours * 3600 + minutes * 60 + seconds)
+    return time_s
 
-    name = "model"
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """The names of our models."""
-        return f"[{'|'.join(MODELS)}|MODULE:CLASS]"
+def _model_names() -> tuple[str, ...]:
+    """Our models and the installed ones."""
+    return (*MODELS, *installed_models())
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The name; a class is imported later."""
-        if value not in MODELS and ":" not in value and value not in installed_models():
-            known = ", ".join((*MODELS, *installed_models()))
-            self.fail(f"{value!r} is not one of {known}, or MODULE:CLASS.", param, ctx)
-        return str(value)
 
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Our models and the installed ones."""
-        names = (*MODELS, *installed_models())
-        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+def _model(text: str) -> str:
+    """A model's name; a class is imported later."""
+    if text not in MODELS and ":" not in text:
+        require_known("model", text, (*_model_names(), "your own as MODULE:CLASS"))
+    return text
+
+
+SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
+TIME, FRAME = Parsed("TIME", _time), numeric(int, 0, 999_999_999)
+_SET = Parsed("set", lambda text: text.removeprefix("set"), preset_names)
+_MODEL = Parsed("model", _model, _model_names)
+# Formats of figures.
+FORMATS = ("png", "pdf", "svg")
 
 
 def file_ending(example: str) -> Callable[[str], Path]:
@@ -167,18 +155,12 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
 # Completion in the shell.
 
 
-def complete_file(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Files and folders."""
-    return [CompletionItem(incomplete, type="file")]
+def _complete_paths(kind: str) -> Callable[..., list[CompletionItem]]:
+    """Completion of paths by the shell."""
+    return lambda ctx, param, incomplete: [CompletionItem(incomplete, type=kind)]
 
 
-def complete_folder(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Folders."""
-    return [CompletionItem(incomplete, type="dir")]
+complete_file, complete_folder = _complete_paths("file"), _complete_paths("dir")
 
 
 def complete_key(
@@ -202,22 +184,6 @@ def complete_config(
     """Presets whose names match, otherwise files."""
     names = [name for name in PRESETS if incomplete and name.startswith(incomplete)]
     return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
-
-
-class SetName(click.ParamType):
-    """One of the paper's sets: 9, or set9."""
-
-    name = "set"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """`set9` -> 9; whether the set exists is checked later."""
-        return str(value).removeprefix("set")
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """The names of all sets."""
-        return [CompletionItem(name) for name in preset_names() if name.startswith(incomplete)]
 
 
 input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
@@ -283,7 +249,7 @@ def _naming_options(*, many: bool) -> list[Option]:
         option(
             "--set",
             f"set_name{plural}",
-            type=SetName(),
+            type=_SET,
             metavar="N",
             help=f"The paper's set N, 1 to 9.{note}",
         ),
@@ -298,7 +264,8 @@ def _naming_options(*, many: bool) -> list[Option]:
         option(
             "--model",
             f"model{plural}",
-            type=ModelName(),
+            type=_MODEL,
+            metavar=f"[{'|'.join(MODELS)}|MODULE:CLASS]",
             help=f"{MODEL_HELP}{note}",
         ),
     ]
@@ -336,48 +303,39 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
 # How the input is read.
 
 
-def _number(name: str) -> Number:
-    """The type of a numeric option of `InputOptions`."""
-    return Number(INPUT_SPECS[name])
+def _input_option(name: str, text: str, **facts: Any) -> Option:
+    """An option of `InputOptions`, whose value its `Spec` checks."""
+    spec = INPUT_SPECS[name]
+    kind = click.Choice(spec.choices) if spec.kind is str else Number(spec)
+    return click.option(f"--{name.replace('_', '-')}", type=kind, help=text, **facts)
 
 
-def _choice(name: str) -> click.Choice:
-    """The type of an option of `InputOptions` with a few words."""
-    return click.Choice(INPUT_SPECS[name].choices)
-
-
-input_fps_option = click.option(
-    "--input-fps",
-    type=_number("input_fps"),
+input_fps_option = _input_option(
+    "input_fps",
+    "Frame rate of pictures, or of a video that does not state one.  [default: 30]",
     metavar="F",
-    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
 )
-decoder_option = click.option(
-    "--decoder",
-    type=_choice("decoder"),
-    help="Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]",
+decoder_option = _input_option(
+    "decoder", "Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]"
 )
 # What `live` has too.
 _PICTURES = (
-    click.option(
-        "--scale",
-        type=_number("scale"),
-        metavar="S",
-        help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
+    _input_option(
+        "scale",
+        "Scale frames by S, at most 1, before the model sees them.  [default: down to "
         f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
+        metavar="S",
     ),
     click.option("--size", type=SIZE, help="Scale frames to this size in px instead."),
-    click.option(
-        "--fps",
-        type=_number("fps"),
-        metavar="F|all",
-        help="Process at most F frames a second, by taking every k-th. Times stay true.  "
+    _input_option(
+        "fps",
+        "Process at most F frames a second, by taking every k-th. Times stay true.  "
         f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
+        metavar="F|all",
     ),
-    click.option(
-        "--repeats",
-        type=_choice("repeats"),
-        help="Whether the model sees frames that only repeat the one before.  "
+    _input_option(
+        "repeats",
+        "Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
     click.option(
@@ -398,14 +356,13 @@ input_options = option_group(
     "given",
     dict,
     *_PICTURES,
-    click.option("--start", type=Time(), help="Start here: seconds, or HH:MM:SS.mmm."),
-    click.option("--end", type=Time(), help="Stop before this time: seconds, or HH:MM:SS.mmm."),
+    click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
+    click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
     input_fps_option,
     decoder_option,
-    click.option(
-        "--normalise",
-        type=_choice("normalise"),
-        help="How the membrane potential (MP) is normalised before the spiking threshold: absolute "
+    _input_option(
+        "normalise",
+        "How the membrane potential (MP) is normalised before the spiking threshold: absolute "
         "needs no later frames; sequence scales to the extremes of the whole video, as in the "
         "paper's figures.  [default: absolute]",
     ),
@@ -451,7 +408,7 @@ out_option = click.option(
 format_option = click.option(
     "--format",
     "formats",
-    type=click.Choice(["png", "pdf", "svg"]),
+    type=click.Choice(FORMATS),
     multiple=True,
     default=["png"],
     show_default=True,

@@ -19,6 +19,7 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
+    FRAME,
     ONE_MODEL,
     Output,
     complete_key,
@@ -89,7 +90,7 @@ cube_options = option_group(
 @cube_options
 @click.option(
     "--false-positive-frame",
-    type=click.IntRange(min=0),
+    type=FRAME,
     metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )

@@ -212,7 +212,7 @@ def test_a_class_may_derive_from_ours(dlgmd, clips, own):
         ("run V --model mymodel:", 2, "cannot be imported"),
         ("run V --model os:path", 2, "os:path is not a subclass of dlgmd_cli.Model"),
         ("run V --model dlgmd_cli:Model", 2, "not a subclass"),
-        ("run V --model fast", 2, "'fast' is not one of dlgmd,"),
+        ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd,"),
         ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
         ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
         ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
