@@ -2,7 +2,8 @@
 
 import math
 import numbers
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from typing import Any
@@ -60,7 +61,7 @@ class Spec:
         if self.kind is str:
             if isinstance(value, str) and not self.choices:
                 return str(value)
-            why = f"is not one of {self.allowed}"
+            why = f"is not one of {self.allowed}" if self.choices else "is not a name"
         elif self.kind is bool:
             why = None if isinstance(value, bool) else "is not true or false"
         elif isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -107,6 +108,15 @@ class Spec:
             is_positive = number <= 0.0 < self.low and self.kind is float
             return "is not above 0" if is_positive else f"is not at least {self.low:g}"
         return f"is more than {self.high:g}" if value > self.high else None
+
+
+@contextmanager
+def blame(what: str) -> Iterator[None]:
+    """Make `what` the thing at fault in every ParameterError."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(what, error.why, error.mend) from None
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

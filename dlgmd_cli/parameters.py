@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from dlgmd_cli.checks import Spec, require_known, shown
+from dlgmd_cli.checks import Spec, blame, require_known, shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.keys import RECORD_KEYS, imported_model, key, n_sp_key, t_mp_key
 from dlgmd_cli.keys import Parameters as Parameters
@@ -26,8 +26,13 @@ MAX_LATENCY_FRAMES = 64.0
 PRESETS = ("flight",)
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
-# The file's keys for these two.
-_DESIGN = {"width_px": Spec(int, 1, 8192), "model_fps": Spec(float, 1, 1000)}
+# The keys of a file that are not parameters.
+_DESCRIBING = {
+    "model": Spec(str),
+    "engine": Spec(str),
+    "width_px": Spec(int, 1, 8192),
+    "model_fps": Spec(float, 1, 1000),
+}
 
 
 def _redefault(kind: "type[Parameters]", name: str, default: Any) -> Any:
@@ -302,7 +307,9 @@ def load_preset(name: str | int) -> Config:
     number = str(name).removeprefix("set")
     if number not in names:
         raise ParameterError(
-            "", f"there is no set {str(name)[:40]}", f"Choose {names[0]} to {names[-1]}."
+            "",
+            f"there is no set {str(name)[:40]}",
+            f"Choose {names[0]} to {names[-1]}, or give a file with --config.",
         )
     return load_config(presets_dir() / f"set{number}.yaml")
 
@@ -353,28 +360,18 @@ def load_config(path: str | Path) -> Config:
     for one in document:
         if not isinstance(one, str):
             raise ParameterError(name, f"unknown parameter {shown(one)!r}", SHOW_HINT)
-    own = {key: document.pop(key, None) for key in ("model", "engine", "options")}
-    for one, value in own.items():
-        right, what = (dict, "a mapping") if one == "options" else (str, "a name")
-        if not isinstance(value, right | None):
-            raise ParameterError(name, f"{one} is not {what}", SHOW_HINT)
-    try:
-        design = {
-            key: spec.check(document.pop(key), key)
-            for key, spec in _DESIGN.items()
-            if key in document
-        }
-    except ParameterError as error:
-        raise ParameterError(name, error.why) from None
+    options = document.pop("options", None) or {}
+    if not isinstance(options, dict):
+        raise ParameterError(name, "options is not a mapping", SHOW_HINT)
+    own = {key: document.pop(key, None) for key in _DESCRIBING}
+    with blame(name):
+        own = {k: _DESCRIBING[k].check(value, k) for k, value in own.items() if value is not None}
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
-    own["options"] = own["options"] or {}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
-    base = Config(name)
-    if named and "schema" not in document:  # a run.yaml already holds every value
-        base = _named(name, named)
-        own["model"] = own["model"] or base.model
-    design = {key: getattr(base, key) for key in _DESIGN} | design
-    return Config(name, **own, **design, values={**base.values, **values}, named=named)
+    # A run.yaml already holds every value.
+    base = _named(name, named) if named and "schema" not in document else Config(name)
+    values = {**base.values, **values}
+    return replace(base, name=name, **own, values=values, options=options, named=named)
 
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:
@@ -387,17 +384,13 @@ def _named(name: str, named: dict[str, Any]) -> Config:
     """The set or preset that the file `name` builds on."""
     if len(named) > 1:
         raise ParameterError(name, "set and preset exclude each other", "Give one of them.")
-    (key,) = named
-    text = shown(named[key]).strip("'")
+    ((key, value),) = named.items()
+    text = shown(value).strip("'")
     if key == "preset":
-        if text not in PRESETS:
-            known = ", ".join(PRESETS)
-            raise ParameterError(name, f"there is no preset {text}", f"Choose from {known}.")
+        require_known("preset", text, PRESETS, name)
         return load_config(text)
-    try:
+    with blame(name):
         return load_preset(text)
-    except ParameterError as error:
-        raise ParameterError(name, error.why, error.mend) from None
 
 
 _PARAM = "Invalid value for '--param'"
@@ -422,9 +415,6 @@ def merge(
     try:
         return kind.from_mapping({**values, **overrides})
     except ParameterError as error:
-        if config:
-            try:
-                kind.from_mapping(values)
-            except ParameterError as fault:
-                raise ParameterError(config.name, fault.why, fault.mend) from None
+        with blame(config.name if config else ""):
+            kind.from_mapping(values)
         raise ParameterError(_PARAM, error.why, error.mend) from None

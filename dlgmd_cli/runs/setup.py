@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.checks import require_known
+from dlgmd_cli.checks import blame, require_known
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
@@ -156,11 +156,8 @@ def _named_config(
         is_ours = kind.model in MODELS
         return load_model_preset(kind.model) if is_ours else Config(""), label_of(kind)
     number = str(DEFAULT_SET if set is None else set)
-    try:
+    with blame("Invalid value for '--set'"):
         return load_preset(number), f"set{number.removeprefix('set')}"
-    except ParameterError as error:
-        mend = f"{error.mend.rstrip('.')}, or give a file with --config."
-        raise ParameterError("Invalid value for '--set'", error.why, mend) from None
 
 
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:

@@ -1,10 +1,12 @@
 """Models of one's own: on the commands that take `--model`, in Python, and read back."""
 
 import copy
+import os
 import pickle
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError, dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,6 +50,7 @@ class Unready(dlgmd_cli.Model):
     def __init__(self, params=None, engine="auto"):
         self.gain = params.gain
 """
+ROOT = str(Path(dlgmd_cli.__file__).parents[1])
 FAST = ("--model", "mymodel:Fast")
 
 
@@ -262,7 +265,9 @@ def test_the_command_finds_modules_of_the_working_folder(tmp_path):
     script = elsewhere / "dlgmd.py"
     script.write_text("from dlgmd_cli.__main__ import main\nmain()\n")
     words = [sys.executable, script, "sets", "show", "mymodel:Fast"]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        words, cwd=folder, env={**os.environ, "PYTHONPATH": ROOT}, capture_output=True, text=True
+    )
     assert "model: mymodel:Fast" in done.stdout
 
 

@@ -153,7 +153,7 @@ def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
 def test_engine_of_a_config_must_be_one(dlgmd, clips, tmp_path):
     for text, shown in (
         ("engine: cuda", "there is no engine 'cuda'. Choose from opencv, numba."),
-        ("engine: [numba]", "engine is not a name."),
+        ("engine: [numba]", "is not a name."),
     ):
         (tmp_path / "my.yaml").write_text(text)
         result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
@@ -303,7 +303,7 @@ USAGE = [
     (["--param", "sigma_e=-1"], "Invalid value for '--param': sigma_e = -1 is not above 0."),
     (["--param", "sigma_x=1"], "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
     (["--param", "nonsense"], "'nonsense' is not KEY=VALUE"),
-    (["--model", "lgmx"], "'lgmx' is not"),
+    (["--model", "lgmx"], "there is no model 'lgmx'"),
     (["--formulation", "printed"], "'printed' is not one of"),
     (["--scale", 0], "--scale"),
     (["--scale", 1.5], "--scale"),
