@@ -54,7 +54,7 @@ def key(
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
-def t_mp_key(default: float) -> Any:
+def t_mp_key(default: float = 0.4) -> Any:
     """The spiking threshold, a key of every model."""
     return key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
 
@@ -70,11 +70,7 @@ def kappa_key(default: float = 0.01) -> Any:
 
 
 # The keys that a parameter class gets if it does not have them.
-_COMMON: dict[str, Callable[[], Any]] = {
-    "t_mp": lambda: t_mp_key(0.4),
-    "n_sp": n_sp_key,
-    "kappa": kappa_key,
-}
+_COMMON: dict[str, Callable[[], Any]] = {"t_mp": t_mp_key, "n_sp": n_sp_key, "kappa": kappa_key}
 
 
 class Parameters:

@@ -88,7 +88,7 @@ class DlgmdParameters(DistributedParameters):
     ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
     m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
-    t_mp: float = t_mp_key(0.4)
+    t_mp: float = t_mp_key()
     n_sp: int = n_sp_key()
     kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = key(
@@ -129,7 +129,7 @@ class ContrastParameters(_OneFrameLatency):
     sigma_c: float = key(
         0.45, "σ_c", "half sides", "width of the weighting about the centre", 0.05, 100
     )
-    t_mp: float = t_mp_key(0.4)
+    t_mp: float = t_mp_key()
     n_sp: int = n_sp_key()
     kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
 
@@ -200,7 +200,7 @@ class EmdLgmdParameters(Parameters):
     delta: float = key(0.02, "δ", "–", "expansion predicted from a frame to the next", 0, 1)
     f_active: float = key(0.05, "F_a", "luminance", "change above which a cell is active", 0, 1)
     c: float = key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
-    t_mp: float = t_mp_key(0.4)
+    t_mp: float = t_mp_key()
     n_sp: int = n_sp_key()
     kappa: float = key(
         0.0021, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100

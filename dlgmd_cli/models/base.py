@@ -275,13 +275,13 @@ def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
         model: Model = params.model_class(params, **options)
         step, receptors = model.step, model.receptors
 
-    def guarded(luminance: Grey, time_s: float | None = None, **layers: bool) -> Response:
-        frame = receptors.frame
+    def guarded(luminance: Grey, time_s: float | None = None, *, layers: bool = False) -> Response:
+        frame, wanted = receptors.frame, {"layers": True} if layers else {}
         with blamed():
-            response = step(luminance, time_s, **layers)
+            response = step(luminance, time_s, **wanted)
         if not isinstance(response, Response):
             raise ModelError(name, f"its step returns {type(response).__name__}, not a Response")
-        if layers.get("layers") and response.layers is None:
+        if layers and response.layers is None:
             raise ModelError(name, "its step returns no layers", "Add Response(layers=Layers(…)).")
         if receptors.frame == frame:  # so that `n_cells` knows the frame
             receptors.take(luminance)

@@ -37,9 +37,7 @@ def run(video: Openable, models: None = None, **options: Any) -> Result: ...
 
 
 @overload
-def run(
-    video: Openable, models: Sequence[ModelName | int], **options: Any
-) -> list[Result]: ...
+def run(video: Openable, models: Sequence[ModelName | int], **options: Any) -> list[Result]: ...
 
 
 def run(
@@ -105,14 +103,13 @@ def run(
         raise ParameterError("run", f"there is no option {name!r}", f"Choose from {known}.")
     if not isinstance(video, str | os.PathLike) and options.get("input_fps") is None:
         options["input_fps"] = options.pop("fps", None)
-    named = {"set": set, "config": config, "model": model, "formulation": formulation}
+    named: dict[str, Any] = {"set": set, "config": config, "model": model}
+    named |= {"formulation": formulation, "param": param}
     if models is None:
         setup = choose(set, config, model, param, formulation, engine)
         return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]
-    for name, value in (*named.items(), ("param", param)):
-        if value is not None:
-            why = f"{name} and models exclude each other"
-            raise ParameterError("run", why, "Give one of them.")
+    for name in (name for name, value in named.items() if value is not None):
+        raise ParameterError("run", f"{name} and models exclude each other", "Give one of them.")
     setups = [_setup(one, engine) for one in models]
     return run_input(video, setups, InputOptions(**options), on_frame=on_frame)
 

@@ -43,7 +43,7 @@ class Raises(dlgmd_cli.Model):
         return [][luminance.ndim]
 
 class Returns(dlgmd_cli.Model):
-    def step(self, luminance, time_s=None, *, layers=False):
+    def step(self, luminance, time_s=None):
         return 3.0
 
 class Unready(dlgmd_cli.Model):
