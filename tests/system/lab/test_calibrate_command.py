@@ -114,13 +114,13 @@ def test_the_choice_becomes_parameters(params):
     [
         ("sigma_e", "is not KEY=LOW:HIGH"),
         ("sigma_e=2:1", "does not rise"),
-        ("sigma_e=nan:1", "does not rise"),
+        ("sigma_e=nan:1", "not a finite number"),
         ("sigma_x=1:2", "unknown parameter"),
         ("kappa=0.1:1", "is calibrated without a search"),
         ("ffi_gd=0:1", "is not a number"),
-        ("r=0:4", "may only be from 1 to 32"),
-        ("r=1.5:4", "takes whole numbers"),
-        ("width_px=1:100", "may only be from 16"),
+        ("r=0:4", "r = 0 is not at least 1"),
+        ("r=1.5:4", "is not a whole number"),
+        ("width_px=1:100", "width_px = 1 is not at least 16"),
     ],
 )
 def test_ranges_that_cannot_be_searched(text, why):
