@@ -193,21 +193,6 @@ optional_input_argument = click.argument(
 
 # The model and its parameters.
 
-PARAM_HELP = "Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them."
-CONFIG_HELP = (
-    "YAML file of parameters, or the name of a preset. The run.yaml of a result repeats its run."
-)
-MODEL_HELP = (
-    "A model with its published parameters; dlgmd means set 9. Your own is package.module:Class."
-)
-FORMULATION_HELP = (
-    "How inhibition is computed where its delay is not a whole number of frames. default: delays "
-    "are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
-    "released: exactly as in the released code, which also divides FFI by 200000 whatever the "
-    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
-    "equations read literally."
-)
-
 
 def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
     """The value of an option; raises UsageError if it is given more than once."""
@@ -226,12 +211,16 @@ param_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=complete_key,
-    help=PARAM_HELP,
+    help="Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them.",
 )
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(FORMULATIONS),
-    help=f"{FORMULATION_HELP}  [default: default]",
+    help="How inhibition is computed where its delay is not a whole number of frames. default: "
+    "delays are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
+    "released: exactly as in the released code, which also divides FFI by 200000 whatever the "
+    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
+    "equations read literally.  [default: default]",
 )
 engine_option = click.option(
     "--engine",
@@ -259,14 +248,16 @@ def _naming_options(*, many: bool) -> list[Option]:
             type=click.Path(path_type=Path),
             metavar="FILE",
             shell_complete=complete_config,
-            help=f"{CONFIG_HELP}{note}  [default: {PRESETS[0]}]",
+            help="YAML file of parameters, or the name of a preset. The run.yaml of a result "
+            f"repeats its run.{note}  [default: {PRESETS[0]}]",
         ),
         option(
             "--model",
             f"model{plural}",
             type=_MODEL,
             metavar=f"[{'|'.join(MODELS)}|MODULE:CLASS]",
-            help=f"{MODEL_HELP}{note}",
+            help="A model with its published parameters; dlgmd means set 9. Your own is "
+            f"package.module:Class.{note}",
         ),
     ]
 
