@@ -225,7 +225,8 @@ def imported_model(spec: str, origin: str = "") -> Any:
     try:
         return attrgetter(name)(import_module(module))
     except (Exception, SystemExit) as error:  # whatever the module raises
-        why = f"the model {spec[:100]} cannot be imported ({type(error).__name__}: {error})"
+        fault = f"{type(error).__name__}: {str(error)[:200]}"
+        why = f"the model {spec[:100]} cannot be imported ({fault})"
         mend = "Write package.module:Class, of a module in this folder or an installed package."
         raise ParameterError(origin, " ".join(why.split()), mend) from error
 
