@@ -12,6 +12,12 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
+    from dlgmd_cli.keys import Parameters as Parameters
+    from dlgmd_cli.keys import key as key
+    from dlgmd_cli.models.base import Layers as Layers
+    from dlgmd_cli.models.base import Model as Model
+    from dlgmd_cli.models.base import Photoreceptors as Photoreceptors
+    from dlgmd_cli.models.base import Response as Response
     from dlgmd_cli.models.contrast import ContrastDLGMD as ContrastDLGMD
     from dlgmd_cli.models.detection import Alarm as Alarm
     from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
@@ -42,9 +48,15 @@ _HOMES = {
     "DlgmdParameters": "parameters",
     "EmdLGMD": "models.emd_lgmd",
     "LGMD": "models.lgmd",
+    "Layers": "models.base",
+    "Model": "models.base",
     "OnOffDLGMD": "models.on_off",
     "OnOffParameters": "parameters",
+    "Parameters": "keys",
+    "Photoreceptors": "models.base",
+    "Response": "models.base",
     "Result": "results.result",
+    "key": "keys",
     "load_config": "parameters",
     "load_set": "parameters",
     "open_video": "video.opening",

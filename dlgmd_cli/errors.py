@@ -44,6 +44,10 @@ class WorkerError(DlgmdError):
     """A worker process died, or a cluster cannot do the work."""
 
 
+class ModelError(DlgmdError):
+    """A model of one's own that raises an exception or returns something else."""
+
+
 class FrameError(DlgmdError):
     """A frame of the wrong shape or type for the model."""
 

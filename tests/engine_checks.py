@@ -30,7 +30,7 @@ def scene(height, width, n_frames=6, dtype=np.uint8, seed=3):
 def create(engine, name="dlgmd", **changes):
     """A model with little inhibition, so that something passes everywhere."""
     values = (slow.table_2(9) if name == "dlgmd" else {}) | {"a": 0.4} | changes
-    return create_model(MODELS[name].parameters(**values), engine=engine)
+    return create_model(MODELS[name](**values), engine=engine)
 
 
 def answers(engine, frames, name="dlgmd", **changes):

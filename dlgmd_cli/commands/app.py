@@ -56,7 +56,7 @@ class LazyGroup(Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; the error for an unknown name suggests a similar one."""
-        from dlgmd_cli.parameters import nearest
+        from dlgmd_cli.checks import nearest
 
         name = click.utils.make_str(args[0])
         near = None if name in COMMANDS else nearest(name, COMMANDS)
@@ -102,6 +102,8 @@ def main() -> None:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
+    # For models of one's own; last, so that no file here replaces a library.
+    sys.path.append(os.path.abspath(""))
     # Not every terminal can encode the characters of file names and the model's symbols.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

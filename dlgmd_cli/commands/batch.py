@@ -24,7 +24,6 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
-    FiniteRange,
     complete_file,
     dpi_option,
     engine_option,
@@ -34,6 +33,7 @@ from dlgmd_cli.commands.options import (
     jobs_option,
     json_option,
     no_plots_option,
+    numeric,
     out_option,
     param_option,
     setup_options,
@@ -151,7 +151,7 @@ def _outcomes(
 @click.option(
     "--timeout",
     "timeout_s",
-    type=FiniteRange(min=0, min_open=True),
+    type=numeric(low_open=True),
     metavar="S",
     help="Give up on a video after S seconds.  [default: no limit]",
 )

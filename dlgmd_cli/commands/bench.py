@@ -10,10 +10,10 @@ import click
 
 from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
 from dlgmd_cli.commands.options import (
-    FiniteRange,
     decoder_option,
     engine_option,
     json_option,
+    numeric,
     optional_input_argument,
     overwrite_option,
 )
@@ -41,7 +41,7 @@ _COLUMNS = {
 @click.option(
     "--radius",
     "radii",
-    type=click.IntRange(1, 32),
+    type=numeric(int, 1, 32),
     multiple=True,
     metavar="R",
     help="Radius of the kernels in px; repeatable.  [default: 6, 4, 3, 2]",
@@ -49,7 +49,7 @@ _COLUMNS = {
 @click.option(
     "--scale",
     "scales",
-    type=FiniteRange(min=0, min_open=True, max=1),
+    type=numeric(low_open=True, high=1),
     multiple=True,
     metavar="S",
     help="Scale of the processed frames; repeatable.  [default: 1, 0.5, 0.25, 0.1, 0.02]",
@@ -57,7 +57,7 @@ _COLUMNS = {
 @click.option(
     "--frames",
     "n_frames",
-    type=click.IntRange(12, 100_000),
+    type=numeric(int, 12, 100_000),
     default=120,
     show_default=True,
     metavar="N",
@@ -66,7 +66,7 @@ _COLUMNS = {
 @click.option(
     "--repeat",
     "repeats",
-    type=click.IntRange(1, 1000),
+    type=numeric(int, 1, 1000),
     default=3,
     show_default=True,
     metavar="N",

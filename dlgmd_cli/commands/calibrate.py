@@ -26,6 +26,7 @@ from dlgmd_cli.commands.options import (
     jobs_option,
     json_option,
     model_options,
+    numeric,
     out_option,
     overwrite_option,
 )
@@ -54,7 +55,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
 @rule_options
 @click.option(
     "--folds",
-    type=click.IntRange(2, 1000),
+    type=numeric(int, 2, 1000),
     default=5,
     show_default=True,
     metavar="K",
@@ -71,7 +72,7 @@ _KEPT = ("scale", "size", "fps", "repeats")
 @click.option(
     "--trials",
     "n_trials",
-    type=click.IntRange(1, 1_000_000),
+    type=numeric(int, 1, 1_000_000),
     default=50,
     show_default=True,
     metavar="N",

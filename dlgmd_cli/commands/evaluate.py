@@ -19,13 +19,13 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
-    FiniteRange,
     Output,
     engine_option,
     formulation_option,
     input_options,
     jobs_option,
     json_option,
+    numeric,
     option_group,
     output_options,
     param_option,
@@ -57,7 +57,7 @@ rule_options = option_group(
     click.option(
         "--horizon",
         "horizon_s",
-        type=FiniteRange(min=0, min_open=True, max=3600),
+        type=numeric(low_open=True, high=3600),
         default=1.0,
         show_default=True,
         metavar="S",
@@ -65,7 +65,7 @@ rule_options = option_group(
     ),
     click.option(
         "--max-false-per-min",
-        type=FiniteRange(min=0),
+        type=numeric(),
         default=1.0,
         show_default=True,
         metavar="F",

@@ -2,7 +2,8 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -11,29 +12,36 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from dlgmd_cli.checks import Spec, require_known
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
+    ENGINES,
     FORMULATIONS,
     MODELS,
     PRESETS,
+    find_model,
+    installed_models,
     parse_overrides,
     preset_names,
 )
-from dlgmd_cli.video.base import DECODERS, REPEATS, parse_crop, parse_size
+from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
 
-ENGINES = ("opencv", "numba")
-
 
 class Parsed(click.ParamType):
-    """A value that the library parses; a ParameterError becomes click's error."""
+    """A value that the library parses; a ParameterError becomes click's error.
 
-    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
-        self.name, self.parse = name, parse
+    `names` gives the words to complete.
+    """
+
+    def __init__(
+        self, name: str, parse: Callable[[str], Any], names: Callable[[], Iterable[str]] = tuple
+    ) -> None:
+        self.name, self.parse, self.names = name, parse, names
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """`480x270` -> (480, 270), for example."""
@@ -42,42 +50,57 @@ class Parsed(click.ParamType):
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names that match."""
+        return [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
+
+
+class Number(Parsed, click.FloatRange):
+    """A number that a `Spec` checks; the help shows its range."""
+
+    def __init__(self, spec: Spec) -> None:
+        low, high = (None if math.isinf(bound) else bound for bound in (spec.low, spec.high))
+        click.FloatRange.__init__(self, low, high, min_open=spec.low_open)
+        Parsed.__init__(self, "integer" if spec.kind is int else "float", spec.parse)
+
+
+def numeric(kind: type = float, low: float = 0, high: float = math.inf, **facts: Any) -> Number:
+    """The type of a number that only the command line takes."""
+    return Number(Spec(kind, low, high, **facts))
+
+
+def _time(text: str) -> float:
+    """`00:01:30.250` -> 90.25."""
+    match = re.fullmatch(
+        r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)", text.strip(), re.ASCII
+    )
+    if match is None or (match[2] and float(match[3]) >= 60.0):
+        raise ParameterError("", f"{text!r} is not a time", "Write 12.5 or 00:01:30.250.")
+    hours, minutes, seconds = (float(part or 0) for part in match.groups())
+    time_s: float = INPUT_SPECS["end"].check(hours * 3600 + minutes * 60 + seconds)
+    return time_s
+
+
+def _model_names() -> tuple[str, ...]:
+    """Our models and the installed ones."""
+    return (*MODELS, *installed_models())
+
+
+def _model(text: str) -> str:
+    """A model's name; a class is imported later."""
+    if text not in MODELS and ":" not in text:
+        require_known("model", text, (*_model_names(), "your own as MODULE:CLASS"))
+    return text
+
 
 SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
-
-
-class Time(click.ParamType):
-    """Seconds, or HH:MM:SS.mmm."""
-
-    name = "TIME"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """`00:01:30.250` -> 90.25."""
-        match = re.fullmatch(
-            r"(?:(?:(\d+):)?([0-5]?\d):)?(\d+(?:\.\d*)?|\.\d+)", str(value).strip(), re.ASCII
-        )
-        if match is None or (match[2] and float(match[3]) >= 60.0):
-            self.fail(f"{value!r} is not a time. Write 12.5 or 00:01:30.250.", param, ctx)
-        hours, minutes, seconds = (float(part or 0) for part in match.groups())
-        time_s = hours * 3600 + minutes * 60 + seconds
-        if not math.isfinite(time_s):
-            self.fail("no video is that long.", param, ctx)
-        return time_s
-
-
-class FiniteRange(click.FloatRange):
-    """A range of finite numbers."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """A finite float within the range."""
-        number: float = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return number
+TIME, FRAME = Parsed("TIME", _time), numeric(int, 0, 999_999_999)
+_SET = Parsed("set", lambda text: text.removeprefix("set"), preset_names)
+_MODEL = Parsed("model", _model, _model_names)
+# Formats of figures.
+FORMATS = ("png", "pdf", "svg")
 
 
 def file_ending(example: str) -> Callable[[str], Path]:
@@ -132,27 +155,22 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
 # Completion in the shell.
 
 
-def complete_file(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Files and folders."""
-    return [CompletionItem(incomplete, type="file")]
+def _complete_paths(kind: str) -> Callable[..., list[CompletionItem]]:
+    """Completion of paths by the shell."""
+    return lambda ctx, param, incomplete: [CompletionItem(incomplete, type=kind)]
 
 
-def complete_folder(
-    ctx: click.Context, param: click.Parameter, incomplete: str
-) -> list[CompletionItem]:
-    """Folders."""
-    return [CompletionItem(incomplete, type="dir")]
+complete_file, complete_folder = _complete_paths("file"), _complete_paths("dir")
 
 
 def complete_key(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Keys of parameters with an equals sign; if a model is named, only its own."""
-    named = ctx.params.get("model")
-    kinds = [MODELS[named]] if named in MODELS else MODELS.values()
-    specs = {key: spec for kind in kinds for key, spec in kind.parameters.specs().items()}
+    kinds = list(MODELS.values())
+    with suppress(ParameterError):  # none is named, several are, or it cannot be imported
+        kinds = [find_model(ctx.params.get("model"))]
+    specs = {key: spec for kind in kinds for key, spec in kind.specs().items()}
     return [
         CompletionItem(f"{key}=", help=spec.meaning)
         for key, spec in specs.items()
@@ -168,41 +186,12 @@ def complete_config(
     return [CompletionItem(name) for name in names] or complete_file(ctx, param, incomplete)
 
 
-class SetName(click.ParamType):
-    """One of the paper's sets: 9, or set9."""
-
-    name = "set"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """`set9` -> 9; whether the set exists is checked later."""
-        return str(value).removeprefix("set")
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """The names of all sets."""
-        return [CompletionItem(name) for name in preset_names() if name.startswith(incomplete)]
-
-
 input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
 optional_input_argument = click.argument(
     "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )
 
 # The model and its parameters.
-
-PARAM_HELP = "Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them."
-CONFIG_HELP = (
-    "YAML file of parameters, or the name of a preset. The run.yaml of a result repeats its run."
-)
-MODEL_HELP = "A model with its published parameters; dlgmd means set 9."
-FORMULATION_HELP = (
-    "How inhibition is computed where its delay is not a whole number of frames. default: delays "
-    "are rounded in bands, as in the authors' released code, with the paper's threshold of G. "
-    "released: exactly as in the released code, which also divides FFI by 200000 whatever the "
-    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
-    "equations read literally."
-)
 
 
 def _only_one(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
@@ -222,12 +211,16 @@ param_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=complete_key,
-    help=PARAM_HELP,
+    help="Change one parameter, such as r=4; repeatable. 'dlgmd sets show 9' lists them.",
 )
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(FORMULATIONS),
-    help=f"{FORMULATION_HELP}  [default: default]",
+    help="How inhibition is computed where its delay is not a whole number of frames. default: "
+    "delays are rounded in bands, as in the authors' released code, with the paper's threshold of "
+    "G. released: exactly as in the released code, which also divides FFI by 200000 whatever the "
+    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
+    "equations read literally.  [default: default]",
 )
 engine_option = click.option(
     "--engine",
@@ -245,7 +238,7 @@ def _naming_options(*, many: bool) -> list[Option]:
         option(
             "--set",
             f"set_name{plural}",
-            type=SetName(),
+            type=_SET,
             metavar="N",
             help=f"The paper's set N, 1 to 9.{note}",
         ),
@@ -255,13 +248,16 @@ def _naming_options(*, many: bool) -> list[Option]:
             type=click.Path(path_type=Path),
             metavar="FILE",
             shell_complete=complete_config,
-            help=f"{CONFIG_HELP}{note}  [default: {PRESETS[0]}]",
+            help="YAML file of parameters, or the name of a preset. The run.yaml of a result "
+            f"repeats its run.{note}  [default: {PRESETS[0]}]",
         ),
         option(
             "--model",
             f"model{plural}",
-            type=click.Choice(list(MODELS)),
-            help=f"{MODEL_HELP}{note}",
+            type=_MODEL,
+            metavar=f"[{'|'.join(MODELS)}|MODULE:CLASS]",
+            help="A model with its published parameters; dlgmd means set 9. Your own is "
+            f"package.module:Class.{note}",
         ),
     ]
 
@@ -298,48 +294,39 @@ def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "s
 # How the input is read.
 
 
-class RateOrAll(FiniteRange):
-    """A frame rate above 0, or all."""
-
-    name = "rate"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """`25` -> 25.0, `all` -> all."""
-        return value if value == "all" else super().convert(value, param, ctx)
+def _input_option(name: str, text: str, **facts: Any) -> Option:
+    """An option of `InputOptions`, whose value its `Spec` checks."""
+    spec = INPUT_SPECS[name]
+    kind = click.Choice(spec.choices) if spec.kind is str else Number(spec)
+    return click.option(f"--{name.replace('_', '-')}", type=kind, help=text, **facts)
 
 
-input_fps_option = click.option(
-    "--input-fps",
-    type=FiniteRange(min=0, min_open=True, max=100_000),
+input_fps_option = _input_option(
+    "input_fps",
+    "Frame rate of pictures, or of a video that does not state one.  [default: 30]",
     metavar="F",
-    help="Frame rate of pictures, or of a video that does not state one.  [default: 30]",
 )
-decoder_option = click.option(
-    "--decoder",
-    type=click.Choice(DECODERS),
-    help="Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]",
+decoder_option = _input_option(
+    "decoder", "Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]"
 )
 # What `live` has too.
 _PICTURES = (
-    click.option(
-        "--scale",
-        type=FiniteRange(min=0, min_open=True, max=1),
-        metavar="S",
-        help="Scale frames by S, at most 1, before the model sees them.  [default: down to "
+    _input_option(
+        "scale",
+        "Scale frames by S, at most 1, before the model sees them.  [default: down to "
         f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
+        metavar="S",
     ),
     click.option("--size", type=SIZE, help="Scale frames to this size in px instead."),
-    click.option(
-        "--fps",
-        type=RateOrAll(min=0, min_open=True, max=100_000),
-        metavar="F|all",
-        help="Process at most F frames a second, by taking every k-th. Times stay true.  "
+    _input_option(
+        "fps",
+        "Process at most F frames a second, by taking every k-th. Times stay true.  "
         f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
+        metavar="F|all",
     ),
-    click.option(
-        "--repeats",
-        type=click.Choice(REPEATS),
-        help="Whether the model sees frames that only repeat the one before.  "
+    _input_option(
+        "repeats",
+        "Whether the model sees frames that only repeat the one before.  "
         "[default: skip in videos, keep in pictures]",
     ),
     click.option(
@@ -360,14 +347,13 @@ input_options = option_group(
     "given",
     dict,
     *_PICTURES,
-    click.option("--start", type=Time(), help="Start here: seconds, or HH:MM:SS.mmm."),
-    click.option("--end", type=Time(), help="Stop before this time: seconds, or HH:MM:SS.mmm."),
+    click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
+    click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
     input_fps_option,
     decoder_option,
-    click.option(
-        "--normalise",
-        type=click.Choice(["absolute", "sequence"]),
-        help="How the membrane potential (MP) is normalised before the spiking threshold: absolute "
+    _input_option(
+        "normalise",
+        "How the membrane potential (MP) is normalised before the spiking threshold: absolute "
         "needs no later frames; sequence scales to the extremes of the whole video, as in the "
         "paper's figures.  [default: absolute]",
     ),
@@ -413,7 +399,7 @@ out_option = click.option(
 format_option = click.option(
     "--format",
     "formats",
-    type=click.Choice(["png", "pdf", "svg"]),
+    type=click.Choice(FORMATS),
     multiple=True,
     default=["png"],
     show_default=True,
@@ -421,7 +407,7 @@ format_option = click.option(
 )
 dpi_option = click.option(
     "--dpi",
-    type=click.IntRange(50, 1200),
+    type=numeric(int, 50, 1200),
     default=200,
     show_default=True,
     metavar="N",
@@ -437,7 +423,7 @@ json_option = click.option(
 )
 jobs_option = click.option(
     "--jobs",
-    type=click.IntRange(1, 512),
+    type=numeric(int, 1, 512),
     metavar="N",
     help="Number of processes that share the work.  [default: all processors]",
 )

@@ -12,6 +12,8 @@ import click
 from dlgmd_cli.commands.console import Command, print_path, say, warn
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
+    FORMATS,
+    FRAME,
     dpi_option,
     format_option,
     option_group,
@@ -26,12 +28,10 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
-_FORMATS = ("png", "pdf", "svg")
 _OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "mp4", "ps", "tif", "tiff", "webp")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name, and of a wrong value that an error quotes.
 _MAX_NAME, _MAX_SHOWN = 100, 60
-_frame = click.IntRange(0, 999_999_999)
 
 
 def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any, ...]]:
@@ -71,12 +71,8 @@ annotation_options = option_group(
         multiple=True,
         help="Shade a range of frames, such as 40-75:accelerating; repeatable.",
     ),
-    click.option(
-        "--collision-frame", type=_frame, metavar="N", help="Frame of the true collision."
-    ),
-    click.option(
-        "--false-positive-frame", type=_frame, metavar="N", help="Frame of a false alarm."
-    ),
+    click.option("--collision-frame", type=FRAME, metavar="N", help="Frame of the true collision."),
+    click.option("--false-positive-frame", type=FRAME, metavar="N", help="Frame of a false alarm."),
 )
 
 
@@ -174,10 +170,10 @@ def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     suffix = out.suffix.lower().removeprefix(".")
     if suffix in _OTHER_FORMATS and not out.is_dir():
         raise click.UsageError(
-            f"--out: figures are written as {', '.join(_FORMATS)}, not as {suffix}. "
+            f"--out: figures are written as {', '.join(FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
         )
-    if suffix not in _FORMATS:
+    if suffix not in FORMATS:
         return [out / f"{stem}.{form}" for form in dict.fromkeys(formats)]
     source = click.get_current_context().get_parameter_source("formats")
     if source is click.core.ParameterSource.COMMANDLINE and set(formats) != {suffix}:

@@ -72,17 +72,27 @@ def _complete_name(
 def show(name: str) -> None:
     """Print the parameters of NAME as YAML, for use with --config.
 
-    NAME is a set (1 to 9), the preset flight, or a model such as lgmd.
+    NAME is a set (1 to 9), the preset flight, or a model such as lgmd or package.module:Class.
     """
     import yaml
 
-    from dlgmd_cli.parameters import load_config, load_model_preset, load_preset, parameters_of
+    from dlgmd_cli.parameters import (
+        Config,
+        find_model,
+        installed_models,
+        load_config,
+        load_model_preset,
+        load_preset,
+        parameters_of,
+    )
 
     if name in PRESETS:
         config, origin = load_config(name), f"The preset {name}, the default."
     elif name in MODELS and name != DlgmdParameters.model:
         config = load_model_preset(name)
-        origin = f"{MODELS[name].parameters.source}, and defaults."
+        origin = f"{MODELS[name].source}, and defaults."
+    elif ":" in name or name in installed_models():
+        config, origin = Config(name, model=find_model(name).model), "The defaults."
     else:
         config = load_preset(name)
         origin = (

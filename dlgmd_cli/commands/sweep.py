@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.checks import blame
 from dlgmd_cli.commands.console import (
     INFINITE_DISTINGUISHABILITY,
     Command,
@@ -19,6 +20,7 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
+    FRAME,
     ONE_MODEL,
     Output,
     complete_key,
@@ -32,7 +34,6 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import Parameters, parse_overrides
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ cube_options = option_group(
 @cube_options
 @click.option(
     "--false-positive-frame",
-    type=click.IntRange(min=0),
+    type=FRAME,
     metavar="N",
     help="With INPUT: frame of a false alarm, to measure distinguishability.",
 )
@@ -217,10 +218,8 @@ def _grid(x: str, y: str, kind: type[Parameters], asked: dict[str, Any]) -> "Gri
 
     axes = []
     for option, text in (("--x", x), ("--y", y)):
-        try:
+        with blame(f"Invalid value for '{option}'"):
             axes.append(Axis.parse(text, kind))
-        except ParameterError as error:
-            raise ParameterError(f"Invalid value for '{option}'", error.why, error.mend) from None
         key = axes[-1].key
         if key in parse_overrides(asked["pairs"]):
             raise click.UsageError(f"--param sets {key}, which is an axis. Leave it out.")

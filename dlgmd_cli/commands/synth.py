@@ -17,7 +17,7 @@ from dlgmd_cli.commands.console import (
     say,
     settings,
 )
-from dlgmd_cli.commands.options import SIZE, complete_folder, dpi_option, overwrite_option
+from dlgmd_cli.commands.options import SIZE, complete_folder, dpi_option, numeric, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
@@ -130,13 +130,13 @@ def _scene_options(command: Any) -> Any:
 )
 @_flight_option(
     "--count",
-    type=click.IntRange(1, 1_000_000),
+    type=numeric(int, 1, 1_000_000),
     metavar="N",
     help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
 @_flight_option(
     "--jobs",
-    type=click.IntRange(1, 512),
+    type=numeric(int, 1, 512),
     metavar="N",
     help="With --count: number of processes.  [default: all processors]",
 )

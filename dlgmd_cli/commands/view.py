@@ -10,7 +10,13 @@ from urllib.parse import quote
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import complete_file, file_ending, overwrite_option
+from dlgmd_cli.commands.options import (
+    FRAME,
+    complete_file,
+    file_ending,
+    numeric,
+    overwrite_option,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name
@@ -43,7 +49,7 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option(
     "--collision-frame",
     "frames",
-    type=click.IntRange(0, 999_999_999),
+    type=FRAME,
     metavar="N",
     multiple=True,
     help="Frame of a true collision; repeatable.",
@@ -65,7 +71,7 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option(
     "--film-width",
     "width_px",
-    type=click.IntRange(64, 1920),
+    type=numeric(int, 64, 1920),
     default=480,
     show_default=True,
     metavar="PX",

@@ -1,23 +1,28 @@
 """The interface of all models, and their photoreceptors."""
 
 import math
+import traceback
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import FrameError, ParameterError
-from dlgmd_cli.parameters import BASELINES, MODELS, DlgmdParameters, Parameters, ParametersT
+from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError
+from dlgmd_cli.parameters import DlgmdParameters, Parameters, ParametersT
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
 Flags = npt.NDArray[np.bool_]
 
 CACHE_LINE = 64
+AUTO = "auto"
 _TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
 
@@ -55,11 +60,11 @@ class Response:
         Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
     """
 
-    p_sum: float
-    s_sum: float
-    mp: float
-    ffi: float
-    t_de: float
+    p_sum: float = math.nan
+    s_sum: float = math.nan
+    mp: float = math.nan
+    ffi: float = math.nan
+    t_de: float = math.nan
     layers: Layers | None = None
     g_x: float = math.nan
     g_y: float = math.nan
@@ -79,16 +84,25 @@ class Response:
 
 def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:
     """The response before the history is full."""
-    return Response(p_sum, math.nan, math.nan, math.nan, math.nan, layers)
+    return Response(p_sum, layers=layers)
 
 
 class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
+    A model of one's own derives from this class, names its parameter class, and defines `step`.
+
+    Parameters
+    ----------
+    params : Parameters, optional
+        Parameters of the class `params_class`; its defaults unless given.
+    engine : str
+        See `DLGMD`; the only one is `opencv`, unless a model says otherwise.
+
     Attributes
     ----------
-    name : str
-        Name for `--model`.
+    params_class : type
+        The class of the parameters.
     layer_units : (str, str, str)
         Units of the layers P, S and G, in words.
     params : Parameters
@@ -99,12 +113,39 @@ class Model:
         Index of the first frame with a full history, counting from 0 at `reset`.
     """
 
-    name: str
-    layer_units: tuple[str, str, str]
-    params: Parameters
+    params_class: ClassVar[type[Parameters]] = Parameters
+    layer_units: tuple[str, str, str] = ("–", "–", "–")
+    params: Any
     engine_name: str
-    first_valid_frame: int
+    first_valid_frame: int = 1
     _receptors: "Photoreceptors"
+
+    def __init_subclass__(cls) -> None:
+        """Make the model known to its parameter class; raises ParameterError."""
+        super().__init_subclass__()
+        if not cls.__module__.startswith("dlgmd_cli."):
+            spec = f"{cls.__module__}:{cls.__qualname__}"
+            cls.params_class = cls.params_class.own_of(cls, spec)
+        elif vars(cls.params_class).get("module") == cls.__module__:
+            cls.params_class.model_class = cls
+
+    def __init__(self, params: Parameters | None = None, engine: str = AUTO) -> None:
+        self.params = checked_params(params, self.params_class)
+        self.engine_name = "opencv"
+        if engine not in (AUTO, "opencv"):
+            why = f"the model {self.name} has no engine {engine!r}"
+            raise ParameterError("--engine", why, "Leave it out.")
+        self._receptors = Photoreceptors(self.first_valid_frame)
+
+    @property
+    def name(self) -> str:
+        """Name for `--model`."""
+        return str(self.params_class.model)
+
+    @property
+    def receptors(self) -> "Photoreceptors":
+        """The last `first_valid_frame` changes |L(t) - L(t-1)|, once they `take` the frames."""
+        return self._receptors
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
@@ -163,6 +204,9 @@ def checked_params(params: Any, kind: type[ParametersT]) -> ParametersT:
     if params is None:
         return kind()
     if not isinstance(params, kind):
+        base: Any = kind.__mro__[1]  # of which `own_of` has made `kind`, perhaps
+        if ":" in kind.model and base is not Parameters and isinstance(params, base):
+            return kind.from_mapping(params.to_dict())
         is_set = kind is DlgmdParameters
         mend = f"Write {'load_set(9)' if is_set else f'{kind.__name__}()'}, or leave it out."
         raise ParameterError("", f"expected {kind.__name__}, not {shown_params(params)}", mend)
@@ -180,7 +224,7 @@ def create_model(params: Parameters, **options: Any) -> Model:
     Parameters
     ----------
     params : Parameters
-        Parameters of one of the `MODELS` or `BASELINES`.
+        Parameters of a model.
     options
         `engine`, see `DLGMD`.
 
@@ -190,14 +234,60 @@ def create_model(params: Parameters, **options: Any) -> Model:
         If there is no such model or engine.
     MissingExtraError
         If the engine needs a package that is not installed.
+    ModelError
+        If a model of one's own fails; its `step` raises this error, too.
     """
     if not isinstance(params, Parameters):
         mend = "Write load_set(9) for one of the paper's sets."
         raise ParameterError("", f"expected parameters, not {shown_params(params)}", mend)
-    entry = MODELS.get(params.model) or BASELINES.get(params.model)
-    if entry is None:
-        raise ParameterError("", f"no model takes {type(params).__name__}")
-    model: Model = getattr(import_module(entry.module), entry.attribute)(params, **options)
+    kind, facts = type(params), vars(type(params))
+    if facts.get("module") and facts.get("model_class") is None:
+        import_module(kind.module)
+    model_class = vars(kind).get("model_class")
+    if model_class is None:
+        why = f"no model takes {kind.__name__}"
+        if kind.model:
+            why = f"the model {kind.model} cannot be imported"
+        raise ParameterError("", why)
+    if model_class.__module__.startswith("dlgmd_cli."):
+        model: Model = model_class(params, **options)
+        return model
+    return _guarded(params, options)
+
+
+def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
+    """A model of one's own whose failures are a ModelError."""
+    name = params.model
+
+    @contextmanager
+    def blamed() -> Iterator[None]:
+        try:
+            yield
+        except (DlgmdError, MemoryError):
+            raise
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{Path(last.filename).name}, line {last.lineno}"
+            why = f"the model fails with {type(error).__name__}: {error} ({where})"
+            raise ModelError(name, " ".join(why.split())) from error
+
+    with blamed():
+        model: Model = params.model_class(params, **options)
+        step, receptors = model.step, model.receptors
+
+    def guarded(luminance: Grey, time_s: float | None = None, *, layers: bool = False) -> Response:
+        frame, wanted = receptors.frame, {"layers": True} if layers else {}
+        with blamed():
+            response = step(luminance, time_s, **wanted)
+        if not isinstance(response, Response):
+            raise ModelError(name, f"its step returns {type(response).__name__}, not a Response")
+        if layers and response.layers is None:
+            raise ModelError(name, "its step returns no layers", "Add Response(layers=Layers(…)).")
+        if receptors.frame == frame:  # so that `n_cells` knows the frame
+            receptors.take(luminance)
+        return response
+
+    model.step = guarded  # type: ignore[method-assign]
     return model
 
 

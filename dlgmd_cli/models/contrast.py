@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import (
+    AUTO,
     Flags,
     FloatImage,
     Grey,
@@ -16,7 +17,7 @@ from dlgmd_cli.models.base import (
     checked_params,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
-from dlgmd_cli.models.engines import AUTO, Counting
+from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.parameters import ContrastParameters
 
 # Number of cells that is enough to estimate the lower quartile.
@@ -65,16 +66,12 @@ class ContrastDLGMD(Distributed):
     [nan, nan, 4800.0]
     """
 
-    name = "dlgmd-contrast"
+    params_class = ContrastParameters
     layer_units = ("luminance", "luminance", "active cells")
     params: ContrastParameters
 
-    def __init__(
-        self,
-        params: ContrastParameters | None = None,
-        engine: str = AUTO,
-    ) -> None:
-        params = checked_params(params, ContrastParameters)
+    def __init__(self, params: ContrastParameters | None = None, engine: str = AUTO) -> None:
+        params = checked_params(params, self.params_class)
         super().__init__(params, engine, least_delay=1)  # F(t) needs M(t-1)
         self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
         self._weights: FloatImage | None = None

@@ -7,11 +7,12 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
 from dlgmd_cli.models.base import Grey, Response, undefined
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of, shown
+from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

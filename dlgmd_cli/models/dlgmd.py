@@ -2,9 +2,9 @@
 
 import math
 
-from dlgmd_cli.models.base import Response, centroid, checked_params
+from dlgmd_cli.models.base import AUTO, Response, centroid, checked_params
 from dlgmd_cli.models.distributed import Distributed, Images
-from dlgmd_cli.models.engines import AUTO, Grouping
+from dlgmd_cli.models.engines import Grouping
 from dlgmd_cli.parameters import DlgmdParameters
 
 # The released code divides by this for any frame size: n_cell m of the authors' 800 x 600 frames.
@@ -41,16 +41,12 @@ class DLGMD(Distributed):
     [False, False, False, True, True]
     """
 
-    name = "dlgmd"
+    params_class = DlgmdParameters
     layer_units = ("luminance", "luminance", "luminance²")
     params: DlgmdParameters
 
-    def __init__(
-        self,
-        params: DlgmdParameters | None = None,
-        engine: str = AUTO,
-    ) -> None:
-        params = checked_params(params, DlgmdParameters)
+    def __init__(self, params: DlgmdParameters | None = None, engine: str = AUTO) -> None:
+        params = checked_params(params, self.params_class)
         self._released = params.formulation == "released"
         # FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code.
         self._ffi_delay = 2 if self._released else 1

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.models.base import (
+    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -14,10 +15,8 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     centroid_of,
-    checked_params,
     undefined,
 )
-from dlgmd_cli.models.engines import AUTO, require_opencv
 from dlgmd_cli.parameters import EmdLgmdParameters
 
 
@@ -42,18 +41,13 @@ class EmdLGMD(Model):
         See `DLGMD`; the only one is `opencv`.
     """
 
-    name = "emd-lgmd"
+    params_class = EmdLgmdParameters
     layer_units = ("luminance", "luminance²", "luminance²")
     first_valid_frame = 2
     params: EmdLgmdParameters
 
-    def __init__(
-        self,
-        params: EmdLgmdParameters | None = None,
-        engine: str = AUTO,
-    ) -> None:
-        self.params = checked_params(params, EmdLgmdParameters)
-        self.engine_name = require_opencv(engine, self.name)
+    def __init__(self, params: EmdLgmdParameters | None = None, engine: str = AUTO) -> None:
+        super().__init__(params, engine)
         self._slow, self._fast = (
             np.float32(-math.expm1(-1.0 / tau))
             for tau in (self.params.tau_high, self.params.tau_low)

@@ -34,11 +34,11 @@ class FlowDivergence(Model):
         Not used; accepted by all models.
     """
 
-    name = "flow-divergence"
+    params_class = FlowDivergenceParameters
     layer_units = ("luminance", "px/frame", "1/frame")
 
     def __init__(self, params: FlowDivergenceParameters | None = None, **_: Any) -> None:
-        self.params = checked_params(params, FlowDivergenceParameters)
+        self.params = checked_params(params, self.params_class)
         self.engine_name = "opencv"
         self.first_valid_frame = 1
         self._flow: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)

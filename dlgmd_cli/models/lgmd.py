@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import (
+    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -11,10 +12,9 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     centroid_of,
-    checked_params,
     undefined,
 )
-from dlgmd_cli.models.engines import AUTO, just_below, require_opencv
+from dlgmd_cli.models.engines import just_below
 from dlgmd_cli.parameters import LgmdParameters
 
 # Weights of lateral inhibition, which acts one frame later.
@@ -41,18 +41,13 @@ class LGMD(Model):
         See `DLGMD`; the only one is `opencv`.
     """
 
-    name = "lgmd"
+    params_class = LgmdParameters
     layer_units = ("grey levels", "grey levels", "grey levels")
     first_valid_frame = 2
     params: LgmdParameters
 
-    def __init__(
-        self,
-        params: LgmdParameters | None = None,
-        engine: str = AUTO,
-    ) -> None:
-        self.params = checked_params(params, LgmdParameters)
-        self.engine_name = require_opencv(engine, self.name)
+    def __init__(self, params: LgmdParameters | None = None, engine: str = AUTO) -> None:
+        super().__init__(params, engine)
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []
         self._receptors = Photoreceptors(0)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import (
+    AUTO,
     Flags,
     Grey,
     Photoreceptors,
@@ -16,7 +17,7 @@ from dlgmd_cli.models.base import (
 )
 from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.engines import AUTO, Counting
+from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
 from dlgmd_cli.parameters import OnOffParameters
 
@@ -42,15 +43,11 @@ class OnOffDLGMD(DLGMD):
         See `DLGMD`. The engine computes S_on and S_off; the grouping always uses OpenCV.
     """
 
-    name = "dlgmd-onoff"
+    params_class = OnOffParameters
     params: OnOffParameters
 
-    def __init__(
-        self,
-        params: OnOffParameters | None = None,
-        engine: str = AUTO,
-    ) -> None:
-        super().__init__(checked_params(params, OnOffParameters), engine)
+    def __init__(self, params: OnOffParameters | None = None, engine: str = AUTO) -> None:
+        super().__init__(checked_params(params, self.params_class), engine)
         depth = self.first_valid_frame
         self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
 

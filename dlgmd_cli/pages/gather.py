@@ -136,7 +136,7 @@ def _model_name(result: Result) -> str:
     """The name of a result's model: its set, its preset, or the model itself."""
     if isinstance(number := result.record.get("set"), int):
         return f"set{number}"
-    return str(result.record.get("preset") or result.params.model)
+    return str(result.record.get("preset") or result.params.model.rpartition(":")[2])
 
 
 def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:

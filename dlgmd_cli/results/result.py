@@ -1,5 +1,6 @@
 """`Result`: the response of a model to a video, and everything derived from it."""
 
+import logging
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -12,15 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
+from dlgmd_cli.keys import recorded_parameters
 from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, sequence
 from dlgmd_cli.names import recorded_name
-from dlgmd_cli.parameters import MODELS, Parameters
+from dlgmd_cli.parameters import Parameters, find_model
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
 from dlgmd_cli.results.rows import ROW, Rows, rows_of
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Figure
+
+_log = logging.getLogger(__name__)
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -389,20 +393,29 @@ def _existing(folder: str | Path) -> Path:
     return folder
 
 
+def _params(own: Mapping[str, Any]) -> Parameters:
+    """The parameters in a record; unchecked if the model is not ours and cannot be imported."""
+    name = str(own.get("model"))
+    try:
+        kind = find_model(name)
+        return kind.from_mapping({key: own[key] for key in kind.specs() if key in own})
+    except ParameterError as error:
+        if ":" not in name:
+            raise
+        _log.warning("%s; its parameters are read as recorded", error.why)
+        return recorded_parameters(own)
+
+
 def _result(
     path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
 ) -> Result:
     """A result from stored columns and a record; `own` holds the model and its parameters."""
-    model = MODELS.get(str(own.get("model")))
     processed = record.get("processed")
     try:
-        if model is None:
-            raise ParameterError("", f"unknown model {str(own.get('model'))[:40]!r}")
+        params = _params(own)
         sides = (processed["width"], processed["height"])  # type: ignore[index]
         if not all(isinstance(n, int) for n in (*sides, processed.get("cells", 1))):  # type: ignore
             raise TypeError
-        kind = model.parameters
-        params = kind.from_mapping({key: own[key] for key in kind.specs() if key in own})
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
     except (TypeError, KeyError):

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import Parameters, Spec
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.result import Flags, Series
 
@@ -47,12 +48,12 @@ class Axis:
         words = _range(rest) if ":" in rest else [word.strip() for word in rest.split(",")]
         if len(words) > MAX_VALUES:
             raise _too_many(len(words))
-        spec, default = kind.specs()[key], kind.defaults()[key]
-        values = [_typed(key, word, default, spec) for word in words]
+        spec = kind.specs()[key]
+        values = [spec.parse(word, key, bounded=False) for word in words]
         if len(set(values)) < len(values):
             twice = next(value for value in values if values.count(value) > 1)
             raise ParameterError("", f"{key} = {twice} appears twice", "Give every value once.")
-        return cls(key, spec, tuple(values if isinstance(default, bool | str) else sorted(values)))
+        return cls(key, spec, tuple(values if spec.kind in (bool, str) else sorted(values)))
 
     @property
     def is_numeric(self) -> bool:
@@ -240,23 +241,3 @@ def _range(text: str) -> list[str]:
 def _too_many(count: int) -> ParameterError:
     why = f"{count} values are more than {MAX_VALUES}"
     return ParameterError("", why, "Take larger steps, or a shorter range.")
-
-
-def _typed(key: str, word: str, default: Any, spec: Spec) -> Any:
-    """One value, converted to the type of the key."""
-    if isinstance(default, bool | str):
-        if word not in (spec.choices or ("true", "false")):
-            why = f"{key} = {word[:40]!r} is not one of {spec.allowed}"
-            raise ParameterError("", why, f"Write {key}=A,B.")
-        return word if spec.choices else word == "true"
-    try:
-        number = float(word)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ParameterError("", f"{key} = {word[:40]!r} is not a number", _HINT)
-    if not isinstance(default, int):
-        return number
-    if not number.is_integer():
-        raise ParameterError("", f"{key} = {word} is not a whole number", "Write r=2:8:1.")
-    return int(number)

@@ -13,7 +13,7 @@ from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import MODELS, PRESETS, Parameters
+from dlgmd_cli.parameters import PRESETS, Parameters
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList, Rows
@@ -24,6 +24,8 @@ from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Source, Video
 
 OnFrame = Callable[[int], None]
+# A model by its name, its class, or its parameters.
+ModelName = str | type | Parameters
 
 
 def silent(*_: Any) -> None:
@@ -35,18 +37,16 @@ def run(video: Openable, models: None = None, **options: Any) -> Result: ...
 
 
 @overload
-def run(
-    video: Openable, models: Sequence[Parameters | str | int], **options: Any
-) -> list[Result]: ...
+def run(video: Openable, models: Sequence[ModelName | int], **options: Any) -> list[Result]: ...
 
 
 def run(
     video: Openable,
-    models: Sequence[Parameters | str | int] | None = None,
+    models: Sequence[ModelName | int] | None = None,
     *,
     set: str | int | None = None,
     config: str | os.PathLike[str] | None = None,
-    model: str | None = None,
+    model: ModelName | None = None,
     formulation: str | None = None,
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
@@ -62,11 +62,12 @@ def run(
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
         Of images, `fps` is the frame rate, 30 unless given; all of them are processed.
     models : sequence, optional
-        The models: parameters, or names of sets (``9``), models (``"lgmd"``) and presets
-        (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
+        The models: parameters, classes of models, or names of sets (``9``), models (``"lgmd"``) and
+        presets (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
     set, config, model, formulation : optional
-        One of the paper's sets; a YAML file or the name of a preset; the name of a model; how
-        delays that are not whole frames are rounded. The default is the preset `flight`.
+        One of the paper's sets; a YAML file or the name of a preset; a model by its name
+        (``"package.module:Class"`` for one's own), class or parameters; how delays that are not
+        whole frames are rounded. The default is the preset `flight`.
     param : mapping, optional
         Single parameters to override, such as ``{"r": 4}``.
     engine : str, optional
@@ -102,22 +103,25 @@ def run(
         raise ParameterError("run", f"there is no option {name!r}", f"Choose from {known}.")
     if not isinstance(video, str | os.PathLike) and options.get("input_fps") is None:
         options["input_fps"] = options.pop("fps", None)
+    named: dict[str, Any] = {"set": set, "config": config, "model": model}
+    named |= {"formulation": formulation, "param": param}
     if models is None:
         setup = choose(set, config, model, param, formulation, engine)
         return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]
+    for name in (name for name, value in named.items() if value is not None):
+        raise ParameterError("run", f"{name} and models exclude each other", "Give one of them.")
     setups = [_setup(one, engine) for one in models]
     return run_input(video, setups, InputOptions(**options), on_frame=on_frame)
 
 
-def _setup(model: Parameters | str | int, engine: str | None) -> Setup:
+def _setup(model: ModelName | int, engine: str | None) -> Setup:
     """The setup for an entry of `models`."""
-    if isinstance(model, Parameters):
-        return Setup(model, model.model, engine or "auto")
-    if model in MODELS:
-        return choose(model=str(model), engine=engine)
     if model in PRESETS:
         return choose(config=str(model), engine=engine)
-    return choose(set=str(model).removeprefix("set"), engine=engine)
+    name = str(model).removeprefix("set")
+    if isinstance(model, int) or name.isdecimal():
+        return choose(set=name, engine=engine)
+    return choose(model=model, engine=engine)
 
 
 def run_input(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.checks import blame, require_known
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
@@ -16,11 +17,11 @@ from dlgmd_cli.parameters import (
     Config,
     DlgmdParameters,
     Parameters,
+    find_model,
     load_config,
     load_model_preset,
     load_preset,
     merge,
-    require_known,
 )
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
@@ -80,7 +81,7 @@ class Setup:
 def choose(
     set: str | int | None = None,
     config: str | os.PathLike[str] | None = None,
-    model: str | None = None,
+    model: str | type | Parameters | None = None,
     overrides: Mapping[str, Any] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
@@ -88,7 +89,8 @@ def choose(
     """The model given by a set, a file or a name, with single parameters overridden.
 
     `overrides` and `formulation` take precedence over the set or file, and that over the defaults.
-    Without any name, the preset `flight` is used; `dlgmd` alone means set 9.
+    `model` is a name, see `find_model`, the class of a model, or its parameters. Without any name,
+    the preset `flight` is used; `dlgmd` alone means set 9.
 
     Raises
     ------
@@ -97,17 +99,22 @@ def choose(
     """
     if set is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
-    if set is not None and model not in (DLGMD, None):
-        raise ParameterError(
-            "", "--set works only with the D-LGMD model", f"Leave out --set or --model {model}."
-        )
     is_default = set is None and config is None and model is None
-    file, label = _named_config(set, DEFAULT_PRESET if is_default else config, model)
-    name, chosen = model or file.model or DLGMD, engine or file.engine
-    require_known("model", name, MODELS, file.name if model is None else "")
+    if isinstance(model, Parameters):
+        if set is not None or config is not None:
+            raise ParameterError("", "parameters exclude a set and a file", "Give one of them.")
+        kind, file = type(model), Config("", values=model.to_dict())
+        label = label_of(kind)
+    else:
+        given = None if model is None else find_model(model, "Invalid value for '--model'")
+        if set is not None and not _takes_sets(given):
+            mend = f"Leave out --set or --model {model}."
+            raise ParameterError("", "--set works only with the D-LGMD model", mend)
+        file, label = _named_config(set, DEFAULT_PRESET if is_default else config, given)
+        kind = given or find_model(file.model or DLGMD, file.name)
+    chosen = engine or file.engine
     if chosen not in (None, "auto"):
         require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
-    kind = MODELS[name].parameters
     values = dict(overrides or {})
     if formulation is not None:
         if "formulation" not in kind.specs():
@@ -126,20 +133,31 @@ def choose(
     )
 
 
+def label_of(kind: type[Parameters]) -> str:
+    """The name of a model in messages and figures: without the module of one's own."""
+    return kind.model.rpartition(":")[2]
+
+
+def _takes_sets(kind: type[Parameters] | None) -> bool:
+    """Whether the paper's sets are for this model: the D-LGMD, or one of one's own based on it."""
+    is_own = kind is not None and ":" in kind.model
+    return kind in (DlgmdParameters, None) or (is_own and issubclass(kind, DlgmdParameters))  # type: ignore[arg-type]
+
+
 def _named_config(
-    set: str | int | None, config: str | os.PathLike[str] | None, model: str | None
+    set: str | int | None,
+    config: str | os.PathLike[str] | None,
+    kind: type[Parameters] | None,
 ) -> tuple[Config, str]:
     """The configuration that the arguments of `choose` name, and the model's label."""
     if config is not None:
         return load_config(os.fspath(config)), Path(config).stem
-    if model != DLGMD and model in MODELS:
-        return load_model_preset(model), model
+    if set is None and kind is not None and kind is not DlgmdParameters:
+        is_ours = kind.model in MODELS
+        return load_model_preset(kind.model) if is_ours else Config(""), label_of(kind)
     number = str(DEFAULT_SET if set is None else set)
-    try:
+    with blame("Invalid value for '--set'"):
         return load_preset(number), f"set{number.removeprefix('set')}"
-    except ParameterError as error:
-        mend = f"{error.mend.rstrip('.')}, or give a file with --config."
-        raise ParameterError("Invalid value for '--set'", error.why, mend) from None
 
 
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:

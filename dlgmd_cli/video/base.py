@@ -5,15 +5,28 @@ import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.threads import n_processors, thread_limit
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
-REPEATS = ("skip", "keep")
+_RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Spec(low=0, high=1e9)
+# What the options of an input may be, in files, in Python and on the command line.
+INPUT_SPECS = {
+    "scale": Spec(low=0, high=1, low_open=True),
+    "fps": replace(_RATE, choices=("all",)),
+    "input_fps": _RATE,
+    "start": _TIME,
+    "end": _TIME,
+    "repeats": Spec(str, choices=("skip", "keep")),
+    "decoder": Spec(str, choices=DECODERS),
+    "normalise": Spec(str, choices=("absolute", "sequence")),
+}
 # Of raw frames, as FFmpeg names them, with the bytes that a pixel takes.
 PIXEL_FORMATS = {
     "gray": 1.0,

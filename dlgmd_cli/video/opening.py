@@ -9,8 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, require_known
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
 from dlgmd_cli.video.base import (
     DECODERS,

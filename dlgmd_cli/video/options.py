@@ -2,40 +2,18 @@
 
 import hashlib
 import math
-import numbers
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, shown
-from dlgmd_cli.video.base import (
-    DECODERS,
-    DEFAULT_DECODER,
-    REPEATS,
-    Crop,
-    parse_crop,
-    parse_size,
-)
+from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
+from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
 from dlgmd_cli.video.opening import Openable, open_video
 from dlgmd_cli.video.source import SourceInfo, Video
-
-_ABOVE_0 = math.ulp(0.0)
-# Lowest and highest value of each numeric option, and the range in words.
-_RANGES = {
-    "scale": (_ABOVE_0, 1.0, "above 0 and up to 1"),
-    "fps": (_ABOVE_0, 100_000.0, "a frame rate above 0, or all"),
-    "input_fps": (_ABOVE_0, 100_000.0, "a frame rate above 0"),
-    "start": (0.0, 1e9, "a time in seconds"),
-    "end": (0.0, 1e9, "a time in seconds"),
-}
-_CHOICES = {
-    "decoder": DECODERS,
-    "normalise": ("absolute", "sequence"),
-    "repeats": REPEATS,
-}
 
 
 @dataclass(frozen=True)
@@ -76,11 +54,12 @@ class InputOptions:
         if isinstance(self.mask, str | os.PathLike):
             object.__setattr__(self, "mask", os.path.abspath(self.mask))
         object.__setattr__(self, "mask_sha256", _digest(self.mask))
-        for name, value in vars(self).items():
-            expected = "" if value is None else _expected(name, value)
-            if expected:
-                option = f"--{name.replace('_', '-')} {shown(value)}"
-                raise ParameterError("", f"{option} is not {expected}")
+        for name, spec in INPUT_SPECS.items():
+            if getattr(self, name) is not None:
+                checked = spec.check(getattr(self, name), f"--{name.replace('_', '-')}")
+                object.__setattr__(self, name, checked)
+        if not isinstance(self.mask, str | None):
+            raise ParameterError("", f"--mask = {shown(self.mask)} is not a picture's file")
         if self.scale is not None and self.size is not None:
             raise ParameterError("", "--scale and --size exclude each other", "Give one of them.")
         if self.start is not None and self.end is not None and self.end <= self.start:
@@ -148,17 +127,3 @@ def _digest(mask: Any) -> str | None:
         return hashlib.sha256(Path(mask).read_bytes()).hexdigest()
     except (OSError, TypeError, ValueError):
         return None
-
-
-def _expected(name: str, value: Any) -> str:
-    """The kind of value that an option takes, in words; empty if `value` is valid."""
-    if name == "fps" and value == "all":
-        return ""
-    if name in _RANGES:
-        low, high, words = _RANGES[name]
-        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        return "" if is_number and low <= value <= high else words
-    if name == "mask":
-        return "" if isinstance(value, str) else "a picture's file"
-    choices = _CHOICES.get(name, (value,))
-    return "" if value in choices else f"one of {', '.join(choices)}"

@@ -27,6 +27,8 @@ def reader(tmp_path_factory, clips):
     folder = tmp_path_factory.mktemp("reader")
     shutil.copytree(ROOT / "sample_videos", folder / "sample_videos")
     shutil.copy(clips / "loom.mp4", folder / "flight.mp4")
+    (own,) = [code for code in blocks("python") if "# fast.py" in code]
+    (folder / "fast.py").write_text(own, encoding="utf-8")
     (folder / "footage").mkdir()
     for name in ("a.mp4", "b.mp4"):
         shutil.copy(clips / "loom.mp4", folder / "footage" / name)
@@ -51,6 +53,7 @@ QUICKER = {
 
 def test_commands_run_in_order(reader, monkeypatch):
     monkeypatch.chdir(reader)
+    monkeypatch.syspath_prepend(reader)
     lines = [line for line in "".join(blocks("sh")).splitlines() if line.startswith("dlgmd ")]
     assert len(lines) >= len(COMMANDS)
     for line in lines:

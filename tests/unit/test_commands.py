@@ -138,7 +138,7 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, name):
     (tmp_path / "my.yaml").write_text(result.stdout, encoding="utf-8")
     shown = load_config(tmp_path / "my.yaml")
     if name in MODELS:
-        assert (shown.model, shown.values) == (name, MODELS[name].parameters().to_dict())
+        assert (shown.model, shown.values) == (name, MODELS[name]().to_dict())
         return
     preset = load_config("flight") if name == "flight" else load_preset(name)
     assert parameters_of(shown) == parameters_of(preset)

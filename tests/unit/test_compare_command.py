@@ -267,7 +267,7 @@ def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
     ("options", "message"),
     [
         (["--set", 12], "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
-        (["--model", "lgdm"], "Invalid value for '--model': 'lgdm' is not one of"),
+        (["--model", "lgdm"], "Invalid value for '--model': there is no model 'lgdm'"),
         (["--config", "none.yaml"], "none.yaml: there is no such file"),
         (["--model", "lgmd", "--no-ffi-gd"], "--no-ffi-gd works only with the D-LGMD model. Add"),
         (["--scale", 0.5, "--size", "9x9"], "--scale and --size exclude each other"),

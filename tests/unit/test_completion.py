@@ -32,7 +32,7 @@ def test_commands_and_options():
         ("run --config fl", ["flight"]),
         ("run --model l", ["lgmd"]),
         ("run --param sigma_", ["sigma_e=", "sigma_i=", "sigma_c="]),
-        ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].parameters.specs()]),
+        ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
         ("calibrate a.csv --search kap", ["kappa="]),
         ("synth group", [f"group{number}" for number in range(1, 6)]),

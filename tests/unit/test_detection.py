@@ -94,7 +94,7 @@ def test_frames_far_apart_are_no_pause():
 PARAMS = [
     *(load_set(number, kappa=1e-4) for number in (3, 9)),
     load_set(9, formulation="equations", n_sp=1),
-    *(entry.parameters() for entry in MODELS.values()),
+    *(kind() for kind in MODELS.values()),
 ]
 
 

@@ -14,7 +14,8 @@ import dlgmd_cli
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
     {"errors", "cancel", "names", "threads"},
-    {"plain_yaml", "frame"},
+    {"checks", "plain_yaml", "frame"},
+    {"keys"},
     {"parameters", "pool"},
     {"models", "video"},
     {"results"},

@@ -34,7 +34,7 @@ EVEN_CASES = [case for case, (name, _) in CASES.items() if name not in DIRECTION
 
 def create(case):
     name, values = CASES[case]
-    return create_model(MODELS[name].parameters.from_mapping(values))
+    return create_model(MODELS[name].from_mapping(values))
 
 
 def moving(height=24, width=30, n_frames=N_FRAMES, seed=11):

@@ -159,7 +159,7 @@ def damage(folder, name, change):
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not"),
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
-        ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "unknown model 'other'"),
+        ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "model 'other'"),
         ("run.yaml", lambda text: text.replace("width: 10", "width: a"), "the processed size"),
         ("run.yaml", lambda text: "[", "contains no result"),
     ],

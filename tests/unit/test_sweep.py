@@ -60,7 +60,6 @@ def test_values_of_a_range_are_what_one_would_write(start, step, count):
         ("r=", "is not an axis"),
         ("sigma_x=1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
         ("r=1:2", "'1:2' is not FROM:TO:STEP in numbers"),
-        ("r=1:nan:1", "is not FROM:TO:STEP in numbers"),
         ("r=1:1e999999999:1", "is not FROM:TO:STEP in numbers"),
         ("r=1:5:0", "its STEP is not above 0"),
         ("r=5:1:1", "its TO is below its FROM"),
@@ -69,7 +68,6 @@ def test_values_of_a_range_are_what_one_would_write(start, step, count):
         ("a=1,1.0", "a = 1.0 appears twice"),
         ("a=one", "a = 'one' is not a number"),
         ("r=2:3:0.5", "r = 2.5 is not a whole number"),
-        ("ffi_gd=0:1:1", "is not one of true, false"),
         ("formulation=printed", "is not one of default, released, equations"),
     ],
 )

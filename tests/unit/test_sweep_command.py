@@ -215,7 +215,6 @@ def test_interrupted_before_the_first_point(dlgmd, stop):
 
 
 USAGE = [
-    ("--y r=4", "Missing option '--x'"),
     ("--x a=1 --y r", "Invalid value for '--y': 'r' is not an axis"),
     ("--x q=1 --y r=4", "Invalid value for '--x': unknown parameter 'q'"),
     ("--x a=1 --y a=2", "--x and --y are both a"),
@@ -233,11 +232,8 @@ USAGE = [
     ("--x a=1 --y r=4 --frames 99 --speed 9", "leaves the picture after 18 frames"),
     ("--x a=1 --y r=4 --cube-size 151", "cannot fit into a picture of 200x150"),
     ("--x a=1 --y r=4 --size 9x9", "Invalid value for '--size'"),
-    ("--x a=1 --y r=4 --jobs 0", "--jobs"),
-    ("--x a=1 --y r=4 --set 12", "there is no set 12"),
     ("--x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
     ("loom.avi --x a=1 --y r=4 --speed 1", "--speed works only without INPUT"),
-    ("loom.avi --x a=1 --y r=4 --scale 1 --size 9x9", "--scale and --size exclude each other"),
 ]
 
 

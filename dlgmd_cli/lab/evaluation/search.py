@@ -1,20 +1,21 @@
 """A parameter search with Optuna; trials are stored in a file, and a later search continues it."""
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.checks import Spec, blame, shown
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.evaluation.calibration import WIDTH, Choice, Choices, Trial, with_values
-from dlgmd_cli.parameters import Parameters, shown
+from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
 _NAME = "calibrate"
+_WIDTHS = Spec(int, 16, 8192)
 # Ranges wider than this ratio are searched on a logarithmic scale.
 _WIDE = 10.0
 # Parameters that are calibrated in every trial, and need no search.
@@ -46,31 +47,21 @@ def parse_range(text: str, params: Parameters) -> tuple[str, Range]:
     Raises ParameterError.
     """
     key, _, bounds = text.partition("=")
-    key = key.strip()
-    try:
-        low, high = (float(part) for part in bounds.split(":"))
-    except ValueError:
-        mend = "Write sigma_e=0.2:2."
-        raise ParameterError(_OPTION, f"{shown(text)} is not KEY=LOW:HIGH", mend) from None
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ParameterError(_OPTION, f"{shown(text)} does not rise from LOW to HIGH")
+    key, parts = key.strip(), bounds.split(":")
+    if len(parts) != 2:
+        raise ParameterError(_OPTION, f"{shown(text)} is not KEY=LOW:HIGH", "Write sigma_e=0.2:2.")
     if key in _CALIBRATED:
         raise ParameterError(_OPTION, f"{key} is calibrated without a search", "Leave it out.")
-    if key == WIDTH:
-        least, most, is_whole = 16.0, 8192.0, True
-    else:
-        specs = params.specs()
-        if key not in specs:
-            raise params.unknown(key)
-        default = params.defaults()[key]
-        if isinstance(default, bool | str):
-            raise ParameterError(_OPTION, f"{key} is not a number", "Set it with --param.")
-        least, most, is_whole = specs[key].low, specs[key].high, isinstance(default, int)
-    if low < least or high > most:
-        raise ParameterError(_OPTION, f"{key} may only be from {least:g} to {most:g}")
-    if is_whole and (low != round(low) or high != round(high)):
-        raise ParameterError(_OPTION, f"{key} takes whole numbers only")
-    return key, Range(int(low), int(high), True) if is_whole else Range(low, high, False)
+    spec = _WIDTHS if key == WIDTH else params.specs().get(key)
+    if spec is None:
+        raise params.unknown(key)
+    if spec.kind in (bool, str):
+        raise ParameterError(_OPTION, f"{key} is not a number", "Set it with --param.")
+    with blame(_OPTION):
+        low, high = (float(spec.parse(part, key)) for part in parts)
+    if low >= high:
+        raise ParameterError(_OPTION, f"{shown(text)} does not rise from LOW to HIGH")
+    return key, Range(low, high, spec.kind is int)
 
 
 class Search:

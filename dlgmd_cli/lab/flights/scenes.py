@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.flights import script
 from dlgmd_cli.lab.flights.ball import ball_and_capsules
@@ -26,7 +27,6 @@ from dlgmd_cli.lab.flights.textures import Rng
 from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.lab.stimuli.looming import Approach, ApproachOptions
 from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
-from dlgmd_cli.parameters import nearest
 
 NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
 _ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}

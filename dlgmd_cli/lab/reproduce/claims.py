@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.lab.reproduce.plan import ANY
-from dlgmd_cli.parameters import FORMULATIONS, nearest
+from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.results.csv import cell, write_rows
 
 CLAIMS = Path(__file__).with_name("claims.yaml")

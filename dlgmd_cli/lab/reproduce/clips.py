@@ -73,7 +73,7 @@ class ClipResults:
 def model(name: str, formulation: str = "default", **changes: Any) -> Parameters:
     """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
     if name in MODELS:
-        return merge(MODELS[name].parameters, load_model_preset(name), changes)
+        return merge(MODELS[name], load_model_preset(name), changes)
     return load_set(name.removeprefix("set"), formulation=formulation, **changes)
 
 

@@ -1,7 +1,6 @@
 """The base of all scenes: a name, checked options, frames, and their ground truth."""
 
 import math
-import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -10,6 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
 
 GreyImage = npt.NDArray[np.uint8]
@@ -19,47 +19,16 @@ MAX_SIDE_PX = 8190
 MAX_FRAMES = 100_000
 
 
-@dataclass(frozen=True)
-class Limits:
-    """The flag of an option, and its allowed values."""
-
-    flag: str
-    low: float
-    high: float
-    unit: str = ""
-    low_open: bool = False
-    whole: bool = False
-    is_switch: bool = False
-
-    def checked(self, value: Any) -> Any:
-        """Return `value` as an int or a float; raises ParameterError if it is not allowed."""
-        if self.is_switch:
-            if isinstance(value, bool):
-                return value
-            raise invalid(self.flag, f"{str(value)[:40]} is neither true nor false")
-        if isinstance(value, bool) or not isinstance(value, numbers.Real):
-            raise invalid(self.flag, f"{str(value)[:40]} is not a number")
-        if self.whole and not isinstance(value, numbers.Integral):
-            raise invalid(self.flag, f"{str(value)[:40]} is not a whole number")
-        number: Any = value
-        if not self.low <= number <= self.high or (self.low_open and number == self.low):
-            low = f"{'above ' if self.low_open else ''}{self.low:g}"
-            raise invalid(
-                self.flag,
-                f"{str(value)[:40]} is out of range",
-                f"Choose {low} to {self.high:g}{self.unit and ' ' + self.unit}.",
-            )
-        return int(number) if self.whole else float(number)
-
-
-def option(default: Any, flag: str, low: float, high: float, **limits: Any) -> Any:
-    """A numeric field of `ClipOptions`: its default, flag and range."""
-    return field(default=default, metadata={"limits": Limits(flag, low, high, **limits)})
+def option(default: Any, flag: str, low: float, high: float, **facts: Any) -> Any:
+    """A numeric field of `ClipOptions`: its default, its flag, and what `Spec` takes."""
+    return field(
+        default=default, metadata={"flag": flag, "spec": Spec(low=low, high=high, **facts)}
+    )
 
 
 def switch(default: bool | None, flag: str) -> Any:
     """A boolean field of `ClipOptions`; None leaves the choice to the scene."""
-    return field(default=default, metadata={"limits": Limits(flag, 0, 1, is_switch=True)})
+    return field(default=default, metadata={"flag": flag, "spec": Spec(bool)})
 
 
 def invalid(flag: str, why: str, mend: str = "") -> ParameterError:
@@ -76,33 +45,36 @@ class ClipOptions:
     determines everything random.
     """
 
-    shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", whole=True)
+    shape: tuple[int, int] = option((270, 480), "--size", 16, MAX_SIDE_PX, unit="px", kind=int)
     fps: float = option(30.0, "--fps", 1, 600)
-    n_frames: int | None = option(None, "--frames", 1, MAX_FRAMES, whole=True)
+    n_frames: int | None = option(None, "--frames", 1, MAX_FRAMES, kind=int)
     fov_deg: float = option(60.0, "--fov", 1, 170, unit="degrees")
-    seed: int = option(0, "--seed", 0, 2**63 - 1, whole=True)
+    seed: int = option(0, "--seed", 0, 2**63 - 1, kind=int)
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value, limits = getattr(self, each.name), each.metadata["limits"]
-            if isinstance(each.default, tuple):
-                values = value if isinstance(value, tuple | list) else (value,)
-                object.__setattr__(self, each.name, tuple(limits.checked(v) for v in values))
-                continue
-            if isinstance(value, tuple):
-                if len(value) != 1:
-                    raise invalid(limits.flag, f"the scene takes one value, not {len(value)}")
-                value = value[0]
-            if value is not None or each.default is not None:
-                object.__setattr__(self, each.name, limits.checked(value))
+            value, spec, flag = (
+                getattr(self, each.name),
+                each.metadata["spec"],
+                each.metadata["flag"],
+            )
+            is_tuple = isinstance(each.default, tuple)
+            values = tuple(value) if isinstance(value, tuple | list) else (value,)
+            if not is_tuple and len(values) != 1:
+                raise invalid(flag, f"the scene takes one value, not {len(values)}")
+            if values != (None,) or each.default is not None:
+                try:
+                    values = tuple(spec.check(one) for one in values)
+                except ParameterError as error:
+                    unit = "" if spec.unit == "–" else f" {spec.unit}"
+                    raise invalid(flag, error.why, f"Choose {spec.allowed}{unit}.") from None
+            object.__setattr__(self, each.name, values if is_tuple else values[0])
         if len(self.shape) != 2:
             raise invalid("--size", "it needs a height and a width")
 
     def to_dict(self) -> dict[str, Any]:
         """Option -> value for records; options are named by their flags without the dashes."""
-        values = {
-            each.metadata["limits"].flag[2:]: getattr(self, each.name) for each in fields(self)
-        }
+        values = {each.metadata["flag"][2:]: getattr(self, each.name) for each in fields(self)}
         height, width = self.shape
         return {**values, "size": f"{width}x{height}"}
 
@@ -143,7 +115,7 @@ class Scene(ABC, Generic[OptionsT]):
         Raises ParameterError if the scene has no such option, or cannot be rendered with these
         values.
         """
-        names = {each.metadata["limits"].flag: each.name for each in fields(self.defaults)}
+        names = {each.metadata["flag"]: each.name for each in fields(self.defaults)}
         for flag in given:
             if flag not in names:
                 raise ParameterError(

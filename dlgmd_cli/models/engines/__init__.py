@@ -7,14 +7,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dlgmd_cli.errors import MissingExtraError, ParameterError
-from dlgmd_cli.models.base import FloatImage, Photoreceptors
+from dlgmd_cli.checks import require_known
+from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.models.base import AUTO, FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.parameters import ENGINES, require_known
+from dlgmd_cli.parameters import ENGINES
 
 _log = logging.getLogger(__name__)
 
-AUTO = "auto"
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 NOT_INSTALLED = "is not installed"
@@ -79,15 +79,6 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
         )
     if fault != NOT_INSTALLED:
         _log.warning("the package 'numba' %s; the engine is opencv", fault)
-    return "opencv"
-
-
-def require_opencv(name: str, model: str) -> str:
-    """The engine name for a model that supports only OpenCV; ParameterError for other names."""
-    if name not in (AUTO, "opencv"):
-        raise ParameterError(
-            "--engine", f"the model {model} has no engine {name!r}", "Leave it out."
-        )
     return "opencv"
 
 

@@ -36,14 +36,14 @@ def test_no_longer_than_a_frame(scene, flag):
     ],
 )
 def test_options_out_of_range(scene, flag, value):
-    with pytest.raises(ParameterError, match=rf"'{flag}': .*is out of range"):
+    with pytest.raises(ParameterError, match=rf"'{flag}': .*(is not|is more)"):
         scene.configure({flag: value})
 
 
 def test_an_agile_drone_is_another_flight_and_the_record_says_so(scene):
     for agile in (True, False, None):
         assert scene.record(scene.configure({"--agile": agile}))["agile"] is bool(agile)
-    with pytest.raises(ParameterError, match="'--agile': 1 is neither true nor false"):
+    with pytest.raises(ParameterError, match="'--agile': 1 is not true or false"):
         scene.configure({"--agile": 1})
 
 

@@ -98,13 +98,13 @@ def test_help_has_an_example_that_runs(dlgmd):
         ("looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
         ("translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
         ("looming-cube --speed 1 --speed 2", "'--speed': the scene takes one value, not 2."),
-        ("looming-cube --frames 0", "Invalid value for '--frames': 0 is out of range."),
+        ("looming-cube --frames 0", "Invalid value for '--frames': 0 is not at least 1."),
         ("looming-cube --size 63x48", "'--size': 63x48 is odd"),
         ("looming-cube --size 64", "'64' is not WIDTHxHEIGHT"),
         ("looming-cube --gamma 2", "--gamma: looming-cube has no such option. It takes --size"),
         ("looming-cube --jobs 2", "--jobs works only with --count."),
         ("looming-cube --fps fast", "'fast' is not a valid float"),
-        ("looming-ball --speed nan", "'--speed': nan is out of range"),
+        ("looming-ball --speed nan", "'--speed': nan is not a finite number"),
     ],
 )
 def test_wrong_usage(dlgmd, arguments, message):

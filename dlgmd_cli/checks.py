@@ -1,0 +1,148 @@
+"""Which values are allowed: one check for files, Python and the command line."""
+
+import math
+import numbers
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import SequenceMatcher
+from typing import Any
+
+from dlgmd_cli.errors import ParameterError
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Kind, meaning and allowed values of a parameter or an option.
+
+    Attributes
+    ----------
+    kind : type
+        float, int, bool or str.
+    low, high : float
+        Bounds of a number, included; `low_open` excludes the lower one.
+    choices : tuple of str
+        The words that are allowed, for a number in addition to its range.
+    symbol, unit, meaning : str
+        For tables and help.
+    """
+
+    kind: type = float
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    choices: tuple[str, ...] = ()
+    symbol: str = "–"
+    unit: str = "–"
+    meaning: str = ""
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        words = ("true", "false") if self.kind is bool else self.choices
+        if self.kind in (bool, str):
+            return ", ".join(words) or "any text"
+        if self.low == -math.inf and self.high == math.inf:
+            return "any number"
+        low = f"{'above ' if self.low_open else ''}{self.low:g}"
+        return ", ".join((f"{low} to {self.high:g}", *words))
+
+    def check(self, value: Any, name: str = "", *, bounded: bool = True) -> Any:
+        """`value` as a plain Python value of the kind; `name` begins the error.
+
+        Raises
+        ------
+        ParameterError
+            If the value is of another kind, not allowed or, if `bounded`, out of range.
+        """
+        why = None
+        if isinstance(value, str) and value in self.choices:
+            return str(value)
+        if self.kind is str:
+            if isinstance(value, str) and not self.choices:
+                return str(value)
+            why = f"is not one of {self.allowed}" if self.choices else "is not a name"
+        elif self.kind is bool:
+            why = None if isinstance(value, bool) else "is not true or false"
+        elif isinstance(value, bool) or not isinstance(value, numbers.Real):
+            why = "is not a number" + "".join(f" or '{word}'" for word in self.choices)
+        else:
+            why = self._fault(value, bounded)
+        if why is None:
+            return self.kind(value)
+        raise ParameterError(
+            "", f"{name} = {shown(value)} {why}" if name else f"{shown(value)} {why}"
+        )
+
+    def parse(self, text: str, name: str = "", *, bounded: bool = True) -> Any:
+        """The value that `text` states; raises what `check` raises."""
+        value: Any = text.strip()
+        if self.kind is bool:
+            value = {"true": True, "false": False}.get(value, value)
+        elif self.kind is not str and value not in self.choices:
+            for kind in (int, float):
+                try:
+                    value = kind(text)
+                except ValueError:
+                    continue
+                break
+            if self.kind is int and isinstance(value, float) and value.is_integer():
+                value = int(value)
+        return self.check(value, name, bounded=bounded)
+
+    def _fault(self, value: Any, bounded: bool) -> str | None:
+        """Why a number is not allowed, or None."""
+        try:
+            number = float(value)
+        except OverflowError:  # an int too large for a float
+            number = math.inf
+        if not math.isfinite(number):
+            return "is not a finite number"
+        if self.kind is int and not isinstance(value, numbers.Integral):
+            return "is not a whole number"
+        if not bounded:
+            return None
+        if self.low_open and number <= self.low:
+            return f"is not above {self.low:g}"
+        if value < self.low:
+            is_positive = number <= 0.0 < self.low and self.kind is float
+            return "is not above 0" if is_positive else f"is not at least {self.low:g}"
+        return f"is more than {self.high:g}" if value > self.high else None
+
+
+@contextmanager
+def blame(what: str) -> Iterator[None]:
+    """Make `what` the thing at fault in every ParameterError."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(what, error.why, error.mend) from None
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The word of `known` that is most similar to `word`, or None if none is similar."""
+
+    def similarity(candidate: str) -> float:
+        return SequenceMatcher(None, candidate, word.lower()).ratio()
+
+    best = max(known, key=similarity, default="")
+    return best if similarity(best) >= 0.6 else None
+
+
+def shown(value: Any) -> str:
+    """A short form of a value for error messages; nested values could be very long."""
+    if isinstance(value, str):
+        return repr(str(value[:40]))
+    if isinstance(value, int) and abs(value) > 10**30:
+        return "a huge number"
+    if hasattr(value, "__len__"):
+        return "a list or mapping"
+    return str(value)[:40]
+
+
+def require_known(what: str, name: str, known: Iterable[str], origin: str = "") -> None:
+    """Raise ParameterError if `name` is not one of the `known` names."""
+    known = tuple(known)
+    if name not in known:
+        why, mend = f"there is no {what} {shown(name)}", f"Choose from {', '.join(known)}."
+        raise ParameterError(origin, why, mend)

@@ -1,0 +1,260 @@
+"""The base of the parameter classes: keys with checks, also for models of one's own."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, make_dataclass, replace
+from functools import cache
+from importlib import import_module
+from operator import attrgetter
+from typing import Any, ClassVar, TypeVar
+
+from dlgmd_cli.checks import Spec, nearest
+from dlgmd_cli.errors import ParameterError
+
+# Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
+RECORD_KEYS = frozenset(
+    [
+        *("schema", "input", "processed", "frames", "sweep"),
+        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame"),
+    ]
+)
+# What the keys of a model may not be called.
+_RESERVED = RECORD_KEYS.union(
+    ("model", "engine", "options", "set", "preset", "width_px", "model_fps"),
+    ("label", "width", "height", "cells"),
+)
+
+ParametersT = TypeVar("ParametersT", bound="Parameters")
+
+
+def key(
+    default: Any,
+    symbol: str = "–",
+    unit: str = "–",
+    meaning: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A field of a parameter class.
+
+    Parameters
+    ----------
+    default : float, int, bool or str
+        The default, which determines the kind of the value.
+    symbol, unit, meaning : str
+        For `dlgmd sets show`.
+    low, high : float
+        Bounds of a number, included.
+    choices : tuple of str
+        The words that are allowed.
+    """
+    words = choices, symbol, unit, meaning
+    return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
+
+
+def t_mp_key(default: float = 0.4) -> Any:
+    """The spiking threshold, a key of every model."""
+    return key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
+
+
+def n_sp_key(default: int = 2) -> Any:
+    """The number of spikes for an alarm, a key of every model."""
+    return key(default, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
+
+
+def kappa_key(default: float = 0.01) -> Any:
+    """The half-value of `mp_abs`."""
+    return key(default, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-12, 1e9)
+
+
+# The keys that a parameter class gets if it does not have them.
+_COMMON: dict[str, Callable[[], Any]] = {"t_mp": t_mp_key, "n_sp": n_sp_key, "kappa": kappa_key}
+
+
+class Parameters:
+    """Base of the parameter classes: frozen dataclasses of `key` fields, checked when created.
+
+    A field without `key` is checked for its kind only. A class that leaves out `t_mp`, `n_sp` or
+    `kappa` gets the key with the default 0.4, 2 or 0.01.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model; `package.module:Class` for a model of one's own.
+    preset : str
+        Name of a preset for `dlgmd sets show`.
+    source : str
+        Publication that the values come from.
+    module : str
+        The module of the model, which is imported on first use: importing OpenCV is slow.
+    model_class : type or None
+        The model. It sets this when it is defined.
+    t_mp : float
+        Spiking threshold of the normalised membrane potential, [Zhao2023] Eq. (14).
+    n_sp : int
+        Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
+    kappa : float or None
+        Mean excitation at which `mp_abs` is 1/2; None for a model with its own sigmoid.
+    """
+
+    model: ClassVar[str] = ""
+    preset: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    module: ClassVar[str] = ""
+    model_class: ClassVar[Any] = None
+
+    t_mp: float
+    n_sp: int
+    kappa: float | None
+
+    def __init_subclass__(cls, *, partial: bool = False) -> None:
+        """Add the missing keys of every model, unless the class is only a `partial` base."""
+        super().__init_subclass__()
+        for name, make in _COMMON.items():
+            if not (partial or hasattr(cls, name)):
+                setattr(cls, name, make())
+                cls.__annotations__[name] = int if name == "n_sp" else float
+
+    def __post_init__(self) -> None:
+        specs = self.specs()
+        for name, value in self.to_dict().items():
+            object.__setattr__(self, name, specs[name].check(value, name))
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Check values that depend on each other; subclasses override this."""
+
+    def __reduce__(self) -> Any:
+        # A worker process imports the model's module, not only that of its parameters.
+        kind = self.model if ":" in self.model else type(self)
+        return _restored, (kind, self.to_dict())
+
+    @classmethod
+    def own_of(cls, model_class: type, model: str) -> "type[Parameters]":
+        """The parameter class of a model of one's own, `model` being its `package.module:Class`.
+
+        It is this class, or a new subclass if this one belongs to another model.
+
+        Raises
+        ------
+        ParameterError
+            If a key has a reserved name or no default, or the class is not frozen.
+        """
+        kind: Any = cls
+        if cls is Parameters or vars(cls).get("model", model) != model:
+            facts = {"__module__": model_class.__module__}
+            kind = type(f"{model_class.__name__}Parameters", (cls,), facts)
+        if "__dataclass_params__" not in vars(kind):
+            kind = dataclass(frozen=True)(kind)
+        why = "" if kind.__dataclass_params__.frozen else "is not frozen"
+        for one in fields(kind):
+            if one.name in _RESERVED:
+                why = f"has a key {one.name!r}, a name with another meaning in run.yaml"
+            elif not isinstance(one.default, bool | int | float | str):
+                why = f"has no number, word, True or False as the default of {one.name}"
+        if why:
+            raise ParameterError(model, f"its parameter class {why}")
+        kind.model = kind.preset = model
+        kind.module, kind.model_class = model_class.__module__, model_class
+        found: type[Parameters] = kind
+        return found
+
+    @classmethod
+    def specs(cls) -> dict[str, Spec]:
+        """Key -> `Spec`, in the order of definition."""
+        return _specs(cls)  # type: ignore[arg-type]
+
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Key -> default value."""
+        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
+        """Build from key -> value; missing keys keep their defaults.
+
+        Raises
+        ------
+        ParameterError
+            If a key is unknown, or a value has the wrong type or is out of range.
+        """
+        for name in values:
+            if name not in cls.specs():
+                raise cls.unknown(str(name))
+        return cls(**values)
+
+    @classmethod
+    def unknown(cls, key: str) -> ParameterError:
+        """The error for an unknown key; it suggests the most similar one."""
+        near = nearest(key[:100], cls.specs())
+        hint = f"Did you mean '{near}'? " if near else ""
+        return ParameterError(
+            "", f"unknown parameter {key[:100]!r}", f"{hint}See 'dlgmd sets show {cls.preset}'."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Key -> value, in the order of definition; the inverse of `from_mapping`."""
+        return {name: getattr(self, name) for name in self.specs()}
+
+
+@cache
+def _specs(kind: type[Parameters]) -> dict[str, Spec]:
+    """The `Spec` of every key; fields without one are checked for their kind."""
+    found = {}
+    for one in fields(kind):  # type: ignore[arg-type]
+        common = _COMMON[one.name]().metadata if one.name in _COMMON else {}
+        facts = one.metadata or common
+        spec = facts.get("spec") or Spec(type(one.default))
+        found[one.name] = replace(spec, kind=float) if one.type in (float, "float") else spec
+    return found
+
+
+def _restored(kind: Any, values: dict[str, Any]) -> Parameters:
+    """Unpickle parameters."""
+    found: Parameters = (
+        imported_model(kind).params_class if isinstance(kind, str) else kind
+    ).from_mapping(values)
+    return found
+
+
+def imported_model(spec: str, origin: str = "") -> Any:
+    """The class `package.module:Class`."""
+    module, _, name = spec.partition(":")
+    try:
+        return attrgetter(name)(import_module(module))
+    except (Exception, SystemExit) as error:  # whatever the module raises
+        fault = f"{type(error).__name__}: {str(error)[:200]}"
+        why = f"the model {spec[:100]} cannot be imported ({fault})"
+        mend = "Write package.module:Class, of a module in this folder or an installed package."
+        raise ParameterError(origin, " ".join(why.split()), mend) from error
+
+
+def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
+    """The parameters in the record of a model that cannot be imported; unchecked.
+
+    Raises
+    ------
+    ParameterError
+        If the record has no `t_mp` or `n_sp`.
+    """
+    values = {
+        name: value
+        for name, value in record.items()
+        if name not in _RESERVED and isinstance(value, bool | int | float | str)
+    }
+    for name in ("t_mp", "n_sp"):
+        if type(values.get(name)) not in (int, float):
+            raise ParameterError("", f"it states no {name}")
+    names = {"model": str(record["model"]), "preset": str(record["model"])}
+    own_sigmoid = {} if "kappa" in values else {"kappa": None}
+    kind = make_dataclass(
+        "RecordedParameters",
+        [(name, type(value), key(value)) for name, value in values.items() if name.isidentifier()],
+        bases=(Parameters,),
+        frozen=True,
+        namespace={**names, **own_sigmoid},
+    )
+    found: Parameters = kind()
+    return found

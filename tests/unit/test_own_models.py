@@ -1,0 +1,326 @@
+"""Models of one's own: on the commands that take `--model`, in Python, and read back."""
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import looming_frames, write_video
+
+import dlgmd_cli
+from dlgmd_cli import parameters
+from dlgmd_cli.errors import ModelError, ParameterError
+from dlgmd_cli.models.base import create_model
+
+MINE = """
+import dlgmd_cli
+
+class FastParameters(dlgmd_cli.Parameters):
+    floor: float = dlgmd_cli.key(0.05, low=0, high=1, meaning="change that counts")
+
+class Fast(dlgmd_cli.Model):
+    params_class = FastParameters
+
+    def step(self, luminance, time_s=None, *, layers=False):
+        self.receptors.take(luminance)
+        if self.receptors.frame < self.first_valid_frame:
+            return dlgmd_cli.Response()
+        p = self.receptors.p(0) * self.receptors.unit
+        active = p > self.params.floor
+        return dlgmd_cli.Response(p.sum(), p[active].sum(), mp=active.sum())
+
+class Variant(dlgmd_cli.DLGMD):
+    pass
+
+class Raises(dlgmd_cli.Model):
+    def step(self, luminance, time_s=None, *, layers=False):
+        return [][luminance.ndim]
+
+class Returns(dlgmd_cli.Model):
+    def step(self, luminance, time_s=None):
+        return 3.0
+
+class Unready(dlgmd_cli.Model):
+    def __init__(self, params=None, engine="auto"):
+        self.gain = params.gain
+"""
+ROOT = str(Path(dlgmd_cli.__file__).parents[1])
+FAST = ("--model", "mymodel:Fast")
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """The module `mymodel`, importable here and in worker processes; forgotten afterwards."""
+    folder = tmp_path / "code"
+    folder.mkdir()
+    (folder / "mymodel.py").write_text(MINE)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, "mymodel", raising=False)
+    import mymodel
+
+    yield mymodel
+    sys.modules.pop("mymodel", None)
+
+
+@pytest.fixture
+def gone(own, monkeypatch):
+    """Call it, and the module cannot be imported any more."""
+
+    def remove():
+        monkeypatch.setitem(sys.modules, "mymodel", None)
+
+    return remove
+
+
+def test_compares_beside_set_9(dlgmd, clips, own, tmp_path):
+    result = dlgmd("compare", clips / "loom.avi", "--set", 9, *FAST)
+    assert result.exit_code == 0, result.stderr
+    folder = tmp_path / "dlgmd-out/loom"
+    both = dlgmd_cli.read_comparison(folder)
+    assert list(both) == ["set9", "Fast"] and (folder / "compare-mp.png").stat().st_size > 5000
+    assert both["Fast"].params == own.FastParameters() and both["Fast"].summary["mp_max"] > 0
+
+
+def test_runs_and_its_record_repeats_the_run(dlgmd, clips, own, tmp_path):
+    run = ["run", clips / "loom.avi", "--no-plots"]
+    assert dlgmd(*run, *FAST, "--param", "floor=0.1", "--param", "n_sp=3").exit_code == 0
+    folder = tmp_path / "dlgmd-out/loom"
+    record = yaml.safe_load((folder / "run.yaml").read_text())
+    keys = ("model", "floor", "t_mp", "n_sp", "kappa", "engine")
+    assert [record[key] for key in keys] == ["mymodel:Fast", 0.1, 0.4, 3, 0.01, "opencv"]
+    assert dlgmd(*run, "--config", folder / "run.yaml", "--out", "again").exit_code == 0
+    again = (tmp_path / "again/loom/mp.csv").read_bytes()
+    assert again == (folder / "mp.csv").read_bytes()
+
+
+def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_path, caplog):
+    dlgmd("run", clips / "loom.avi", *FAST, "--param", "kappa=0.3", "--no-plots")
+    folder = tmp_path / "dlgmd-out/loom"
+    before = dlgmd_cli.read_result(folder)
+    assert before.params == own.FastParameters(kappa=0.3)
+    gone()
+    after = dlgmd_cli.read_result(folder)
+    assert after.params.to_dict() == before.params.to_dict()
+    assert after.params.model == "mymodel:Fast" and "cannot be imported" in caplog.text
+    np.testing.assert_array_equal(after.mp_abs, before.mp_abs)
+    np.testing.assert_array_equal(after.spikes, before.spikes)
+    plotted = dlgmd("plot", "overview", folder, "--out", "overview.png")
+    assert plotted.exit_code == 0 and (tmp_path / "overview.png").exists()
+    with pytest.raises(ParameterError, match="mymodel:Fast cannot be imported"):
+        create_model(after.params)
+    again = dlgmd("run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again")
+    assert again.exit_code == 2 and "run.yaml: the model mymodel:Fast cannot" in again.stderr
+
+
+def test_a_record_without_a_threshold_is_damaged(dlgmd, clips, own, gone, tmp_path):
+    dlgmd("run", clips / "loom.avi", *FAST, "--no-plots")
+    record = tmp_path / "dlgmd-out/loom/run.yaml"
+    record.write_text(record.read_text().replace("t_mp: 0.4", "t_mp: high"))
+    gone()
+    with pytest.raises(dlgmd_cli.DlgmdError, match="states no t_mp"):
+        dlgmd_cli.read_result(record.parent)
+
+
+def test_sweeps_and_batches_in_processes(dlgmd, clips, own, tmp_path):
+    axes = ["--x", "floor=0.05:0.2:0.05", "--y", "n_sp=1,2", "--jobs", 2, "--no-plots"]
+    result = dlgmd("sweep", clips / "loom.avi", *FAST, *axes)
+    assert result.exit_code == 0, result.stderr
+    rows = (tmp_path / "dlgmd-out/sweep-loom/sweep.csv").read_text().splitlines()
+    assert len(rows) == 9 and rows[0].startswith("floor,n_sp,mp_max")
+    for name in "ab":
+        write_video(tmp_path / f"videos/{name}.avi", looming_frames())
+    result = dlgmd("batch", "videos", *FAST, "--set", 9, "--jobs", 2, "--no-plots", "--out", "b")
+    assert result.exit_code == 0, result.stderr
+    found = dlgmd_cli.read_result(tmp_path / "b/Fast/a")
+    assert found.params == own.FastParameters() and found.summary["mp_max"] > 0
+
+
+@pytest.fixture(autouse=True)
+def videos(tmp_path):
+    (tmp_path / "videos").mkdir()
+
+
+def test_is_evaluated_and_calibrated(dlgmd, clips, own, tmp_path):
+    for name in "ab":
+        write_video(tmp_path / f"videos/{name}.avi", looming_frames())
+    labels = tmp_path / "videos/labels.csv"
+    labels.write_text("video,collision_frame\na.avi,19\nb.avi,19\n")
+    common = [*FAST, "--jobs", 2, "--no-plots"]
+    result = dlgmd("evaluate", labels, *common, "--set", 9, "--no-baselines", "--out", "ev")
+    assert result.exit_code == 0, result.stderr
+    text = (tmp_path / "ev/evaluate.csv").read_text()
+    assert "\nFast,default," in text and "\nset9,default," in text
+    result = dlgmd("calibrate", labels, *FAST, "--jobs", 1, "--folds", 2, "--out", "cal")
+    assert result.exit_code == 0, result.stderr
+    config = parameters.load_config(tmp_path / "cal/calibrated.yaml")
+    assert isinstance(parameters.parameters_of(config), own.FastParameters)
+
+
+def test_in_python_the_class_or_its_parameters(clips, own):
+    video = clips / "loom.avi"
+    by_class, nine = dlgmd_cli.run(video, models=[own.Fast, 9])
+    assert nine.record["set"] == 9 and by_class.record["model"] == "mymodel:Fast"
+    for model in (own.FastParameters(), "mymodel:Fast", own.Fast):
+        np.testing.assert_array_equal(dlgmd_cli.run(video, model=model).mp, by_class.mp)
+    found = dlgmd_cli.run(video, model=own.FastParameters(floor=0.2), param={"n_sp": 4})
+    assert found.params == own.FastParameters(floor=0.2, n_sp=4)
+    alarm = dlgmd_cli.Alarm(own.FastParameters())
+    assert alarm.step(np.zeros((9, 9), np.uint8)).alarm is False
+    with pytest.raises(ParameterError, match="not a subclass"):
+        dlgmd_cli.run(video, model=dict)
+    with pytest.raises(ParameterError, match="parameters exclude"):
+        dlgmd_cli.run(video, model=own.FastParameters(), set=9)
+
+
+@pytest.mark.parametrize("named", [{"set": 9}, {"param": {"r": 3}}, {"model": "lgmd"}])
+@pytest.mark.parametrize("more", [{}, {"config": "flight"}, {"formulation": "released"}])
+def test_several_models_exclude_what_names_one(clips, named, more):
+    with pytest.raises(ParameterError, match="and models exclude each other"):
+        dlgmd_cli.run(clips / "loom.avi", models=[9], **named, **more)
+
+
+def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, clips, own):
+    hidden = np.zeros((24, 32), np.bool_)
+    hidden[:20] = True
+    model = create_model(own.FastParameters())
+    model.ignore(hidden)
+    for frame in looming_frames():
+        response = model.step(frame)
+    assert model.n_cells == 4 * 32 and response.mp <= 4 * 32
+
+
+def test_a_class_may_derive_from_ours(dlgmd, clips, own):
+    three, kind = parameters.load_set(3), parameters.find_model("mymodel:Variant")
+    assert dlgmd_cli.DLGMD.params_class is parameters.MODELS["dlgmd"] is not kind
+    assert own.Variant(three).params.to_dict() == three.to_dict()
+    result, ours = dlgmd_cli.run(clips / "loom.avi", models=[own.Variant(three).params, 3])
+    np.testing.assert_array_equal(result.mp, ours.mp)
+    done = dlgmd("run", clips / "loom.avi", "--model", "mymodel:Variant", "--set", 3, "--no-plots")
+    assert done.exit_code == 0, done.stderr
+    refused = dlgmd("run", clips / "loom.avi", *FAST, "--set", 3)
+    assert refused.exit_code == 2 and "--set works only with the D-LGMD" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "line"),
+    [
+        ("run V --model nowhere:Fast", 2, "nowhere:Fast cannot be imported (ModuleNotFoundError"),
+        ("run V --model mymodel:Slow", 2, "mymodel:Slow cannot be imported (AttributeError"),
+        ("run V --model mymodel:", 2, "cannot be imported"),
+        ("run V --model os:path", 2, "os:path is not a subclass of dlgmd_cli.Model"),
+        ("run V --model dlgmd_cli:Model", 2, "not a subclass"),
+        ("run V --model fast", 2, "there is no model 'fast'. Choose from dlgmd,"),
+        ("run V --model mymodel:Fast --param florr=1", 2, "Did you mean 'floor'?"),
+        ("run V --model mymodel:Fast --param floor=2", 2, "floor = 2 is more than 1"),
+        ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
+        ("run V --model mymodel:Raises", 1, "mymodel:Raises: the model fails with IndexError"),
+        ("run V --model mymodel:Returns", 1, "its step returns float, not a Response"),
+        ("run V --model mymodel:Unready", 1, "the model fails with AttributeError"),
+        ("layers V --model mymodel:Fast", 1, "its step returns no layers"),
+        ("export c --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
+        ("export c --model mymodel:Variant", 2, "there is no C version"),
+        ("kernels --model mymodel:Fast", 2, "only the D-LGMD model has kernels"),
+    ],
+)
+def test_what_goes_wrong_is_one_line(dlgmd, clips, own, words, code, line):
+    result = dlgmd(*(clips / "loom.avi" if word == "V" else word for word in words.split()))
+    assert result.exit_code == code and line in result.stderr.splitlines()[-1]
+
+
+def test_a_failure_in_a_batch_is_a_row(dlgmd, own, tmp_path):
+    write_video(tmp_path / "videos/a.avi", looming_frames())
+    result = dlgmd("batch", "videos", "--model", "mymodel:Raises", "--jobs", 1)
+    assert result.exit_code == 1 and "the model fails with IndexError" in result.stderr
+
+
+def test_the_cause_is_kept(own):
+    with pytest.raises(ModelError, match=r"mymodel\.py, line") as caught:
+        create_model(own.Raises().params).step(np.zeros((9, 9), np.uint8))
+    assert isinstance(caught.value.__cause__, IndexError)
+
+
+def test_entry_points_are_names(dlgmd, clips, own, monkeypatch):
+    for module in ("parameters", "commands.options"):
+        monkeypatch.setattr(
+            f"dlgmd_cli.{module}.installed_models", lambda: {"quick": "mymodel:Fast"}
+        )
+    assert parameters.find_model("quick") is own.FastParameters
+    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--model", "quick", "--no-plots")
+    assert result.exit_code == 0 and " Fast " in result.stdout
+    shown = dlgmd("sets", "show", "mymodel:Fast")
+    assert "floor: 0.05            # change that counts; 0 to 1" in shown.stdout
+
+
+def test_the_command_finds_modules_of_the_working_folder(tmp_path):
+    folder, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    (folder / "mymodel.py").write_text(MINE)
+    script = elsewhere / "dlgmd.py"
+    script.write_text("from dlgmd_cli.__main__ import main\nmain()\n")
+    words = [sys.executable, script, "sets", "show", "mymodel:Fast"]
+    done = subprocess.run(
+        words, cwd=folder, env={**os.environ, "PYTHONPATH": ROOT}, capture_output=True, text=True
+    )
+    assert "model: mymodel:Fast" in done.stdout
+
+
+# The parameter class
+
+
+class Plain(dlgmd_cli.Parameters):
+    gain: float = 2
+    steps: int = 3
+    t_mp: float = 0.5
+
+
+class Simple(dlgmd_cli.Model):
+    params_class = Plain
+
+
+def test_keys_without_a_range_and_those_of_every_model():
+    params = Plain()
+    assert params.to_dict() == {"gain": 2.0, "steps": 3, "t_mp": 0.5, "n_sp": 2, "kappa": 0.01}
+    assert type(params.gain) is float and Plain(gain=-7).gain == -7.0
+    for wrong in ({"steps": 1.5}, {"gain": "much"}, {"t_mp": 2}, {"n_sp": 0}):
+        with pytest.raises(ParameterError):
+            Plain(**wrong)
+    with pytest.raises(FrozenInstanceError):
+        params.gain = 1.0
+    assert pickle.loads(pickle.dumps(params)) == copy.deepcopy(params) == params
+
+
+@pytest.mark.parametrize(
+    ("field", "why"),
+    [("options: float = 1.0", "a key 'options'"), ("gain: float", "the default of gain")],
+)
+def test_a_parameter_class_that_cannot_be_used(field, why):
+    names = {"dlgmd_cli": dlgmd_cli, "__name__": "cell"}
+    code = f"class P(dlgmd_cli.Parameters):\n    {field}\n"
+    with pytest.raises((ParameterError, TypeError), match=f"{why}|non-default"):
+        exec(f"{code}class M(dlgmd_cli.Model):\n    params_class = P\n", names)
+
+
+def test_a_parameter_class_must_be_frozen():
+    @dataclass
+    class Loose(dlgmd_cli.Parameters):
+        gain: float = 1.0
+
+    with pytest.raises(ParameterError, match="is not frozen"):
+        type("Mine", (dlgmd_cli.Model,), {"params_class": Loose})
+
+
+def test_a_cell_of_a_notebook_may_run_again():
+    code = "class Again(dlgmd_cli.Model):\n    params_class = Kept\n"
+    names = {"dlgmd_cli": dlgmd_cli, "__name__": "cell"}
+    exec("class Kept(dlgmd_cli.Parameters):\n    gain: float = 1.0\n", names)
+    for _ in range(2):
+        exec(code, names)
+        assert names["Again"].params_class is names["Kept"]
+        assert type(create_model(names["Kept"]())) is names["Again"]
