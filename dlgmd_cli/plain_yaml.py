@@ -35,11 +35,14 @@ def read(path: Path) -> str:
         raise ParameterError(name, f"cannot be read ({reason})") from None
 
 
-def parse(name: str, text: str) -> Any:
-    """The document in `text`; tags and references are refused, no configuration needs them."""
+def parse(name: str, text: str | bytes, loader: Any = None) -> Any:
+    """The document in `text`; tags and references are refused, no file of ours needs them.
+
+    Unless given, `loader` is one without the surprises of YAML 1.1. Raises ParameterError.
+    """
     import yaml
 
-    loader, depth = _loader(), 0
+    loader, depth = loader or _loader(), 0
     try:
         for event in yaml.parse(text, Loader=loader):
             depth += isinstance(event, yaml.CollectionStartEvent)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -104,16 +104,15 @@ def bench(
     """
     from dlgmd_cli.lab.benchmark import RADII, SCALES, measure
     from dlgmd_cli.parameters import load_set
-    from dlgmd_cli.results.store import appearing, refuse_existing
+    from dlgmd_cli.results.store import refuse_existing, replacing
     from dlgmd_cli.video.opening import open_video
 
     radii = tuple(dict.fromkeys(radii)) or RADII
     scales = tuple(dict.fromkeys(scales)) or SCALES
-    csv_paths = () if csv_path is None else (csv_path,)
-    with appearing(*csv_paths, option="--csv") as files:
-        for path, file in zip(csv_paths, files, strict=True):
-            refuse_existing(path, overwrite=overwrite, option="--csv")
-            file.touch()  # an unwritable folder fails at once, not after minutes
+    with ExitStack() as opened:
+        if csv_path is not None:  # an unwritable folder fails at once, not after minutes
+            refuse_existing(csv_path, overwrite=overwrite, option="--csv")
+            stage = opened.enter_context(replacing(csv_path.parent, option="--csv"))
         n_steps = repeats * len(radii) * len(scales)
         with _clip(input_path, n_frames) as clip, progress("bench", n_steps, "step") as on_step:
             measured = measure(
@@ -133,8 +132,8 @@ def bench(
             print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
         else:
             _show(measured)
-        for file in files:
-            _write_csv(file, measured["rows"])
+        if csv_path is not None:
+            _write_csv(stage / csv_path.name, measured["rows"])
     if csv_path is not None and not as_json:
         print_path(csv_path)
 

@@ -160,8 +160,7 @@ def calibrate(
         else:
             found = _run_search(experiment, signals, search, n_trials)
         text = _preset(found, experiment, labels_path.name, ranges, n_trials)
-        with store.appearing(path) as (file,):
-            file.write_text(text, encoding="utf-8")
+        store.write_text(path, text)
     if as_json:
         print_json({"preset": str(path), **_facts(found, failed)})
     else:

@@ -16,6 +16,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     warn,
+    warn_undrawn,
 )
 from dlgmd_cli.commands.options import (
     FiniteRange,
@@ -130,6 +131,7 @@ def evaluate(
     if results is not None:
         _refuse_models()
     cases = read_cases(labels_path)
+    click.get_current_context().with_resource(store.locked(output.out))
     for name in _names(output):
         store.refuse_existing(output.out / name, overwrite=output.overwrite)
     evaluation = Evaluation(baselines=baselines)
@@ -149,9 +151,8 @@ def evaluate(
         "options": InputOptions(**given).to_record(),
     }
     files = _files(report, evaluation, rules, record, output, width)
-    with store.appearing(*(output.out / name for name in files)) as temporary:
-        for path, write in zip(temporary, files.values(), strict=True):
-            write(path)
+    undrawn = store.write_files(output.out, files, record=RECORD)
+    warn_undrawn(output.out, undrawn)
     if as_json:
         from dlgmd_cli.lab.evaluation.report import report_json
 
@@ -159,7 +160,7 @@ def evaluate(
         print_json({"result": str(output.out), **_counts(evaluation, failed), "models": models})
     else:
         _show(report, evaluation)
-        for name in files:
+        for name in [name for name in files if name not in undrawn]:
             print_path(output.out / name)
     raise_failed(failed, len(cases))
 
@@ -287,6 +288,7 @@ def _files(
     """The function that writes each file, by name."""
     from dlgmd_cli.lab.evaluation import report as tables
     from dlgmd_cli.results.record import record_text
+    from dlgmd_cli.results.store import file_of
 
     text = record_text(record, [])
     horizon_s = rules["horizon_s"]
@@ -301,7 +303,7 @@ def _files(
         from dlgmd_cli.plots.style import figure_files
 
         files |= figure_files(_figures(report, rules, width), output.formats, output.dpi)
-    files[RECORD] = lambda path: path.write_text(text, encoding="utf-8")
+    files[RECORD] = file_of(text)
     return files
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.parameters import Parameters, Spec
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.result import Flags, Series
@@ -161,7 +162,8 @@ class SweepResult:
     def read(self, path: Path) -> None:
         """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
         try:
-            text = path.read_text(encoding="utf-8", errors="replace")
+            with open_regular(path, encoding="utf-8", errors="replace") as file:
+                text = file.read()
         except OSError:
             return
         # A killed process may have left an incomplete line.

@@ -11,6 +11,7 @@ from typing import Any
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.evaluation.crossvalidation import Choice, Choices
 from dlgmd_cli.parameters import Parameters, shown
+from dlgmd_cli.results.record import differences
 from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
@@ -137,12 +138,14 @@ class Search:
         text = json.dumps(asked, sort_keys=True)
         self._study = self._open(path)
         known = self._study.user_attrs.get("asked")
-        if known not in (None, text):
+        before = {} if known is None else json.loads(known)
+        differing = differences(before, settings=json.loads(text))
+        if known is not None and differing:
             self.close()
             if not overwrite:
                 raise OutputExistsError(
                     str(path),
-                    "contains the trials of another search",
+                    f"contains the trials of another search ({', '.join(differing)})",
                     "Add --overwrite to remove them, or choose another --out.",
                 )
             path.unlink()

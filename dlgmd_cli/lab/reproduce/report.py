@@ -3,7 +3,6 @@
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from dlgmd_cli.lab.reproduce.plan import ANY, Data, Plan
 from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.record import versions
-from dlgmd_cli.results.store import write_file, writing
+from dlgmd_cli.results.store import replacing
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
@@ -65,28 +64,26 @@ def write_report(
 ) -> list[Path]:
     """Write the figures as PNG and PDF, then `claims.csv`, then the report; returns their paths.
 
-    The path of the report comes first. An earlier report is removed at the start, so that a report
-    always belongs to the files beside it. Raises OutputError.
+    The path of the report comes first. An earlier report stays until the new one is complete.
+    Raises OutputError.
     """
     sections, paths = [], []
-    with writing(folder):
-        (folder / REPORT).unlink(missing_ok=True)
+    with replacing(folder, record=REPORT) as stage:
         for name, spec in specs.items():
             pictures = {}
             for stem, draw in EXHIBITS[name].figures(plan, data).items():
                 figure = draw()
                 for suffix in ("png", "pdf"):
-                    path = folder / f"{stem}.{suffix}"
-                    write_file(path, partial(save_figure, figure, dpi=dpi))
-                    paths.append(path)
-                png = (folder / f"{stem}.png").read_bytes()
+                    save_figure(figure, stage / f"{stem}.{suffix}", dpi)
+                    paths.append(folder / f"{stem}.{suffix}")
+                png = (stage / f"{stem}.png").read_bytes()
                 pictures[stem] = base64.b64encode(png).decode()
             sections.append(Section(spec, found[name], pictures))
             on_figure(len(sections))
         every = [one for some in found.values() for one in some]
-        write_file(folder / TABLE, lambda file: write_claims(file, every))
+        write_claims(stage / TABLE, every)
         html = page(sections, inconsistencies, plan, data, command)
-        write_file(folder / REPORT, lambda file: file.write_text(html, encoding="utf-8"))
+        (stage / REPORT).write_text(html, encoding="utf-8")
     return [folder / REPORT, folder / TABLE, *paths]
 
 
