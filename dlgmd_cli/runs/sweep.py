@@ -250,8 +250,8 @@ class Sweep:
         if overwrite or RECORD not in names:
             return
         before, now = read_record(self.folder / RECORD), yaml.safe_load(self._text(complete=True))
-        options = now.pop("options")
-        asked = {**now, **now.pop("sweep")}
+        options, swept = now.pop("options"), now.pop("sweep")
+        asked = {**now, **swept}
         differing = differences(
             {**before, **before.get("sweep", {})},
             identity=self._identity,
