@@ -1,6 +1,5 @@
 """`dlgmd export`: the model for other machines."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
