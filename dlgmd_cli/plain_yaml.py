@@ -10,6 +10,8 @@ from dlgmd_cli.errors import ParameterError
 MAX_CONFIG_BYTES = 100_000
 # Nesting depth of lists and mappings; run.yaml has four levels.
 MAX_DEPTH = 20
+# Keys, values, lists and mappings; the longest record has some thousands.
+MAX_EVENTS = 100_000
 _PLAIN = "Only plain numbers, true, false and names are read."
 SHOW_HINT = "See 'dlgmd sets show 9' for one that works."
 
@@ -35,13 +37,18 @@ def read(path: Path) -> str:
         raise ParameterError(name, f"cannot be read ({reason})") from None
 
 
-def parse(name: str, text: str) -> Any:
-    """The document in `text`; tags and references are refused, no configuration needs them."""
+def parse(name: str, text: str | bytes, loader: Any = None) -> Any:
+    """The document in `text`; tags and references are refused, no file of ours needs them.
+
+    Unless given, `loader` is one without the surprises of YAML 1.1. Raises ParameterError.
+    """
     import yaml
 
-    loader, depth = _loader(), 0
+    loader, depth = loader or _loader(), 0
     try:
-        for event in yaml.parse(text, Loader=loader):
+        for number, event in enumerate(yaml.parse(text, Loader=loader)):
+            if number > MAX_EVENTS:
+                raise ParameterError(name, "contains too many values", SHOW_HINT)
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > MAX_DEPTH:  # parsing time grows with the square of the depth

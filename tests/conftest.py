@@ -65,7 +65,7 @@ def make_result(mp, *, time_s=None, frame=None, attenuation_db=None, size_wh=(10
     n = len(mp)
     frame = np.arange(n) if frame is None else np.asarray(frame)
     record = {
-        "input": {"path": "/somewhere/flight.mp4", "decoder": "opencv"},
+        "input": {"path": "/somewhere/flight.mp4", "fps": FPS, "frames": n, "decoder": "opencv"},
         "processed": {"width": size_wh[0], "height": size_wh[1], "frames": n},
         "model": "dlgmd",
         "engine": "opencv",

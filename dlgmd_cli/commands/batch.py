@@ -215,7 +215,7 @@ def batch(
         _show(plan, statuses, labels, complete=complete, as_json=as_json)
     if not complete or cancel.requested():
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    _raise_failures(found, statuses, out)
+    _raise_failures(found, plan, statuses, out)
 
 
 def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
@@ -426,14 +426,14 @@ def _cells(row: "Row") -> tuple[str, ...]:
         return ("–",) * 5
     peak = "–" if summary["mp_max"] is None else f"{summary['mp_max']:.6g}"
     first = "–"
-    if summary["first_alarm_frame"] is not None:
+    if None not in (summary["first_alarm_frame"], summary["first_alarm_time_s"]):
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
     counts = (str(summary["spikes"]), str(summary["alarms"]))
     return (str(row.record["input"]["frames"]), peak, *counts, first)
 
 
-def _raise_failures(found: "Found", statuses: dict[str, str], out: str) -> None:
-    """Raise Failed, exit code 1, if a video failed or a folder could not be read."""
+def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out: str) -> None:
+    """Raise Failed, exit code 1, if a video, a folder or a figure failed."""
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
         n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
@@ -448,4 +448,8 @@ def _raise_failures(found: "Found", statuses: dict[str, str], out: str) -> None:
             f"some folders could not be read; the results of the others are in {printable(out)}. "
             "Check their access rights, then run again.",
             EXIT_FAILED,
+        )
+    if any(row.lacks_figures for summary in plan.summaries for row in summary.rows.values()):
+        raise Failed(
+            f"some figures could not be drawn; all tables are in {printable(out)}.", EXIT_FAILED
         )

@@ -110,17 +110,15 @@ def bench(
         rendered_pan,
     )
     from dlgmd_cli.parameters import load_set
-    from dlgmd_cli.results.store import appearing, refuse_existing
+    from dlgmd_cli.results.store import refuse_existing, replacing
     from dlgmd_cli.video.opening import open_video
 
     radii = tuple(dict.fromkeys(radii)) or RADII
     scales = tuple(dict.fromkeys(scales)) or SCALES
-    csv_paths = () if csv_path is None else (csv_path,)
     with ExitStack() as opened:
-        files = opened.enter_context(appearing(*csv_paths, option="--csv"))
-        for path, file in zip(csv_paths, files, strict=True):
-            refuse_existing(path, overwrite=overwrite, option="--csv")
-            file.touch()  # an unwritable folder fails at once, not after minutes
+        if csv_path is not None:  # an unwritable folder fails at once, not after minutes
+            refuse_existing(csv_path, overwrite=overwrite, option="--csv")
+            stage = opened.enter_context(replacing(csv_path.parent, option="--csv"))
         clip = input_path
         if clip is None:
             say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
@@ -141,8 +139,8 @@ def bench(
             print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
         else:
             _show(measured)
-        for file in files:
-            _write_csv(file, measured["rows"])
+        if csv_path is not None:
+            _write_csv(stage / csv_path.name, measured["rows"])
     if csv_path is not None and not as_json:
         print_path(csv_path)
 

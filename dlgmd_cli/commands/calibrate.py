@@ -153,9 +153,7 @@ def calibrate(
         experiment = calibration.Experiment(setup, options, wanted, tuple(evaluation.cases), jobs)
         trials = [] if search is None else _trials(experiment, search, n_trials)
         result = calibration.calibrate(experiment, evaluation.signals(setup.label), trials)
-        text = _preset(result, experiment, labels_path.name, ranges, n_trials)
-        with store.appearing(path) as (file,):
-            file.write_text(text, encoding="utf-8")
+        store.write_text(path, _preset(result, experiment, labels_path.name, ranges, n_trials))
         if as_json:
             print_json({"preset": str(path), **_facts(result), "failed": evaluation.failed})
         else:

@@ -240,7 +240,7 @@ def _files(
         figures = {f"compare-{kind}": partial(plot, kind, results, **look) for kind in kinds}
         files |= figure_files(figures, output.formats, output.dpi)
     text = record_text(record, [one["engine"] for one in record["models"]])
-    files[store.COMPARISON] = lambda path: path.write_text(text, encoding="utf-8")
+    files[store.COMPARISON] = store.file_of(text)
     return files
 
 

@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.source import Video
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
+# Entry in the context of a command: figures could not be drawn.
+_UNDRAWN = "dlgmd_cli.undrawn"
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."
 )
@@ -158,7 +160,10 @@ class Command(_WithSections):
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
             warnings.showwarning = lambda message, *_, **__: once(str(message))
-            return super().invoke(ctx)
+            returned = super().invoke(ctx)
+            if _UNDRAWN in ctx.meta:
+                raise click.exceptions.Exit(EXIT_FAILED)
+            return returned
 
 
 def _too_many(extra: list[str]) -> str:
@@ -233,6 +238,13 @@ def say(message: str) -> None:
 def warn(message: str) -> None:
     """Print a warning on stderr, even with --quiet."""
     say(f"Warning: {message}.")
+
+
+def warn_undrawn(folder: Path | str, undrawn: Mapping[str, str]) -> None:
+    """Warn of figures that `store.commit` could not draw; the command then exits with code 1."""
+    for name, why in undrawn.items():
+        warn(f"{folder}: {name} cannot be drawn ({why})")
+        click.get_current_context().meta[_UNDRAWN] = True
 
 
 class _Lines(logging.Handler):

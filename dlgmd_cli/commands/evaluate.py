@@ -17,6 +17,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     warn,
+    warn_undrawn,
 )
 from dlgmd_cli.commands.options import (
     Output,
@@ -137,6 +138,7 @@ def evaluate(
     if results is not None:
         _refuse_models()
     cases = read_cases(labels_path)
+    click.get_current_context().with_resource(store.locked(output.out))
     names = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
     for name in ("evaluate.csv", "curves.csv", "alarms.csv", *names, RECORD):
         store.refuse_existing(output.out / name, overwrite=output.overwrite)
@@ -155,20 +157,18 @@ def evaluate(
             "models": [_described(one) for one in candidates],
             "options": next(iter(candidates)).record["options"],
         }
-        text = record_text(record, [])
         files = report.tables()
         if output.formats:
             files |= _figures(report, rules, output, width)
-        files[RECORD] = lambda path: path.write_text(text, encoding="utf-8")
-        with store.appearing(*(output.out / name for name in files)) as temporary:
-            for path, write in zip(temporary, files.values(), strict=True):
-                write(path)
+        files[RECORD] = store.file_of(record_text(record, []))
+        undrawn = store.write_files(output.out, files, record=RECORD)
+        warn_undrawn(output.out, undrawn)
         if as_json:
             facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
             print_json(facts)
         else:
             _show(report)
-            for name in files:
+            for name in [name for name in files if name not in undrawn]:
                 print_path(output.out / name)
 
 

@@ -1,6 +1,5 @@
 """`dlgmd export`: the model for other machines."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,13 +69,12 @@ def c(
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
     from dlgmd_cli.lab.stimuli.looming import ball_approaches
+    from dlgmd_cli.results.store import file_of
 
     made = Export(setup.params, *size, is_fixed, setup.label)
     contents = files(made, ball_approaches(*size))
-    write_files(
-        {out / name: partial(Path.write_bytes, data=data) for name, data in contents.items()},
-        overwrite=overwrite,
-    )
+    writes = {out / name: file_of(data) for name, data in contents.items()}
+    write_files(writes, overwrite=overwrite, locks=True)
     if as_json:
         print_json({"folder": str(out), **made.costs})
         return

@@ -1,12 +1,12 @@
 """What commands share: open the input, check and lock the folder, run, warn, write, end."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.commands.console import note_sampling, warn
+from dlgmd_cli.commands.console import note_sampling, warn, warn_undrawn
 from dlgmd_cli.commands.progress import progress
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ class Job:
         """Write the result; `files` has the function that writes each file, by name."""
         from dlgmd_cli.results import store
 
-        store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
+        undrawn = store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
+        warn_undrawn(self.folder, undrawn)
 
 
 @contextmanager
@@ -75,15 +76,22 @@ def job(
             yield Job(input_path, video, options, folder, record, is_new)
 
 
-def write_files(files: "Mapping[Path, Write]", *, overwrite: bool, option: str = "--out") -> None:
-    """Write files that are no result, all or none; `option` names the place.
+def write_files(
+    files: "Mapping[Path, Write]", *, overwrite: bool, option: str = "--out", locks: bool = False
+) -> list[Path]:
+    """Write files of one folder that are no result, all or none; `option` names the place.
 
-    Raises OutputExistsError if one exists and may not be overwritten, and OutputError.
+    With `locks`, the folder is locked against other commands. Returns the files but for figures
+    that could not be drawn, of which it warns. Raises OutputExistsError if one exists and may not
+    be overwritten, and OutputError.
     """
-    from dlgmd_cli.results.store import appearing, refuse_existing
+    from dlgmd_cli.results import store
 
-    for path in files:
-        refuse_existing(path, overwrite=overwrite, option=option)
-    with appearing(*files, option=option) as temporary:
-        for write, path in zip(files.values(), temporary, strict=True):
-            write(path)
+    folder = next(iter(files)).parent
+    with store.locked(folder) if locks else nullcontext():
+        for path in files:
+            store.refuse_existing(path, overwrite=overwrite, option=option)
+        writes = {path.name: write for path, write in files.items()}
+        undrawn = store.write_files(folder, writes, option=option)
+    warn_undrawn(folder, undrawn)
+    return [path for path in files if path.name not in undrawn]

@@ -34,10 +34,10 @@ def kernels(setup: "Setup", output: Output) -> None:
     if not isinstance(params, DistributedParameters):
         raise click.UsageError(f"only the D-LGMD model has kernels, not {params.model}.")
     from dlgmd_cli.models.kernels import connect
-    from dlgmd_cli.results.store import fitting
+    from dlgmd_cli.results import store
 
     connections = connect(params)
-    stem = f"kernels-{fitting(setup.label)}"
+    stem = f"kernels-{store.fitting(setup.label)}"
     if params.formulation != "default":
         stem += f"-{params.formulation}"
     files: dict[str, Write] = {f"{stem}.csv": partial(_write_csv, connections)}
@@ -48,9 +48,9 @@ def kernels(setup: "Setup", output: Output) -> None:
         kernels = connections.excitation, connections.inhibition, connections.latency
         figures = {stem: partial(plot_kernels, *kernels)}
         files |= figure_files(figures, output.formats, output.dpi)
-    write_files({output.out / name: files[name] for name in files}, overwrite=output.overwrite)
-    for name in files:
-        print_path(output.out / name)
+    paths = {output.out / name: write for name, write in files.items()}
+    for path in write_files(paths, overwrite=output.overwrite, locks=True):
+        print_path(path)
 
 
 def _write_csv(connections: "Connections", path: Path) -> None:

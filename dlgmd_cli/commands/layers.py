@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, note_sampling, print_path, say, warn
+from dlgmd_cli.commands.console import Command, note_sampling, print_path, say, warn, warn_undrawn
 from dlgmd_cli.commands.options import (
     Output,
     file_ending,
@@ -148,7 +148,8 @@ def layers(
             note_sampling(input_path, video, options.fps)
             if folder is not None and sheet is not None:
                 files = _files(result, sheet, output, npz)
-                store.commit(folder, store.LAYERS, files, is_new_input=is_new)
+                undrawn = store.commit(folder, store.LAYERS, files, is_new_input=is_new)
+                warn_undrawn(folder, undrawn)
                 print_path(folder)
     if folder is not None and cancel.requested():
         n_kept = f"{len(result.record['frames'])} of {len(frames)} frames"
@@ -202,13 +203,13 @@ def _files(result: "Result", sheet: "LayerSheet", output: Output, npz: bool) -> 
     from dlgmd_cli.plots.style import figure_files
     from dlgmd_cli.results.layers import write_npz
     from dlgmd_cli.results.record import record_text
-    from dlgmd_cli.results.store import LAYERS
+    from dlgmd_cli.results.store import LAYERS, file_of
 
     text = record_text(result.record, [result.record["engine"]])
     return {
         **({"layers.npz": partial(write_npz, sheet=sheet)} if npz else {}),
         **figure_files({"layers": partial(plot_layers, sheet)}, output.formats, output.dpi),
-        LAYERS: lambda path: path.write_text(text, encoding="utf-8"),
+        LAYERS: file_of(text),
     }
 
 

@@ -18,6 +18,7 @@ from dlgmd_cli.commands.console import (
     print_table,
     say,
     warn,
+    warn_undrawn,
 )
 from dlgmd_cli.commands.options import (
     FRAME,
@@ -159,7 +160,7 @@ def sweep(
             figures = figure_files(
                 {FIGURE: partial(plot_sweep, result, width)}, output.formats, output.dpi
             )
-        swept.finish(figures)
+        warn_undrawn(folder, swept.finish(figures))
     if as_json:
         facts = {"result": str(folder), "complete": True, "points": n_points}
         print_json({**facts, "warnings": swept.warnings, "measures": result.facts()})

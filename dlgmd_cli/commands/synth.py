@@ -224,12 +224,13 @@ def _render_one(
 ) -> None:
     """Render a clip and print the paths of its files."""
     from dlgmd_cli.lab.stimuli.clip import write_clip
+    from dlgmd_cli.results.store import locked
 
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
-    with progress(scene.name, scene.n_frames(options)) as on_frame:
+    with locked(out), progress(scene.name, scene.n_frames(options)) as on_frame:
         paths = write_clip(
             scene, options, out, form, overwrite=overwrite, on_frame=on_frame, draw_sheet=draw
         )

@@ -142,20 +142,21 @@ def _link(name: str) -> str:
 def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrite: bool) -> None:
     """Write a page for each input into a folder beside the index, then the index."""
     from dlgmd_cli.pages.page import index_page
-    from dlgmd_cli.results.store import fitting, refuse_existing, write_text
+    from dlgmd_cli.results.store import fitting, locked, refuse_existing, write_text
 
     folder = out.with_name(f"{out.stem}-pages")
     flat = [one.name.replace("/", "-").replace("\\", "-") for one in gathered.inputs]
     pages = [
         folder / f"{fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])
     ]
-    for page in pages:
-        refuse_existing(page, overwrite=overwrite)
-    rows = []
-    for one, page in zip(gathered.inputs, pages, strict=True):
-        rows.append(_write_page(one, page, request, index=out.name))
-        rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
-    write_text(out, index_page(rows, gathered.failed))
+    with locked(folder):
+        for page in pages:
+            refuse_existing(page, overwrite=overwrite)
+        rows = []
+        for one, page in zip(gathered.inputs, pages, strict=True):
+            rows.append(_write_page(one, page, request, index=out.name))
+            rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
+        write_text(out, index_page(rows, gathered.failed))
     if gathered.failed:
         n_failed = len(gathered.failed)
         those = "1 failed video is" if n_failed == 1 else f"{n_failed} failed videos are"

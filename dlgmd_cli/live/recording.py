@@ -93,7 +93,7 @@ class Recording:
             for file in self._files.values():
                 file.close()
             if self._n_rows <= _MAX_NORMALISED:
-                store.write_file(self._folder / "mp.csv", self._write_normalised)
+                store.write_files(self._folder, {"mp.csv": self._write_normalised})
             self._write_record(complete=True)
 
     @contextmanager

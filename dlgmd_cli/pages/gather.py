@@ -8,6 +8,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
@@ -170,7 +171,7 @@ def _failures(folder: Path) -> list[tuple[str, str]]:
     failed = []
     for path in sorted([*folder.glob(SUMMARY), *folder.glob(f"*/{SUMMARY}")]):
         try:
-            with path.open(newline="", encoding="utf-8") as file:
+            with open_regular(path, newline="", encoding="utf-8") as file:
                 for row in csv.DictReader(file):
                     if row.get("status") not in (DONE, None):
                         why = row.get("error") or row["status"]

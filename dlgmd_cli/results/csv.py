@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ResultError, printable
+from dlgmd_cli.files import open_regular
 
 Series = npt.NDArray[np.float64]
 
@@ -114,7 +115,7 @@ def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
 def _read(path: Path, header: tuple[str, ...]) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header of a table that should have `header`, and the cells of every line below it."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with open_regular(path, newline="", encoding="utf-8-sig") as file:
             lines = iter(lambda: file.readline(_MAX_LINE), "")
             rows = csv.reader(lines)
             found = tuple(next(rows, ()))

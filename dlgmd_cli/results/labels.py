@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dlgmd_cli.errors import ResultError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.results.csv import text_cell, write_rows
 
 LABELS = "labels.csv"
@@ -56,7 +57,7 @@ def read_labels(path: Path) -> list[Label]:
     """
     try:
         # Spreadsheets may write a byte order mark.
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with open_regular(path, newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a CSV file"

@@ -1,10 +1,11 @@
 """Records such as run.yaml: everything needed to repeat a run, and its summary."""
 
 import base64
+import math
 import platform
 import re
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from dlgmd_cli import __version__
+from dlgmd_cli import __version__, plain_yaml
+from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.files import open_regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,13 +67,26 @@ def unpacked_flags(text: str, n_flags: int) -> npt.NDArray[np.bool_]:
     return flags.astype(np.bool_)
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes an object in full wherever it appears; no reader takes references."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Never refer to an object."""
+        return True
+
+
 def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:
     """A document as YAML in its own order; pure ASCII if it contains control characters."""
 
     def dump(allow_unicode: bool) -> str:
         return str(
-            yaml.safe_dump(
-                dict(document), sort_keys=False, width=100, allow_unicode=allow_unicode, **look
+            yaml.dump(
+                dict(document),
+                Dumper=_Dumper,
+                sort_keys=False,
+                width=100,
+                allow_unicode=allow_unicode,
+                **look,
             )
         )
 
@@ -88,19 +104,153 @@ def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str =
 
 
 def read_record(path: "Path | UPath") -> dict[str, Any]:
-    """The record in a file; empty if the file is not a readable record. Never raises."""
+    """The record in a file; empty if the file is not a readable record. Never raises.
+
+    Depth and size are bounded, and references are refused. Keys that `_KINDS` has are left out if
+    their values are of another kind, so that whatever is there can be relied on.
+    """
     try:
-        with path.open("rb") as file:
+        with open_regular(path, "rb") as file:
             text = file.read(_MAX_BYTES + 1)
-    except OSError:
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
+        most = _MAX_BYTES
+        if _UNDECODABLE.search(text):
+            loader, most = yaml.SafeLoader, plain_yaml.MAX_CONFIG_BYTES
+        document = plain_yaml.parse("", text, loader) if len(text) <= most else None
+    except (OSError, ParameterError):
         return {}
-    if len(text) > _MAX_BYTES:
-        return {}
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast
-    if _UNDECODABLE.search(text):
-        loader = yaml.SafeLoader
-    try:
-        document = yaml.load(text, loader)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return {}
-    return document if isinstance(document, dict) else {}
+    return _of_kinds(document, _KINDS) if isinstance(document, dict) else {}
+
+
+def require(path: object, record: Mapping[str, Any], *names: str) -> None:
+    """Raise ResultError unless a record has all of these; ``input.fps`` is `fps` of `input`."""
+    for name in names:
+        section, _, key = name.rpartition(".")
+        if (record.get(section, {}) if section else record).get(key) is None:
+            raise ResultError(str(path), f"does not state a valid {name}", "Run again.")
+
+
+def differences(
+    record: Mapping[str, Any],
+    *,
+    identity: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> list[str]:
+    """Names of everything in which a record differs from what is asked; empty for the same job.
+
+    Parameters
+    ----------
+    record : mapping
+        As `read_record` returns it.
+    identity : mapping, optional
+        What identifies the input, such as its path and size; named `input` if anything differs.
+    settings : mapping, optional
+        Keys of the record and the values that they should have.
+    options : mapping, optional
+        All options; one that only the record has is a difference, too. Named as on the command
+        line. A file's hash belongs to the option that names the file.
+    """
+    known, found = record.get("input") or {}, record.get("options") or {}
+    asked = settings or {}
+    differing = [key for key in asked if record.get(key) != asked[key]]
+    if options is not None:
+        names = [key for key in {**options, **found} if options.get(key) != found.get(key)]
+        differing += [f"--{key.removesuffix('_sha256').replace('_', '-')}" for key in names]
+    if identity is not None and not all(known.get(k) == v for k, v in identity.items()):
+        differing.append("input")
+    return list(dict.fromkeys(differing))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number that fits into a float; it may be infinite."""
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and not _MAX_NUMBER < abs(value) < math.inf
+
+
+def _is_rate(value: Any) -> bool:
+    return _is_number(value) and 0.0 < value < math.inf
+
+
+def _is_count(value: Any) -> bool:
+    return _is_whole(value) and value >= 0
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+
+
+def _is_side(value: Any) -> bool:
+    return _is_count(value) and 0 < value <= _MAX_SIDE
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, str | bool) or _is_number(value)
+
+
+# Of a mapping, whatever its keys are; of a list.
+_EACH = "*"
+_MAX_NUMBER, _MAX_SIDE = 1e30, 65_536
+_Kind = Callable[[Any], bool] | dict[str, Any] | list[Any]
+# The kind of value that each key takes: a check, a mapping of keys, or a list. Others are not read,
+# or are parameters, which the model's class checks.
+_KINDS: dict[str, _Kind] = {
+    **dict.fromkeys(("model", "preset", "engine", "label", "scene", "codec", "sheet"), _is_text),
+    **dict.fromkeys(("schema", "set", "seed"), _is_whole),
+    **dict.fromkeys(("width", "height"), _is_side),
+    **dict.fromkeys(("width_px", "model_fps"), _is_rate),
+    "target": lambda value: value is None or _is_text(value),
+    "cells": _is_count,
+    "collision_frame": lambda value: value is None or _is_count(value),
+    "complete": lambda value: isinstance(value, bool),
+    "wall_s": _is_number,
+    "input": {
+        **dict.fromkeys(("path", "decoder", "sha256", "repeated_rows"), _is_text),
+        **dict.fromkeys(("width", "height"), _is_side),
+        **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
+        "mtime_ns": _is_whole,
+        "fps": _is_rate,
+        "duration_s": _is_number,
+    },
+    "processed": {
+        **dict.fromkeys(("width", "height"), _is_side),
+        **dict.fromkeys(("frames", "cells"), _is_count),
+    },
+    "options": {_EACH: _is_scalar},
+    "versions": {_EACH: _is_text},
+    "summary": {_EACH: lambda value: value is None or _is_number(value)},
+    "sweep": {},
+    "warnings": [_is_text],
+}
+_KINDS["models"] = [_KINDS]
+
+
+def _of_kinds(document: dict[Any, Any], kinds: Mapping[str, _Kind]) -> dict[str, Any]:
+    """A mapping without the keys whose values are not of their kind."""
+    found = {}
+    for key, value in document.items():
+        kind = kinds.get(key, kinds.get(_EACH)) if isinstance(key, str) else _never
+        kept = _of_kind(value, kind)
+        if kept is not None or (value is None and callable(kind) and kind(None)):
+            found[key] = kept
+    return found
+
+
+def _of_kind(value: Any, kind: _Kind | None) -> Any:
+    """A value without those parts that are not of their kind; None if it is of another kind."""
+    if kind is None:
+        return value
+    if callable(kind):
+        return value if kind(value) else None
+    if isinstance(kind, dict):
+        return _of_kinds(value, kind) if isinstance(value, dict) else None
+    every = value if isinstance(value, list) else ()
+    return [kept for one in every if (kept := _of_kind(one, kind[0])) is not None]
+
+
+def _never(value: Any) -> bool:
+    return False

@@ -18,7 +18,7 @@ from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, seq
 from dlgmd_cli.names import recorded_name
 from dlgmd_cli.parameters import Parameters, find_model
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import read_record, record_text, unpacked_flags
+from dlgmd_cli.results.record import read_record, record_text, require, unpacked_flags
 from dlgmd_cli.results.rows import ROW, Rows, rows_of
 
 if TYPE_CHECKING:
@@ -268,20 +268,23 @@ class Result:
             found |= figure_files(figures, formats, dpi or DPI)
         record = {**self.record, "summary": self.summary}
         text = record_text(record, [str(self.record.get("engine"))], _HEADER)
-        found[store.RUN] = lambda path: path.write_text(text, encoding="utf-8")
+        found[store.RUN] = store.file_of(text)
         return found
 
     def save(self, folder: str | Path, formats: Iterable[str] = (), dpi: int | None = None) -> None:
         """Write the CSVs, plots in `formats`, and `run.yaml`; replaces an earlier result.
 
-        `dpi` is the resolution of PNG; 200 unless given.
+        `dpi` is the resolution of PNG; 200 unless given. A figure that cannot be drawn is left
+        out, with a warning.
 
         Raises
         ------
         OutputError
             If the folder cannot be written.
         """
-        store.commit(store.place(folder), store.RUN, self.files(formats, dpi))
+        undrawn = store.commit(store.place(folder), store.RUN, self.files(formats, dpi))
+        for name, why in undrawn.items():
+            _log.warning("%s cannot be drawn (%s)", name, why)
 
     def plot(self, kind: str = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
@@ -326,6 +329,7 @@ def read_result(folder: str | Path) -> Result:
         raise ResultError(
             str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
         )
+    require(folder / store.RUN, record, "input.fps", "input.frames")
     columns: dict[str, Series] = {}
     names = ("mp.csv", "attenuation.csv")
     tables = [csv.read_columns(folder / name, csv.TABLES[name]) for name in names]
@@ -410,21 +414,16 @@ def _result(
     path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
 ) -> Result:
     """A result from stored columns and a record; `own` holds the model and its parameters."""
-    processed = record.get("processed")
+    require(path, record, "processed.width", "processed.height")
     try:
         params = _params(own)
-        sides = (processed["width"], processed["height"])  # type: ignore[index]
-        if not all(isinstance(n, int) for n in (*sides, processed.get("cells", 1))):  # type: ignore
-            raise TypeError
     except ParameterError as error:
         raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
-    except (TypeError, KeyError):
-        raise ResultError(str(path), "does not state the processed size", "Run again.") from None
     repeated = record.get("input", {}).get("repeated_rows")
     flags = {}
     try:
         if repeated is not None:
             flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
-    except (AttributeError, TypeError, ValueError):
+    except ValueError:
         raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
     return Result(rows_of({**columns, **flags}), params, record)

@@ -1,8 +1,8 @@
-"""Result folders and the commit rule: a result is complete if and only if its record exists.
+"""Writing files, and result folders: a result is complete if and only if its record exists.
 
-Writing a result removes the old record first, then writes each file under a temporary name and
-renames it, the record last. A killed process leaves no record, and the next run replaces its files.
-In a bucket, the same files are uploaded in the same order.
+All files of a result are first written into a temporary folder. Only when they are complete does
+the old record go, then each file is renamed, the record last. An error or a killed process before
+that leaves the earlier result as it was. In a bucket, files are uploaded in the same order.
 """
 
 import errno
@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dlgmd_cli import cancel
 from dlgmd_cli.errors import (
     DlgmdError,
     MissingExtraError,
@@ -20,7 +21,8 @@ from dlgmd_cli.errors import (
     OutputExistsError,
     ParameterError,
 )
-from dlgmd_cli.results.record import read_record
+from dlgmd_cli.files import LOCK, PREFIX, staging
+from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -40,8 +42,6 @@ FIGURES = {
     COMPARISON: ("compare-mp", "compare-attenuation"),
     LAYERS: ("layers",),
 }
-PREFIX = ".dlgmd-"
-_LOCK = f"{PREFIX}lock"
 _MAX_NAME_BYTES = 200
 # Errors of file systems without locks.
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
@@ -142,18 +142,14 @@ def check(
     if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", mend)
     others = [
-        name for name in sorted(records) if not is_same_input(read_record(folder / name), identity)
+        name
+        for name in sorted(records)
+        if differences(read_record(folder / name), identity=identity)
     ]
     if others and not overwrite:
         why = f"it holds the result of another input ({others[0]})"
         raise OutputExistsError(str(folder), why, mend)
     return bool(others)
-
-
-def is_same_input(record: Mapping[str, Any], identity: Mapping[str, Any]) -> bool:
-    """Whether a record is of the input that `identity` describes."""
-    known = record.get("input")
-    return isinstance(known, dict) and all(known.get(k) == v for k, v in identity.items())
 
 
 @contextmanager
@@ -175,9 +171,11 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     made = [path for path in (folder, *folder.parents) if not path.exists()]
-    lock = FileLock(folder / _LOCK)
+    lock = FileLock(folder / LOCK)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if (folder / LOCK).is_symlink() or not (folder / LOCK).is_file():
+            (folder / LOCK).unlink(missing_ok=True)  # it would be followed, and emptied
         lock.acquire(timeout=0)
     except Timeout:
         why = "another dlgmd command is writing here"
@@ -191,7 +189,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            (folder / _LOCK).unlink()
+            (folder / LOCK).unlink()
         lock.release()
         with suppress(OSError):
             for path in made:
@@ -200,12 +198,12 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
 
 def is_locked(folder: str | os.PathLike[str]) -> bool:
     """Whether a folder is visible from this machine and locked by some process."""
-    return (Path(folder) / _LOCK).exists()
+    return (Path(folder) / LOCK).exists()
 
 
 def commit(
     folder: "Path | UPath", record: str, files: Mapping[str, Write], *, is_new_input: bool = False
-) -> None:
+) -> dict[str, str]:
     """Write a result by the commit rule, in place of an earlier one.
 
     Parameters
@@ -215,33 +213,125 @@ def commit(
     record : str
         `RUN`, `COMPARISON` or `LAYERS`; one of `files`, written last.
     files : mapping of str to callable
-        File name -> function that writes the file at a given local path.
+        File name -> function that writes the file at a given local path; figures as in
+        `write_files`.
     is_new_input : bool
         Also remove the files of other commands, which belong to another input.
+
+    Returns
+    -------
+    dict of str to str
+        The figures that could not be drawn, each with the reason.
 
     Raises
     ------
     OutputError
-        If a file cannot be written. The folder then holds no record.
+        If a file cannot be written. What stood in the folder is then unchanged.
     """
-    with writing(folder):
-        if not is_url(str(folder)):  # a bucket has no folders
-            folder.mkdir(parents=True, exist_ok=True)
-        kinds = _TABLES if is_new_input else (record,)
-        remove(folder, [*kinds, *(name for kind in kinds for name in files_of(kind))])
+    kinds = [record, *(_TABLES if is_new_input else ())]
+    stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
+    return write_files(folder, files, record=record, stale=stale)
+
+
+def write_files(
+    folder: "Path | UPath",
+    files: Mapping[str, Write],
+    *,
+    record: str = "",
+    stale: Iterable[str] = (),
+    option: str = "--out",
+) -> dict[str, str]:
+    """Write files together, the record last; see `replacing`.
+
+    A name that ends in .png, .pdf or .svg is a figure. Numbers do not depend on figures: if one
+    cannot be drawn, the others are written without it, unless there are only figures.
+
+    Returns
+    -------
+    dict of str to str
+        The figures that could not be drawn, each with the reason.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    undrawn: dict[str, str] = {}
+    are_figures = {name: name.endswith(PLOT_FORMATS) for name in files}
+    has_tables = not all(is_figure or name == record for name, is_figure in are_figures.items())
+    what = folder if record else folder / next(iter(files))
+    with replacing(folder, record=record, stale=stale, what=what, option=option) as stage:
         for name in sorted(files, key=lambda name: name == record):
-            write_file(folder / name, files[name])
+            try:
+                files[name](stage / name)
+            except (OSError, DlgmdError, cancel.Interrupted):
+                raise
+            except Exception as error:
+                if not (has_tables and are_figures[name]):
+                    raise
+                undrawn[name] = failure_text(error)
+                (stage / name).unlink(missing_ok=True)
+    return undrawn
+
+
+@contextmanager
+def replacing(
+    folder: "Path | UPath",
+    *,
+    record: str = "",
+    stale: Iterable[str] = (),
+    what: "Path | UPath | None" = None,
+    option: str = "--out",
+) -> Iterator[Path]:
+    """Yield an empty local folder; what it contains at the end is renamed into `folder`.
+
+    Until then `folder` is unchanged, also after an exception. At the end, the earlier `record` goes
+    first and the new one comes last; `stale` files that are not written anew are removed.
+
+    Raises
+    ------
+    OutputError
+        If the files cannot be written. It names `what`, the folder unless given, and `option`, the
+        option to change.
+    """
+    in_bucket = is_url(str(folder))
+    with writing(what or folder, option):
+        if not in_bucket:
+            folder.mkdir(parents=True, exist_ok=True)
+        stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
+        with stage as made:
+            yield Path(made)
+            found = sorted(path.name for path in Path(made).iterdir())
+            names = sorted(found, key=lambda name: name == record)
+            (_upload if in_bucket else _rename)(Path(made), folder, names, [record, *stale])
+
+
+def _rename(stage: Path, folder: Path, names: list[str], stale: Iterable[str]) -> None:
+    """Rename complete files from `stage` into `folder`, in order; folders of pictures, too."""
+    for name in {*names, *stale} - {""}:
+        if (folder / name).is_dir() and not (stage / name).is_dir():
+            raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+    remove(folder, stale)
+    for name in names:
+        if (stage / name).is_dir() and (folder / name).is_dir():
+            (folder / name).replace(stage / f"{name}.old")
+        (stage / name).replace(folder / name)
+
+
+def _upload(stage: Path, folder: "UPath", names: list[str], stale: Iterable[str]) -> None:
+    """Copy complete files from `stage` into a bucket, in order."""
+    remove(folder, stale)
+    for name in names:
+        path = folder / name
+        path.fs.put_file(str(stage / name), path.path)
 
 
 def remove(folder: "Path | UPath", names: Iterable[str]) -> None:
-    """Remove the named files that exist, and temporary files of killed processes."""
-    existing = names_in(folder)
+    """Remove the named files that exist, in order."""
+    existing = names_in(folder) if is_url(str(folder)) else None  # a request to list a bucket
     for name in dict.fromkeys(names):
-        if name in existing:
-            (folder / name).unlink()
-    for name in existing:
-        if name.startswith(PREFIX) and name != _LOCK:
-            (folder / name).unlink()
+        if name and (existing is None or name in existing):
+            (folder / name).unlink(missing_ok=True)
 
 
 def names_in(folder: "Path | UPath") -> set[str]:
@@ -256,55 +346,15 @@ def names_in(folder: "Path | UPath") -> set[str]:
     return set()
 
 
-def write_file(path: "Path | UPath", write: Write) -> None:
-    """Write a file atomically: `write` gets a temporary name, which is then renamed.
-
-    Raises OSError if that fails; an earlier file is then unchanged.
-    """
-    if not is_url(str(path)):
-        temporary = Path(path).with_name(f"{PREFIX}{path.name}")
-        temporary.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            write(temporary)
-            temporary.replace(path)
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        local = Path(folder) / path.name
-        write(local)
-        path.fs.put_file(str(local), path.path)  # type: ignore[union-attr]
-
-
 def write_text(path: "Path | UPath", text: str) -> None:
     """Write a text file atomically; raises OutputError."""
-    with writing(path):
-        write_file(path, lambda file: file.write_text(text, encoding="utf-8", newline=""))
+    write_files(path.parent, {path.name: file_of(text)})
 
 
-@contextmanager
-def appearing(*paths: Path, option: str = "--out") -> Iterator[tuple[Path, ...]]:
-    """Yield temporary names for `paths`; the files are renamed at the end, or removed on failure.
-
-    Raises
-    ------
-    OutputError
-        If the files cannot be written; `option` is the option to change.
-    """
-    temporary = tuple(path.with_name(f"{PREFIX}{path.name}") for path in paths)
-    try:
-        for path in paths:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        for file, path in zip(temporary, paths, strict=True):
-            file.replace(path)
-    except OSError as error:
-        raise unwritable(paths[0], error, option) from None
-    finally:
-        for file in temporary:
-            with suppress(OSError):
-                file.unlink()
+def file_of(content: str | bytes) -> Write:
+    """A function that writes a text, in UTF-8, or bytes into a file."""
+    data = content.encode() if isinstance(content, str) else content
+    return lambda path: path.write_bytes(data)
 
 
 def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> None:
@@ -316,18 +366,17 @@ def refuse_existing(path: Path, *, overwrite: bool, option: str = "--out") -> No
 
 
 @contextmanager
-def writing(path: "Path | UPath") -> Iterator[None]:
-    """Convert errors while `path` is written into OutputError."""
+def writing(path: "Path | UPath", option: str = "--out") -> Iterator[None]:
+    """Convert errors while `path`, the value of `option`, is written into OutputError."""
     try:
         yield
-    except DlgmdError:
+    except (DlgmdError, cancel.Interrupted):
         raise
-    except OSError as error:
-        raise unwritable(path, error) from None
     except Exception as error:
-        if not is_url(str(path)):  # every kind of URL has its own exceptions
+        # Every kind of URL has its own exceptions.
+        if not isinstance(error, OSError) and not is_url(str(path)):
             raise
-        raise unwritable(path, error) from None
+        raise unwritable(path, error, option) from None
 
 
 def unwritable(path: "Path | UPath", error: Exception, option: str = "--out") -> OutputError:

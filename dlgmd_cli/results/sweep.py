@@ -12,6 +12,7 @@ import numpy as np
 
 from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.results.csv import cell
 from dlgmd_cli.results.result import Flags, Series
@@ -162,7 +163,8 @@ class SweepResult:
     def read(self, path: Path) -> None:
         """Load the points whose rows are complete in a CSV; anything else in it is ignored."""
         try:
-            text = path.read_text(encoding="utf-8", errors="replace")
+            with open_regular(path, encoding="utf-8", errors="replace") as file:
+                text = file.read()
         except OSError:
             return
         # A killed process may have left an incomplete line.

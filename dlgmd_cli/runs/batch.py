@@ -2,9 +2,10 @@
 
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import DlgmdError, OutputError, OutputExistsError
 from dlgmd_cli.pool import DONE, FAILED, Outcome
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
 from dlgmd_cli.runs.run import open_input, require_response, run_models
@@ -94,12 +95,15 @@ class Row:
         Contents of run.yaml, if it is done.
     wall_s : float or None
         Wall time in seconds, decoding included; None if unknown.
+    lacks_figures : bool
+        Whether a figure could not be drawn, which is a warning in the record.
     """
 
     status: str
     error: str = ""
     record: dict[str, Any] = field(default_factory=dict)
     wall_s: float | None = None
+    lacks_figures: bool = False
 
 
 class Summary:
@@ -119,8 +123,8 @@ class Summary:
         if not at_once and began < self._next_write_s:
             return
         cells = [_cells(name, self.rows[name]) for name in sorted(self.rows)]
-        with store.writing(self.path):
-            store.write_file(self.path, lambda file: csv.write_rows(file, COLUMNS, cells))
+        write = partial(csv.write_rows, header=COLUMNS, rows=cells)
+        store.write_files(self.path.parent, {SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
 
@@ -177,7 +181,7 @@ def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
                     wanted[video.name].append(number)
                     continue
                 summaries[-1].rows[video.name] = Row(
-                    DONE, record=record, wall_s=_number(record.get("wall_s"))
+                    DONE, record=record, wall_s=record.get("wall_s")
                 )
                 n_other_version += record.get("versions", {}).get("dlgmd") != __version__
     tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
@@ -191,10 +195,13 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
     """
     record = read_record(folder / store.RUN)
     known, summary = record.get("input"), record.get("summary")
-    if not isinstance(known, dict) or not isinstance(summary, dict):
+    if known is None or summary is None:
         return {}
-    differing = _differing(record, setup, job.options)
-    is_same = bool(video.identity) and all(known.get(k) == v for k, v in video.identity.items())
+    asked = setup.settings()
+    if setup.engine != "auto":
+        asked["engine"] = setup.engine
+    differing = differences(record, settings=asked, options=job.options.to_record())
+    is_same = bool(video.identity) and not differences(record, identity=video.identity)
     if not job.overwrite:
         mend = "Add --overwrite to replace such results, or choose another --out."
         if differing:
@@ -208,21 +215,6 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
         return {}
     files = set(csv.TABLES) | {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
     return record if files <= store.names_in(folder) else {}
-
-
-def _differing(record: Mapping[str, Any], setup: Setup, options: InputOptions) -> list[str]:
-    """Names of the settings in which a result differs from the requested ones."""
-    asked = setup.settings()
-    if setup.engine != "auto":
-        asked["engine"] = setup.engine
-    wanted, found = options.to_record(), record.get("options")
-    found = found if isinstance(found, dict) else {}
-    differing = [key for key in {**wanted, **found} if wanted.get(key) != found.get(key)]
-    # A different hash means a different mask.
-    named = dict.fromkeys(key.removesuffix("_sha256").replace("_", "-") for key in differing)
-    return [key for key, value in asked.items() if record.get(key) != value] + [
-        f"--{name}" for name in named
-    ]
 
 
 def record_outcomes(
@@ -313,8 +305,11 @@ def _save(job: Job, number: int, video: Input, result: Result, began: float) -> 
     with store.locked(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
         is_new = _check(job, number, video)
-        store.commit(folder, store.RUN, result.files(job.formats, job.dpi), is_new_input=is_new)
-    return Row(DONE, record={**result.record, "summary": result.summary}, wall_s=wall_s)
+        files = result.files(job.formats, job.dpi)
+        undrawn = store.commit(folder, store.RUN, files, is_new_input=is_new)
+    unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
+    record = {**result.record, "summary": result.summary, "warnings": [*result.warnings, *unsaid]}
+    return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
 
 
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
@@ -332,8 +327,7 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
 
 def warnings_of(row: Row) -> list[str]:
     """The warnings of a result, one line each."""
-    found = row.record.get("warnings")
-    return found if isinstance(found, list) else []
+    return list(row.record.get("warnings", []))
 
 
 def _cells(video: str, row: Row) -> list[str]:

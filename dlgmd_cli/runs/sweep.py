@@ -8,7 +8,7 @@ import csv
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ import yaml
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.files import PREFIX, staging
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
@@ -28,7 +29,7 @@ from dlgmd_cli.parameters import DistributedParameters, Parameters
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
-from dlgmd_cli.results.record import SCHEMA, read_record, versions, yaml_text
+from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions, yaml_text
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList, Rows, rows_of
 from dlgmd_cli.results.sweep import Grid, SweepResult
@@ -242,21 +243,21 @@ class Sweep:
         Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
         """
         names = {path.name for path in self.folder.iterdir()}
-        strays = sorted(name for name in names if not name.startswith(store.PREFIX))
+        strays = sorted(name for name in names if not name.startswith(PREFIX))
         if strays and RECORD not in names:
             why = f"contains other files, such as {strays[0]}"
             raise OutputExistsError(str(self.folder), why, "Choose another --out.")
         if overwrite or RECORD not in names:
             return
         before, now = read_record(self.folder / RECORD), yaml.safe_load(self._text(complete=True))
-        swept = before.get("sweep")
-        known = {**before, **(swept if isinstance(swept, dict) else {})}
-        asked = {**now, **now.pop("sweep")}
-        differing = [
-            key for key in asked if key not in (*_OUTCOME, "sweep") and known.get(key) != asked[key]
-        ]
-        if self._identity and not store.is_same_input(before, self._identity):
-            differing.append("input")
+        options, swept = now.pop("options"), now.pop("sweep")
+        asked = {**now, **swept}
+        differing = differences(
+            {**before, **before.get("sweep", {})},
+            identity=self._identity,
+            settings={key: asked[key] for key in asked if key not in _OUTCOME},
+            options=options,
+        )
         if differing:
             why = f"a sweep with other settings already exists here ({', '.join(differing)})"
             mend = "Add --overwrite to replace it, or choose another --out."
@@ -277,52 +278,46 @@ class Sweep:
         missing = [one for one in self.points.items() if one[0] not in done]
         if not missing:
             return
-        try:
-            with store.writing(self.folder):
-                clips = self._keep_frames(progress)
-                for name in () if done else PRODUCTS:
-                    (self.folder / name).unlink(missing_ok=True)
-                self._write_record(complete=False)
-                self._write_table(sorted(done))
-                probe = _Probe(
-                    clips,
-                    self.engine,
-                    tuple(self.result.columns),
-                    subject.asked.to_record(),
-                    subject.settings.get("false_positive_frame"),
-                    None if subject.video is None else subject.video.hidden(),
-                )
-                with (
-                    progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
-                    (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
-                ):
-                    table = csv.writer(file, lineterminator="\n")
-                    for point, values in _computed(missing, probe, jobs):
-                        self.result.put(point, values)
-                        table.writerows(self.result.rows([point]))
-                        file.flush()
-                        on_point(len(done))
-        finally:
-            with suppress(OSError):
-                store.remove(self.folder, ())
+        with store.writing(self.folder), staging(self.folder) as stage:
+            clips = self._keep_frames(stage, progress)
+            files = self._files(sorted(done), complete=False)
+            stale = () if done else PRODUCTS
+            store.write_files(self.folder, files, record=RECORD, stale=stale)
+            probe = _Probe(
+                clips,
+                self.engine,
+                tuple(self.result.columns),
+                subject.asked.to_record(),
+                subject.settings.get("false_positive_frame"),
+                None if subject.video is None else subject.video.hidden(),
+            )
+            with (
+                progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
+                (self.folder / TABLE).open("a", newline="", encoding="utf-8") as file,
+            ):
+                table = csv.writer(file, lineterminator="\n")
+                for point, values in _computed(missing, probe, jobs):
+                    self.result.put(point, values)
+                    table.writerows(self.result.rows([point]))
+                    file.flush()
+                    on_point(len(done))
 
-    def finish(self, figures: Mapping[str, store.Write]) -> None:
-        """Write the table in order, the `figures` by file name, and the record."""
-        with store.writing(self.folder):
-            self._write_table(range(len(self.grid)))
-            for name, write in figures.items():
-                store.write_file(self.folder / name, write)
-            self._write_record(complete=True)
+    def finish(self, figures: Mapping[str, store.Write]) -> dict[str, str]:
+        """Write the table in order, the `figures` by file name, and the record.
 
-    def _keep_frames(self, progress: Progress) -> list[Clip]:
-        """Write the frames of all clips to files; raises if no point has enough of them."""
+        Returns the figures that could not be drawn, with the reasons. Raises OutputError.
+        """
+        files = {**self._files(range(len(self.grid)), complete=True), **figures}
+        return store.write_files(self.folder, files, record=RECORD)
+
+    def _keep_frames(self, folder: Path, progress: Progress) -> list[Clip]:
+        """Write the frames of all clips into `folder`; raises if no point has enough of them."""
         subject, video, clips = self.subject, self.subject.video, []
         total = None if video is None else subject.asked.n_expected(video.info)
         with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
             for number, frames in enumerate(subject.clips):
                 with read_ahead(frames) as ahead:
-                    path = self.folder / f"{store.PREFIX}frames-{number}"
-                    clips.append(keep_frames(path, ahead, on_frame))
+                    clips.append(keep_frames(folder / f"frames-{number}", ahead, on_frame))
         n_frames = min(len(_mapped(clip)) for clip in clips)
         n_needed = sys.maxsize
         for params in self.points.values():
@@ -350,15 +345,11 @@ class Sweep:
         why = f"{frames} of each cube, but {label} needs at least {n_needed}"
         return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 
-    def _write_table(self, points: Iterable[int]) -> None:
-        """Rewrite the table with the rows of some points."""
+    def _files(self, points: Iterable[int], *, complete: bool) -> dict[str, store.Write]:
+        """The functions that write the table, with the rows of some points, and the record."""
         rows = self.result.rows(points)
-        write = partial(write_rows, header=self.result.header, rows=rows)
-        store.write_file(self.folder / TABLE, write)
-
-    def _write_record(self, *, complete: bool) -> None:
-        """Write the record."""
-        store.write_text(self.folder / RECORD, self._text(complete=complete))
+        table = partial(write_rows, header=self.result.header, rows=rows)
+        return {TABLE: table, RECORD: store.file_of(self._text(complete=complete))}
 
     def _text(self, *, complete: bool) -> str:
         """The text of `sweep.yaml`."""

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import PRINTF, input_name, is_pattern
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
@@ -70,7 +71,8 @@ def read_image(path: Path) -> Image | None:
     """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
     try:
         # imread cannot open every file name.
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        with open_regular(path, "rb") as file:
+            data = np.frombuffer(file.read(), np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except (OSError, cv2.error):
         return None

@@ -10,6 +10,7 @@ from typing import Any
 
 from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
 from dlgmd_cli.video.opening import Openable, open_video
@@ -124,6 +125,7 @@ class InputOptions:
 def _digest(mask: Any) -> str | None:
     """The SHA-256 of a file; None if it cannot be read, which `open_video` reports."""
     try:
-        return hashlib.sha256(Path(mask).read_bytes()).hexdigest()
+        with open_regular(Path(mask), "rb") as file:
+            return hashlib.sha256(file.read()).hexdigest()
     except (OSError, TypeError, ValueError):
         return None

@@ -1,6 +1,5 @@
 """Writing video files, complete or not at all: with OpenCV, or with PyAV for H.264."""
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import OutputError
+from dlgmd_cli.files import staging
 from dlgmd_cli.video.base import openable
 from dlgmd_cli.video.opencv import count_frames
 
@@ -94,8 +94,8 @@ def video_writer(
     start = partial(_by_pyav, x264) if codec == "h264" else partial(_by_opencv, _FOURCC[codec])
     n_frames = 0
     try:
-        with tempfile.TemporaryDirectory(prefix=".dlgmd-", dir=path.parent) as folder:
-            file = Path(folder).absolute() / f"video{path.suffix}"
+        with staging(path.parent) as folder:
+            file = folder.absolute() / f"video{path.suffix}"
             file.touch()  # an OSError here gives the reason; OpenCV would not
             with openable(file) as name, start(name, shape, fps, is_colour) as encode:
 

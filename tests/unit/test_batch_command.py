@@ -438,16 +438,19 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
 
 
 def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
-    write_rows, calls = store.write_file, []
+    write_files, calls = store.write_files, []
 
-    def refusing(path, write):
-        if path.name == "summary.csv":
-            calls.append(path)
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    def refusing(folder, files, **options):
+        if "summary.csv" in files:
+            calls.append(folder)
             if len(calls) in refused:
-                raise OSError(28, "No space left on device")
-        write_rows(path, write)
+                files = {"summary.csv": full}
+        return write_files(folder, files, **options)
 
-    monkeypatch.setattr(store, "write_file", refusing)
+    monkeypatch.setattr(store, "write_files", refusing)
     refused = {2, 3}  # in between: it is written later
     assert "Error: 2 of 4 videos failed" in dlgmd("batch", flights, *QUICK).stderr
     assert len(statuses()) == 4

@@ -202,7 +202,7 @@ def _stored(place: Path, case: Case) -> Result:
     for folder in (place / name, place / name.with_suffix("")):
         if (folder / store.RUN).is_file():
             result = read_result(folder)
-            if PurePosixPath(str(result.record["input"]["path"])).name == name.name:
+            if PurePosixPath(str(result.record["input"].get("path"))).name == name.name:
                 return result
     raise ResultError(str(place), f"there is no result of {case.name}", "Run 'dlgmd batch' again.")
 

@@ -11,6 +11,7 @@ from dlgmd_cli.checks import Spec, blame, shown
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.evaluation.calibration import WIDTH, Choice, Choices, Trial, with_values
 from dlgmd_cli.parameters import Parameters
+from dlgmd_cli.results.record import differences
 from dlgmd_cli.runs.setup import Setup
 
 TRIALS = "trials.db"
@@ -104,12 +105,15 @@ class Search:
         self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
         text = json.dumps(asked, sort_keys=True)
         self._open()
-        if self._study.user_attrs.get("asked") not in (None, text):
+        known = self._study.user_attrs.get("asked")
+        before = {} if known is None else json.loads(known)
+        differing = differences(before, settings=json.loads(text))
+        if known is not None and differing:
             self.close()
             if not overwrite:
                 raise OutputExistsError(
                     str(self._path),
-                    "contains the trials of another search",
+                    f"contains the trials of another search ({', '.join(differing)})",
                     "Add --overwrite to remove them, or choose another --out.",
                 )
             self._path.unlink()

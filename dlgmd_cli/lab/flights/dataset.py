@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
+from dlgmd_cli.files import remove_leftovers
 from dlgmd_cli.lab.flights.scene import FlightOptions
 from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.lab.stimuli.clip import (
@@ -16,13 +17,12 @@ from dlgmd_cli.lab.stimuli.clip import (
     identity,
     n_digits,
     refuse_existing_clip,
-    remove_leftovers,
     write_clip,
 )
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
-from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.store import appearing, refuse_existing
+from dlgmd_cli.results.record import differences, read_record
+from dlgmd_cli.results.store import refuse_existing, write_files
 
 
 @dataclass(frozen=True)
@@ -86,30 +86,21 @@ class FlightSet:
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
         """Write the labels; raises OutputExistsError if the file lists other videos."""
         self._check_labels(overwrite=overwrite)
-        with appearing(self.labels_path) as (path,):
-            write_labels(path, [labels[number] for number in sorted(labels)])
+        listed = [labels[number] for number in sorted(labels)]
+        write_files(self.folder, {LABELS: partial(write_labels, labels=listed)})
 
     def _differing(self, number: int, facts: dict[str, Any]) -> list[str]:
         """Differences between a record and the requested flight; empty if it is complete."""
         wanted = identity(self.scene, self.options_of(number), self.form)
-        options, found = wanted.pop("options"), facts.get("options")
-        differing = [key for key, value in wanted.items() if facts.get(key) != value]
-        if not isinstance(found, dict):
-            found = {}
-        differing += [
-            f"--{key}"
-            for key in {**options, **found}
-            if key != "seed" and options.get(key, ...) != found.get(key, ...)
-        ]
+        differing = differences(facts, options=wanted.pop("options"), settings=wanted)
         if differing:
-            return differing
-        paths, frame = self.paths_of(number), facts.get("collision_frame", "unsaid")
+            return [key for key in differing if key != "--seed"]
+        paths = self.paths_of(number)
         if self.draw_sheet is not None and not (
             facts.get("sheet") == paths[3].name and paths[3].is_file()
         ):
             return ["without a sheet"]
-        is_said = frame is None or (type(frame) is int and frame >= 0)
-        is_whole = is_said and paths[0].exists() and paths[1].exists()
+        is_whole = "collision_frame" in facts and paths[0].exists() and paths[1].exists()
         return [] if is_whole else ["damaged"]
 
     def _check_labels(self, *, overwrite: bool) -> None:
@@ -134,10 +125,8 @@ def render_flights(
 ) -> Iterator[tuple[int, DlgmdError | None]]:
     """Render flights by number; the files do not depend on the number of processes.
 
-    Yields the number of each flight when it is done, with the error if it failed. The folder must
-    be locked: temporary files of killed processes are removed from it.
+    Yields the number of each flight when it is done, with the error if it failed.
     """
-    remove_leftovers(flights.folder)
     if jobs == 1:
         for number in numbers:
             error: DlgmdError | None = None
@@ -153,7 +142,7 @@ def render_flights(
                 raise outcome.error
             yield number, outcome.error
     finally:
-        remove_leftovers(flights.folder)
+        remove_leftovers(flights.folder)  # of workers that were killed
 
 
 def _render(flights: FlightSet, overwrite: bool, number: int) -> None:

@@ -3,7 +3,6 @@
 import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from dlgmd_cli.lab.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.record import versions
-from dlgmd_cli.results.store import write_file, writing
+from dlgmd_cli.results.store import replacing
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
@@ -78,22 +77,20 @@ class Report:
     def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
         """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
 
-        The path of the page comes first. An earlier page is removed at the start, so that a page
-        always belongs to the files beside it. Raises OutputError.
+        The path of the page comes first. An earlier page stays until the new one is complete.
+        Raises OutputError.
         """
         paths = [folder / REPORT, folder / TABLE]
-        with writing(folder):
-            (folder / REPORT).unlink(missing_ok=True)
+        with replacing(folder, record=REPORT) as stage:
             for number, section in enumerate(self.sections, start=1):
                 for stem, draw in section.evidence.figures.items():
                     figure = draw()
                     for suffix in ("png", "pdf"):
                         paths.append(folder / f"{stem}.{suffix}")
-                        write_file(paths[-1], partial(save_figure, figure, dpi=dpi))
+                        save_figure(figure, stage / paths[-1].name, dpi)
                 on_figure(number)
-            write_file(folder / TABLE, lambda file: write_claims(file, self.found))
-            html = self.html(folder)
-            write_file(folder / REPORT, lambda file: file.write_text(html, encoding="utf-8"))
+            write_claims(stage / TABLE, self.found)
+            (stage / REPORT).write_text(self.html(stage), encoding="utf-8")
         return paths
 
     def html(self, folder: Path) -> str:

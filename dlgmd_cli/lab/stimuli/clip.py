@@ -1,14 +1,11 @@
 """Writing a scene as a clip: frames, one row of ground truth per frame, record, contact sheet.
 
-A clip with a record is complete if and only if the record exists: the record of an earlier clip is
-removed first, and the new one is written last.
+A clip with a record is complete if and only if the record exists, see `results.store`.
 """
 
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
@@ -21,7 +18,7 @@ from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, invalid
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.record import versions, yaml_text
-from dlgmd_cli.results.store import PREFIX, refuse_existing, unwritable
+from dlgmd_cli.results.store import refuse_existing, replacing
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
 
 N_STILLS = 12
@@ -159,11 +156,11 @@ def write_clip(
     name = name or scene.name
     paths = clip_paths(scene, form, folder, name, sheet=draw_sheet is not None)
     refuse_existing_clip(paths, form, overwrite=overwrite)
-    temporary = [path.with_name(f"{PREFIX}{path.name}") for path in paths]
     facts = scene.record(options)
     stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    record = paths[2].name if scene.is_flight else ""
+    with replacing(folder, record=record, what=paths[0]) as stage:
+        temporary = [stage / path.name for path in paths]
         images = _watched(scene.frames(options), stills, on_frame)
         if form.is_video:
             shape, fps, codec = options.shape, options.fps, form.codec
@@ -180,14 +177,6 @@ def write_clip(
         if draw_sheet is not None:
             sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
             draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
-        _commit(temporary, paths)
-    except OSError as error:
-        raise unwritable(paths[0], error) from None
-    finally:
-        for path in temporary:
-            shutil.rmtree(path, ignore_errors=True)
-            with suppress(OSError):
-                path.unlink()
     return paths
 
 
@@ -223,15 +212,6 @@ def refuse_existing_clip(paths: tuple[Path, ...], form: Form, *, overwrite: bool
             raise OutputExistsError(str(frames), why, mend)
     for path in others:
         refuse_existing(path, overwrite=overwrite)
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of killed processes; no other process may write into the folder."""
-    for path in folder.glob(f"{PREFIX}*"):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.suffix:  # the lock file has no suffix
-            path.unlink(missing_ok=True)
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
@@ -281,20 +261,8 @@ def _watched(
 
 def _write_pictures(folder: Path, frames: Iterable[GreyImage], digits: int) -> None:
     """Write frames, (H, W) uint8 each, as numbered PNG; OSError passes through."""
-    shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for index, frame in enumerate(frames):
         # cv2.imwrite would not report a full disk.
         encoded = cv2.imencode(".png", frame)[1].tobytes()
         (folder / f"{index:0{digits}d}.png").write_bytes(encoded)
-
-
-def _commit(temporary: Iterable[Path], paths: Iterable[Path]) -> None:
-    """Rename the files: remove an earlier record first, rename the new one last."""
-    in_order = sorted(zip(temporary, paths, strict=True), key=lambda p: p[1].suffix == ".yaml")
-    if in_order[-1][1].suffix == ".yaml":
-        in_order[-1][1].unlink(missing_ok=True)
-    for file, path in in_order:
-        if path.is_dir():
-            shutil.rmtree(path)
-        file.replace(path)

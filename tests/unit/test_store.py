@@ -1,0 +1,249 @@
+"""One write: what stands is kept until all that is new is complete, whatever goes wrong."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import make_result
+from flightscenes import Quick
+
+from dlgmd_cli import read_result
+from dlgmd_cli.errors import OutputError, ResultError
+from dlgmd_cli.files import LOCK, PREFIX, open_regular, staging
+from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.pool import DONE, Outcome
+from dlgmd_cli.results import store
+from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.results.record import differences, read_record, yaml_text
+
+POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there")
+
+
+def in_this_process(function, tasks, jobs, *, timeout_s=None):
+    for task in tasks:
+        yield task, Outcome(DONE, function(task))
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def hidden(folder):
+    return [path.name for path in folder.rglob(f"{PREFIX}*")]
+
+
+@pytest.fixture
+def undrawable(monkeypatch):
+    """Every figure fails with an error of Matplotlib."""
+
+    def fail(*arguments, **options):
+        raise RuntimeError("no figure today")
+
+    monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", fail)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left"), RuntimeError("a bug")])
+@pytest.mark.parametrize("name", ["a.csv", "z.csv", "run.yaml"])
+def test_an_error_leaves_the_earlier_result_whole(tmp_path, error, name):
+    make_result([1.0, 2.0]).save(tmp_path, ["svg"])
+    before = contents(tmp_path)
+
+    def fail(path):
+        path.write_text("half")
+        raise error
+
+    files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
+    with pytest.raises((OutputError, RuntimeError)):
+        store.commit(tmp_path, store.RUN, files)
+    assert contents(tmp_path) == before and hidden(tmp_path) == []
+
+
+def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
+    make_result([1.0, 2.0]).save(tmp_path)
+    before = contents(tmp_path)
+    code = (
+        "import os, sys; from dlgmd_cli.results import store\n"
+        "files = {'mp.csv': store.file_of('new'), 'run.yaml': lambda path: os._exit(9)}\n"
+        "store.commit(store.place(sys.argv[1]), 'run.yaml', files)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(store.__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], env=environment)
+    assert done.returncode == 9
+    assert contents(tmp_path) == before and len(hidden(tmp_path)) == 1
+    make_result([3.0, 4.0]).save(tmp_path)  # removes what the killed one left
+    assert hidden(tmp_path) == [] and contents(tmp_path).keys() == before.keys()
+
+
+def test_left_over_folders_do_not_block_and_those_in_use_stay(tmp_path):
+    (tmp_path / f"{PREFIX}film").mkdir()
+    (tmp_path / f"{PREFIX}film" / "video.mp4").touch()
+    (tmp_path / f"{PREFIX}mp.csv").touch()
+    with staging(tmp_path) as stage:
+        (stage / "x").touch()
+        make_result([1.0, 2.0]).save(tmp_path)
+        assert hidden(tmp_path) == [stage.name] and (stage / "x").exists()
+    assert hidden(tmp_path) == [] and read_result(tmp_path).n_valid == 2
+
+
+@POSIX
+def test_links_that_wait_under_a_name_are_not_followed(tmp_path):
+    victim, folder = tmp_path / "victim", tmp_path / "r"
+    victim.write_text("mine")
+    folder.mkdir()
+    for name in (LOCK, f"{PREFIX}mp.csv", "mp.csv", "spikes.csv", "run.yaml"):
+        (folder / name).symlink_to("../victim")
+    with store.locked(folder):
+        make_result([1.0, 2.0]).save(folder)
+    assert victim.read_text() == "mine" and read_result(folder).n_valid == 2
+    assert not any(path.is_symlink() for path in folder.iterdir())
+
+
+def test_a_folder_in_the_way_is_an_error_before_anything_changes(tmp_path):
+    make_result([1.0, 2.0]).save(tmp_path)
+    (tmp_path / "spikes.csv").unlink()
+    (tmp_path / "spikes.csv").mkdir()
+    before = contents(tmp_path)
+    with pytest.raises(OutputError, match=r"spikes\.csv is a folder"):
+        make_result([3.0]).save(tmp_path)
+    assert contents(tmp_path) == before
+
+
+# Numbers do not depend on figures
+
+
+COMMANDS = {
+    "run": (["run", "{clip}"], "dlgmd-out/loom/run.yaml"),
+    "compare": (["compare", "{clip}", "--set", 3, "--set", 9], "dlgmd-out/loom/compare.yaml"),
+    "layers": (["layers", "{clip}", "--frames", "3,9", "--npz"], "dlgmd-out/loom/layers.npz"),
+    "kernels": (["kernels", "--set", 9], "dlgmd-out/kernels-set9.csv"),
+    "sweep": (
+        ["sweep", "{clip}", "--x", "r=1,2", "--y", "a=1,2", "--jobs", 1],
+        "dlgmd-out/sweep-loom/sweep.yaml",
+    ),
+    "evaluate": (
+        ["evaluate", "{labels}", "--jobs", 1, "--no-baselines"],
+        "dlgmd-out/evaluate.yaml",
+    ),
+    "batch": (["batch", "{clip}", "--jobs", 1], "dlgmd-out/summary.csv"),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_figure_that_cannot_be_drawn_costs_no_numbers(
+    dlgmd, clips, tmp_path, undrawable, monkeypatch, name
+):
+    (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
+    if name == "batch":  # in this process, where figures fail
+        monkeypatch.setattr("dlgmd_cli.pool.run_tasks", in_this_process)
+    arguments, record = COMMANDS[name]
+    words = {"clip": clips / "loom.avi", "labels": "labels.csv"}
+    given = [str(one).format(**words) for one in arguments]
+    result = dlgmd(*given)
+    assert result.exit_code == 1 and "internal error" not in result.stderr, result.output
+    assert "cannot be drawn (no figure today)" in result.stderr
+    assert (tmp_path / record).exists() and hidden(tmp_path) == []
+    assert not list((tmp_path / "dlgmd-out").rglob("*.png"))
+    if name == "batch":
+        assert ",done,,mp.png cannot be drawn" in (tmp_path / record).read_text()
+
+
+def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, tmp_path):
+    make_result([1.0, 2.0]).save(tmp_path / "r")
+    (tmp_path / "x.png").write_text("old")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dlgmd_cli.plots.style.save_figure", lambda *_, **__: 1 / 0)
+        result = dlgmd("plot", "mp", "r", "--out", "x.png", "--overwrite")
+    assert result.exit_code == 1 and (tmp_path / "x.png").read_text() == "old"
+
+
+# One at a time
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["kernels", "--out", "o"],
+        ["evaluate", "labels.csv", "--out", "o"],
+        ["calibrate", "labels.csv", "--out", "o"],
+        ["export", "c", "--out", "o"],
+        ["reproduce", "--only", "fig3", "--out", "o"],
+        ["synth", "quick", "--out", "o"],
+        ["synth", "quick", "--out", "o", "--count", "2"],
+    ],
+    ids=" ".join,
+)
+def test_commands_lock_their_folder(dlgmd, clips, tmp_path, monkeypatch, arguments):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
+    with store.locked(tmp_path / "o"):
+        result = dlgmd(*arguments)
+        assert os.listdir(tmp_path / "o") == [LOCK]
+    assert result.exit_code == 2, result.output
+    assert "another dlgmd command is writing here" in result.stderr
+
+
+def test_a_killed_synth_is_cleaned_up_by_the_next(dlgmd, tmp_path, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    (tmp_path / f"{PREFIX}killed").mkdir()
+    (tmp_path / f"{PREFIX}killed" / "quick.mp4").touch()
+    assert dlgmd("synth", "quick").exit_code == 0
+    assert hidden(tmp_path) == [] and len(os.listdir(tmp_path)) == 3
+
+
+# Records
+
+
+def test_what_differs_is_named():
+    record = {"input": {"path": "a", "bytes": 3}, "r": 4, "options": {"size": "2x2", "crop": "c"}}
+    assert differences(record, identity={"path": "a"}, settings={"r": 4}) == []
+    assert differences(record, identity={"path": "a", "bytes": 4}) == ["input"]
+    assert differences(record, settings={"r": 5, "k": 1}) == ["r", "k"]
+    options = {"size": "2x2", "mask_sha256": "x", "input_fps": 3}
+    assert differences(record, options=options) == ["--mask", "--input-fps", "--crop"]
+    assert differences({}, identity={"path": "a"}) == ["input"]
+
+
+def test_fields_of_another_type_are_left_out(tmp_path):
+    (tmp_path / "run.yaml").write_text(
+        "options: {crop: [1], size: 2x2, 5: 1}\nversions: 7\nset: 9\ncollision_frame: null\n"
+        "input: {path: [], fps: x, height: 0, duration_s: 1" + "0" * 400 + ", frames: 3}\n"
+        "summary: {mp_max: abc, spikes: null}\nwarnings: [a, 1]\nr: {}\nmodels: [{label: 1}, 2]\n"
+    )
+    assert read_record(tmp_path / "run.yaml") == {
+        "options": {"size": "2x2"},
+        "set": 9,
+        "collision_frame": None,
+        "input": {"frames": 3},
+        "summary": {"spikes": None},
+        "warnings": ["a"],
+        "r": {},
+        "models": [{}],
+    }
+
+
+def test_records_never_refer(tmp_path):
+    shared = {"a": [1, 2]}
+    (tmp_path / "x.yaml").write_text(yaml_text({"one": shared, "two": shared}))
+    assert read_record(tmp_path / "x.yaml") == {"one": shared, "two": shared}
+
+
+@POSIX
+@pytest.mark.parametrize("name", ["run.yaml", "mp.csv", "attenuation.csv"])
+def test_pipes_are_not_waited_for(tmp_path, name):
+    make_result([1.0, 2.0]).save(tmp_path)
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ResultError):
+        read_result(tmp_path)
+    for read in (read_labels, lambda path: open_regular(path).close()):
+        with pytest.raises((ResultError, OSError), match="not a regular file"):
+            read(tmp_path / name)
+
+
+@POSIX
+def test_a_mask_that_is_a_pipe_is_one_line(dlgmd, clips, tmp_path):
+    os.mkfifo(tmp_path / "mask.png")
+    result = dlgmd("run", clips / "loom.avi", "--mask", "mask.png")
+    assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
