@@ -4,6 +4,7 @@ A clip with a record is complete if and only if the record exists: the record of
 removed first, and the new one is written last.
 """
 
+import math
 import os
 import re
 import shutil
@@ -22,7 +23,7 @@ from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, 
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import PREFIX, refuse_existing, unwritable
-from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
 
 N_STILLS = 12
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
@@ -67,11 +68,15 @@ class Form:
                 f"{width}x{height} is odd, and a video needs an even width and height",
                 f"Choose {width + width % 2}x{height + height % 2}, or --png.",
             )
+        if self.codec == "h264":
+            if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
+                raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
+            return
         rounded = round(options.fps, 3)
         if rounded != options.fps:
             raise invalid(
                 "--fps",
-                f"{options.fps!r} has more than three decimals, which a video file does not keep",
+                f"{options.fps!r} has more than three decimals, which this video does not keep",
                 f"Choose {rounded:g}, or --png.",
             )
         if self.codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:

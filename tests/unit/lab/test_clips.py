@@ -5,6 +5,7 @@ import math
 import os
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -105,6 +106,10 @@ def test_the_record_names_what_encoded_it(scene, tmp_path):
     *_, exact = write_clip(scene, options, tmp_path / "b", LOSSLESS)
     assert "av" in record_of(coded)["versions"] and record_of(coded)["codec"] == "h264"
     assert "av" not in record_of(exact)["versions"] and record_of(exact)["codec"] == "ffv1"
+    # As exact as an encoder with fractions allows.
+    broadcast = scene.configure({"--frames": 9, "--fps": 30000 / 1001})
+    with pytest.importorskip("av").open(write_clip(scene, broadcast, tmp_path / "c")[0]) as video:
+        assert video.streams.video[0].average_rate == Fraction(30000, 1001)
     # Flights are what players show; flat scenes are the same everywhere.
     flat, _ = write_clip(CUBE, CUBE.configure(SMALL), tmp_path)
     assert b"avc1" in coded_video.read_bytes() and b"mp4v" in flat.read_bytes()
