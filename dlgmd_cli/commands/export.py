@@ -69,7 +69,7 @@ def c(
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
-    from dlgmd_cli.lab.stimuli.looming import ball_approaches
+    from dlgmd_cli.lab.stimuli.flat import ball_approaches
 
     made = Export(setup.params, *size, is_fixed, setup.label)
     contents = files(made, ball_approaches(*size))

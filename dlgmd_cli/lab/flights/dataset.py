@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.lab.flights.scene import FlightOptions
+from dlgmd_cli.lab.flights.scenes import FlightOptions
 from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.lab.stimuli.clip import (
     DrawSheet,
@@ -91,26 +91,19 @@ class FlightSet:
 
     def _differing(self, number: int, facts: dict[str, Any]) -> list[str]:
         """Differences between a record and the requested flight; empty if it is complete."""
-        wanted = identity(self.scene, self.options_of(number), self.form)
-        options, found = wanted.pop("options"), facts.get("options")
-        differing = [key for key, value in wanted.items() if facts.get(key) != value]
-        if not isinstance(found, dict):
-            found = {}
-        differing += [
-            f"--{key}"
-            for key in {**options, **found}
-            if key != "seed" and options.get(key, ...) != found.get(key, ...)
-        ]
-        if differing:
+        wanted = _flat(identity(self.scene, self.options_of(number), self.form))
+        # Options that this version does not know count as well.
+        found = {key: value for key, value in _flat(facts).items() if key[:2] == "--"}
+        found |= {key: facts.get(key) for key in wanted.keys() & facts.keys()}
+        keys = {**wanted, **found}
+        if differing := [key for key in keys if wanted.get(key, ...) != found.get(key, ...)]:
             return differing
-        paths, frame = self.paths_of(number), facts.get("collision_frame", "unsaid")
-        if self.draw_sheet is not None and not (
-            facts.get("sheet") == paths[3].name and paths[3].is_file()
-        ):
+        frames, truth, _, *sheet = self.paths_of(number)
+        if not all(facts.get("sheet") == path.name and path.is_file() for path in sheet):
             return ["without a sheet"]
-        is_said = frame is None or (type(frame) is int and frame >= 0)
-        is_whole = is_said and paths[0].exists() and paths[1].exists()
-        return [] if is_whole else ["damaged"]
+        frame = facts.get("collision_frame", "missing")
+        is_whole = frame is None or (type(frame) is int and frame >= 0)
+        return [] if is_whole and frames.exists() and truth.exists() else ["damaged"]
 
     def _check_labels(self, *, overwrite: bool) -> None:
         """Raise OutputExistsError if there is a file of labels that lists other videos."""
@@ -129,6 +122,15 @@ class FlightSet:
             raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
 
 
+def _flat(facts: dict[str, Any]) -> dict[str, Any]:
+    """A record with its options, but for the seed, by their flags."""
+    options = facts.get("options")
+    if not isinstance(options, dict):
+        options = {}
+    flags = {f"--{key}": value for key, value in options.items() if key != "seed"}
+    return {key: value for key, value in facts.items() if key != "options"} | flags
+
+
 def render_flights(
     flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
 ) -> Iterator[tuple[int, DlgmdError | None]]:
@@ -140,12 +142,11 @@ def render_flights(
     remove_leftovers(flights.folder)
     if jobs == 1:
         for number in numbers:
-            error: DlgmdError | None = None
             try:
                 _render(flights, overwrite, number)
-            except DlgmdError as caught:
-                error = caught
-            yield number, error
+                yield number, None
+            except DlgmdError as error:
+                yield number, error
         return
     try:
         for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):

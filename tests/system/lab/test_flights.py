@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 from flightscenes import SMALL, Quick, scene_of
 
-from dlgmd_cli.lab.flights.geometry import first_contact, surroundings
+from dlgmd_cli.lab.flights.camera import Camera
 from dlgmd_cli.lab.flights.path import REACH_M
-from dlgmd_cli.lab.flights.random_flight import random_flight
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder
-from dlgmd_cli.lab.flights.scene import FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.lab.flights.truth import Target
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene
+from dlgmd_cli.lab.flights.stages import random_flight
+from dlgmd_cli.lab.flights.truth import Target, first_contact, surroundings
+from dlgmd_cli.lab.flights.visibility import PaintOrder
 from dlgmd_cli.results.labels import read_labels
 
 pytestmark = pytest.mark.slow

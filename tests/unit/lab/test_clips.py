@@ -18,8 +18,7 @@ from flightscenes import SHAPE, Quick, stage_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
-from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.truth import FlightTruth
 from dlgmd_cli.lab.stimuli.clip import Form, n_digits, write_clip, write_truth
 from dlgmd_cli.video.opening import open_video

@@ -4,21 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from flightscenes import accelerate, cruise, decelerate, hover, pitch, roll, stand, take_off, yaw
 
-from dlgmd_cli.lab.flights.drone import RESTITUTION, fly
-from dlgmd_cli.lab.flights.renderer.camera import rotation
-from dlgmd_cli.lab.flights.script import (
-    SPIN_UP_S,
-    accelerate,
-    cruise,
-    decelerate,
-    hover,
-    pitch,
-    roll,
-    stand,
-    take_off,
-    yaw,
-)
+from dlgmd_cli.lab.flights.camera import rotation
+from dlgmd_cli.lab.flights.drone import RESTITUTION, SPIN_UP_S, fly
 
 START = (1.0, -2.0, 1.5)
 GRAVITY, DRAG = 9.81, 0.35

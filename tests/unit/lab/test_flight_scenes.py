@@ -72,7 +72,7 @@ def test_a_clip_can_be_cut_but_not_drawn_out(scene):
 
 
 def test_more_frames_than_any_clip_has(scene, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.lab.flights.scene.MAX_FRAMES", 18)
+    monkeypatch.setattr("dlgmd_cli.lab.flights.scenes.MAX_FRAMES", 18)
     with pytest.raises(
         ParameterError, match=r"'--fps': the flight has 19 frames, and .* 18 at mos"
     ):

@@ -7,19 +7,23 @@ import bodies
 import numpy as np
 import pytest
 from bodies import box
+from flightscenes import accelerate, cruise, hover, stand, take_off, yaw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights.camera import Camera
 from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.geometry import Nearest, first_contact
-from dlgmd_cli.lab.flights.image_speed import ImageSpeed
 from dlgmd_cli.lab.flights.path import REACH_M, Stage, State
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.solids import Capsule, Face, Solid, World
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.script import accelerate, cruise, hover, stand, take_off, yaw
-from dlgmd_cli.lab.flights.truth import FlightTruth, Target, truth_rows
+from dlgmd_cli.lab.flights.solids import Capsule, Face, Solid, Texture, World
+from dlgmd_cli.lab.flights.truth import (
+    FlightTruth,
+    ImageSpeed,
+    Nearest,
+    Target,
+    first_contact,
+    truth_rows,
+)
 
 PLAIN = Texture([[0.5]])
 CAMERA = Camera((90, 160), 80.0)

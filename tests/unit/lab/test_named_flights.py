@@ -5,21 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flightscenes import scene_of
+from flightscenes import cruise, hover, scene_of, yaw
 
-from dlgmd_cli.lab.flights.bodies import placement
+from dlgmd_cli.lab.flights.camera import Camera
 from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.furniture import furniture
-from dlgmd_cli.lab.flights.geometry import first_contact
+from dlgmd_cli.lab.flights.furniture import furniture, placement
+from dlgmd_cli.lab.flights.painter import Renderer
 from dlgmd_cli.lab.flights.path import REACH_M, Stage
-from dlgmd_cli.lab.flights.placing import MissedError, obstacle_in_path, with_unique_name
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.painter import Renderer
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World, quad
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.scene import FlightOptions, film
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.lab.flights.script import cruise, hover, yaw
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, film
+from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.lab.flights.stages import MissedError, obstacle_in_path, with_unique_name
+from dlgmd_cli.lab.flights.truth import first_contact
 
 
 def chair(at_m, yaw_deg=0.0):

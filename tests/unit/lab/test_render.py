@@ -10,13 +10,10 @@ from bodies import ball, board, box, capsule, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera, Pose, rotation
-from dlgmd_cli.lab.flights.renderer.coverage import Coverage
-from dlgmd_cli.lab.flights.renderer.painter import Renderer
-from dlgmd_cli.lab.flights.renderer.sensor import Sensor
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World, quad
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder, separating_plane
+from dlgmd_cli.lab.flights.camera import Camera, Pose, Sensor, rotation
+from dlgmd_cli.lab.flights.painter import Coverage, Renderer
+from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.lab.flights.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)

@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.scene import FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES, find_scene
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene, find_scene
 from dlgmd_cli.lab.stimuli.base import Scene
-from dlgmd_cli.lab.stimuli.plain import Patch, disc, rectangle
+from dlgmd_cli.lab.stimuli.flat import Patch, disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"--size": (48, 64), "--frames": 6}

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera, FloatArray, Pose
-from dlgmd_cli.lab.flights.renderer.solids import Body, Capsule, IntArray, Surfaces
-from dlgmd_cli.lab.flights.renderer.texture import Outline
+from dlgmd_cli.lab.flights.camera import Camera, FloatArray, Pose
+from dlgmd_cli.lab.flights.solids import Body, Capsule, IntArray, Outline, Surfaces, box_of
 
 # Near plane; a lens could not focus at this distance either.
 _NEAR_M = 0.01
@@ -26,15 +25,8 @@ def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether each face, (n, n_corners, 3), is entirely beyond one border of the picture."""
     right, down = camera.middle_xy / camera.focal_px
     x, y, depth = np.moveaxis(seen, -1, 0)
-    beyond = np.array(
-        [
-            x - right * depth,
-            -x - right * depth,
-            y - down * depth,
-            -y - down * depth,
-            _NEAR_M - depth,
-        ]
-    )
+    wide, high = right * depth, down * depth
+    beyond = np.array([x - wide, -x - wide, y - high, -y - high, _NEAR_M - depth])
     return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
 
 
@@ -114,8 +106,11 @@ def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
     """
     ends = camera.view(body.ends_m, pose)
     along = ends[1] - ends[0]
-    if _is_inside(ends[0], along, body.radius_m):
-        return None
+    square = float(along @ along)
+    share = min(max(-float(ends[0] @ along) / square, 0.0), 1.0) if square else 0.0
+    nearest = ends[0] + share * along
+    if float(nearest @ nearest) <= body.radius_m * body.radius_m:
+        return None  # the camera is inside
     circles = [_touching_circle(end, body.radius_m, camera) for end in ends]
     clipped = _before_near(np.concatenate(circles))
     if len(clipped) < 3:
@@ -153,14 +148,6 @@ def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
         body.texture,
         body.gain,
     )
-
-
-def _is_inside(end: FloatArray, along: FloatArray, radius: float) -> bool:
-    """Whether the camera is inside a capsule from `end` along a vector."""
-    square = float(along @ along)
-    share = min(max(-float(end @ along) / square, 0.0), 1.0) if square else 0.0
-    nearest = end + share * along
-    return float(nearest @ nearest) <= radius * radius
 
 
 def _upright(
@@ -221,7 +208,7 @@ class PaintOrder:
     def __init__(self, bodies: Sequence[Body]) -> None:
         n = len(bodies)
         self._bodies = list(bodies)
-        boxes = np.array([_box(body) for body in bodies]).reshape(-1, 2, 3)
+        boxes = np.array([box_of(body) for body in bodies]).reshape(-1, 2, 3)
         self._low, self._high = boxes[:, 0], boxes[:, 1]
         # For bodies i and j: normal and offset of up to four planes with i behind and j in front,
         # one along each axis, or one along a face; zeros for none.
@@ -238,7 +225,7 @@ class PaintOrder:
     def move(self, index: int, body: Body) -> None:
         """Replace the body with that index."""
         self._bodies[index] = body
-        self._low[index], self._high[index] = _box(body)
+        self._low[index], self._high[index] = box_of(body)
         others = np.arange(len(self._bodies))
         self._separate(index, others[others != index])
 
@@ -283,7 +270,7 @@ class PaintOrder:
 
 def separating_plane(body: Body, other: Body) -> tuple[float, float, float, float] | None:
     """Normal and offset of a plane with `body` behind it and `other` in front; None without one."""
-    (low, high), (low2, high2) = _box(body), _box(other)
+    (low, high), (low2, high2) = box_of(body), box_of(other)
     line = (low2 + high2 - low - high) / 2.0
     length = float(np.linalg.norm(line))
     candidates = [body.normals, -body.normals, other.normals, -other.normals]
@@ -298,12 +285,6 @@ def separating_plane(body: Body, other: Body) -> tuple[float, float, float, floa
         return None
     x, y, z = normals[best].tolist()
     return x, y, z, float(ends[best] + begins[best]) / 2.0
-
-
-def _box(body: Body) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest coordinates of a body."""
-    axes = np.eye(3)
-    return -body.reach(-axes), body.reach(axes)
 
 
 def _sorted(behind: npt.NDArray[np.bool_], distances: FloatArray) -> list[int]:
