@@ -208,8 +208,8 @@ def test_what_a_killed_process_left_is_removed(synth):
 
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
-    assert result.exit_code == 1
-    assert result.stderr.startswith("quick-0001: Invalid value for '--frames': the flight ends aft")
+    assert result.exit_code == 1 and result.stderr.startswith("quick-0001: ")
+    assert "'--frames': the flight ends aft" in result.stderr
     assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0002.mp4,,wall\n"
 
 
@@ -242,7 +242,6 @@ def test_an_interrupt_before_the_first_flight_leaves_nothing(synth):
     ("arguments", "message"),
     [
         ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
-        ("quick --jobs 2", "--jobs works only with --count. Add it."),
         ("quick --count 0", "Invalid value for '--count': 0 is not in the range"),
         ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
         ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),
