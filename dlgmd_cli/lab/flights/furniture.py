@@ -179,19 +179,15 @@ def _parts(
             middles = at.world(np.reshape(ends, (2, 3)))
             bodies.append(Capsule(name, middles, at.scale * radius, texture, 0.85, motion))
         else:
-            bodies += _boxes(part, name, at, skins, motion)
+            shown = _SHOWN[part.get("shows", "all")]
+            sides = {side: skins[part.get(side, part["skin"])] for side in shown}
+            low, high = np.reshape(part["box"], (2, 3))
+            middle, half = (low + high) / 2, (high - low) / 2
+            for x, y in _MIRRORED[part.get("mirror", "")]:
+                image = middle * (x, y, 1)
+                corners = np.array([image - half, image + half])
+                bodies.append(block(name, at, corners, sides, motion))
     return bodies
-
-
-def _boxes(
-    part: Mapping[str, Any], name: str, where: Placement, skins: Mapping[str, Skin], motion: Any
-) -> list[Body]:
-    """A box and its mirror images."""
-    sides = {side: skins[part.get(side, part["skin"])] for side in _SHOWN[part.get("shows", "all")]}
-    low, high = np.reshape(part["box"], (2, 3))
-    middle, half = (low + high) / 2, (high - low) / 2
-    middles = [middle * (x, y, 1) for x, y in _MIRRORED[part.get("mirror", "")]]
-    return [block(name, where, np.array([m - half, m + half]), sides, motion) for m in middles]
 
 
 def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Skin:

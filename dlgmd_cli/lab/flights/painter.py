@@ -12,7 +12,7 @@ import numpy as np
 
 from dlgmd_cli.lab.flights.camera import Camera, FloatArray, FloatImage, Pose
 from dlgmd_cli.lab.flights.solids import IntArray, Outline, Surfaces, Window, World
-from dlgmd_cli.lab.flights.visibility import PaintOrder, Projector
+from dlgmd_cli.lab.flights.visibility import PaintOrder, visible_outlines
 
 # Rounding tolerance for the height of a window.
 _ROUNDING = 1e-9
@@ -119,7 +119,6 @@ class Renderer:
     def __init__(self, world: World, camera: Camera) -> None:
         self.world, self.camera = world, camera
         self._surfaces = Surfaces([*world.bodies, world.room])
-        self._projector = Projector(self._surfaces)
         self._order = PaintOrder(world.bodies)
 
     def render(
@@ -134,11 +133,11 @@ class Renderer:
         for index, body in enumerate(self.world.bodies):
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
-        outlines = self._projector.outlines(self.camera, pose, offsets)
-        room = outlines.pop(len(self.world.bodies), None)
-        extents = {index: _extent(each) for index, each in outlines.items()}
+        seen = visible_outlines(self._surfaces, self.camera, pose, offsets)
+        room = seen.pop(len(self.world.bodies), [])
+        extents = {index: _extent(each) for index, each in seen.items()}
         order = self._order.back_to_front(pose.position_m, extents)
-        painted = [*([room] if room else []), *(outlines[index] for index in order)]
+        painted = [room, *(seen[index] for index in order)]
         picture = _paint(painted, self.camera, rows or (0, self.camera.shape[0]))
         light = self.world.light(time_s)
         if light != 1.0:
@@ -159,7 +158,7 @@ def _paint(
     every = [outline for outlines in bodies for outline in outlines]
     coverage = Coverage([outline.corners_xy for outline in every], (0, rows[0], width, rows[1]))
     first = 0
-    for outlines in bodies:
+    for outlines in filter(None, bodies):
         left, top, right, bottom = _window(outlines, width, rows)
         before = picture[top:bottom, left:right].copy()
         for index, outline in enumerate(outlines, first):

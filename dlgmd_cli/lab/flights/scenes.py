@@ -182,8 +182,9 @@ def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyIm
             speed = _TOO_FAST_PX_S
         elif half_s > 0.0:
             speed = speeds.fastest(stage.path.state(time_s), time_s)
-        n_pictures = _steps(speed * exposure_s / _BLUR_STEP_PX, _MAX_PICTURES)
-        n_strips = _steps(speed * readout_s / _STRIP_STEP_PX, min(_MAX_STRIPS, n_rows))
+        n_pictures = max(1, min(math.ceil(speed * exposure_s / _BLUR_STEP_PX), _MAX_PICTURES))
+        n_strips = math.ceil(speed * readout_s / _STRIP_STEP_PX)
+        n_strips = max(1, min(n_strips, _MAX_STRIPS, n_rows))
         borders = np.linspace(0, n_rows, n_strips + 1).round().astype(int).tolist()
         strips = []
         for first, last in pairwise(borders):
@@ -194,11 +195,6 @@ def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyIm
                 strip += renderer.render(stage.path.pose(time), time, (first, last))
             strips.append(strip * np.float32(1.0 / n_pictures))
         yield sensor.develop(np.concatenate(strips), index)
-
-
-def _steps(wanted: float, most: int) -> int:
-    """A whole number of steps from 1 to `most`."""
-    return min(max(math.ceil(wanted), 1), most)
 
 
 # Starts where the looming cube ends: each is the other played backwards.

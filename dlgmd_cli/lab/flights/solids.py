@@ -211,6 +211,13 @@ class Face:
         """Width and height of the rectangle."""
         return float(np.linalg.norm(self.right_m)), float(np.linalg.norm(self.down_m))
 
+    @cached_property
+    def texels_per_m(self) -> float:
+        """Resolution of the texture along its finer side."""
+        n_rows, n_columns = self.texture.image.shape
+        right, down = np.sqrt((np.array([self.right_m, self.down_m]) ** 2).sum(axis=1))
+        return max(n_columns / right, n_rows / down)
+
     def moved(self, by_m: FloatArray) -> "Face":
         """The same face elsewhere."""
         return replace(self, corners_m=self.corners_m + by_m, origin_m=self.origin_m + by_m)
@@ -321,7 +328,7 @@ class Surfaces:
         Index of the body of each face and capsule.
     corners_m : ndarray, shape (n_faces, n_corners, 3)
         Faces with fewer corners repeat their last one.
-    normals : ndarray, shape (n_faces, 3)
+    normals, origins_m : ndarray, shape (n_faces, 3)
     capsules : list of Capsule
     ends_m, radii_m : ndarray, shape (n_capsules, 2, 3) and (n_capsules,)
     """
@@ -340,11 +347,18 @@ class Surfaces:
             ]
         ).reshape(-1, most, 3)
         self.normals = np.array([face.normal for face in self.faces]).reshape(-1, 3)
+        self.origins_m = np.array([face.origin_m for face in self.faces]).reshape(-1, 3)
         self.capsules = [body for _, body in capsules]
         self.capsule_body: IntArray = np.array([i for i, _ in capsules], np.intp)
         self.ends_m = np.array([each.ends_m for each in self.capsules], float).reshape(-1, 2, 3)
         self.radii_m = np.array([each.radius_m for each in self.capsules], float)
         self._motions = [(i, body.motion) for i, body in enumerate(bodies) if body.motion]
+
+    @cached_property
+    def shares(self) -> FloatArray:
+        """Of each face, the map from a point to its coordinates along the sides of the texture."""
+        sides = [np.array([face.right_m, face.down_m]) for face in self.faces]
+        return np.array([np.linalg.pinv(pair).T for pair in sides]).reshape(-1, 2, 3)
 
     def offsets(self, time_s: float) -> FloatArray:
         """Displacement of each body at a time, (n_bodies, 3), in m."""

@@ -373,20 +373,23 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
     for index in range(n_frames):
         time = index / fps
         state = stage.path.state(time)
-        x, y, z = state.position_m.tolist()
         distance, angle, rate = target.seen_from(state, time)
         left_s = math.nan
         if contact_s is not None and time <= contact_s + _SAME_S:
             left_s = max(contact_s - time, 0.0)
         yield FlightTruth(
-            index,
-            time,
-            *(x, y, z),
-            *(state.roll_deg, state.pitch_deg, state.yaw_deg),
-            distance,
-            left_s,
-            angle,
-            rate,
-            speeds.fastest(state, time) / fps,
-            stage.path.phase(time),
+            frame=index,
+            time_s=time,
+            x_m=float(state.position_m[0]),
+            y_m=float(state.position_m[1]),
+            z_m=float(state.position_m[2]),
+            roll_deg=state.roll_deg,
+            pitch_deg=state.pitch_deg,
+            yaw_deg=state.yaw_deg,
+            distance_m=distance,
+            time_to_contact_s=left_s,
+            angular_size_deg=angle,
+            angular_velocity_deg_s=rate,
+            max_image_speed_px=speeds.fastest(state, time) / fps,
+            phase=stage.path.phase(time),
         )

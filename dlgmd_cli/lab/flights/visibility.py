@@ -30,59 +30,43 @@ def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
 
 
-class Projector:
-    """Projects bodies to outlines, all planar faces at once."""
-
-    def __init__(self, surfaces: Surfaces) -> None:
-        self._surfaces = surfaces
-        faces = surfaces.faces
-        self._origins = np.array([face.origin_m for face in faces]).reshape(-1, 3)
-        sides = [np.array([face.right_m, face.down_m]) for face in faces]
-        # Maps a point to its coordinates along the sides of the texture.
-        self._shares = np.array([np.linalg.pinv(pair).T for pair in sides]).reshape(-1, 2, 3)
-        self._texels_per_m = [
-            max(face.texture.image.shape[::-1] / np.sqrt((pair**2).sum(axis=1)))
-            for face, pair in zip(faces, sides, strict=True)
-        ]
-
-    def outlines(
-        self, camera: Camera, pose: Pose, offsets_m: FloatArray
-    ) -> dict[int, list[Outline]]:
-        """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
-        found: dict[int, list[Outline]] = {}
-        surfaces = self._surfaces
-        # Instead of moving the bodies, move the camera the other way.
-        eyes = pose.position_m - offsets_m
-        seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
-        origins = self._origins - eyes[surfaces.face_body]
-        heights = (surfaces.normals * origins).sum(axis=1)  # of the faces above the camera
-        chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~is_outside(camera, seen))
-        heights, normals, shares = heights[chosen], surfaces.normals[chosen], self._shares[chosen]
-        rays = pose.camera_from_world.T @ camera.rays_from_xy
-        planes = normals @ rays / heights[:, None]
-        along = (shares * origins[chosen, None]).sum(axis=2)
-        rows = heights[:, None, None] * shares - along[:, :, None] * normals[:, None]
-        from_xy = np.concatenate([rows, normals[:, None]], axis=1) @ rays
-        for place, index in enumerate(chosen):
-            face = surfaces.faces[index]
-            corners = _clip_near(seen[index, : len(face.corners_m)])
-            if len(corners) < 3:
-                continue
-            outline = Outline(
-                camera.flatten(corners)[::-1],
-                planes[place],
-                -float(heights[place]),
-                from_xy[place],
-                self._texels_per_m[index],
-                face.texture,
-                face.gain,
-            )
-            found.setdefault(int(surfaces.face_body[index]), []).append(outline)
-        for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
-            outline_of_it = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
-            if outline_of_it is not None:
-                found[index] = [outline_of_it]
-        return found
+def visible_outlines(
+    surfaces: Surfaces, camera: Camera, pose: Pose, offsets_m: FloatArray
+) -> dict[int, list[Outline]]:
+    """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
+    found: dict[int, list[Outline]] = {}
+    # Instead of moving the bodies, move the camera the other way.
+    eyes = pose.position_m - offsets_m
+    seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
+    origins = surfaces.origins_m - eyes[surfaces.face_body]
+    heights = (surfaces.normals * origins).sum(axis=1)  # of the faces above the camera
+    chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~is_outside(camera, seen))
+    heights, normals, shares = heights[chosen], surfaces.normals[chosen], surfaces.shares[chosen]
+    rays = pose.camera_from_world.T @ camera.rays_from_xy
+    planes = normals @ rays / heights[:, None]
+    along = (shares * origins[chosen, None]).sum(axis=2)
+    rows = heights[:, None, None] * shares - along[:, :, None] * normals[:, None]
+    from_xy = np.concatenate([rows, normals[:, None]], axis=1) @ rays
+    for place, index in enumerate(chosen):
+        face = surfaces.faces[index]
+        corners = _clip_near(seen[index, : len(face.corners_m)])
+        if len(corners) < 3:
+            continue
+        outline = Outline(
+            corners_xy=camera.flatten(corners)[::-1],
+            plane=planes[place],
+            distance_m=-float(heights[place]),
+            texture_from_xy=from_xy[place],
+            texels_per_m=face.texels_per_m,
+            texture=face.texture,
+            gain=face.gain,
+        )
+        found.setdefault(int(surfaces.face_body[index]), []).append(outline)
+    for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
+        round_one = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
+        if round_one is not None:
+            found[index] = [round_one]
+    return found
 
 
 def _clip_near(seen: FloatArray) -> FloatArray:
@@ -140,13 +124,13 @@ def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
     ]
     n_rows, n_columns = body.texture.image.shape
     return Outline(
-        hull[:, 0].astype(np.float64),
-        normal @ rays / distance,
-        abs(distance),
-        np.array([*rows, normal]) @ rays,
-        max(n_columns / width, n_rows / height),
-        body.texture,
-        body.gain,
+        corners_xy=hull[:, 0].astype(np.float64),
+        plane=normal @ rays / distance,
+        distance_m=abs(distance),
+        texture_from_xy=np.array([*rows, normal]) @ rays,
+        texels_per_m=max(n_columns / width, n_rows / height),
+        texture=body.texture,
+        gain=body.gain,
     )
 
 
@@ -262,9 +246,8 @@ class PaintOrder:
         planes[:, :3, :3] = signs[:, :, None] * np.eye(3)
         planes[:, :3, 3] = signs * levels
         for place in np.flatnonzero(~signs.any(axis=1)):
-            planes[place, 3] = (
-                separating_plane(self._bodies[index], self._bodies[others[place]]) or 0.0
-            )
+            other = self._bodies[others[place]]
+            planes[place, 3] = separating_plane(self._bodies[index], other) or 0.0
         self._planes[index, others], self._planes[others, index] = planes, -planes
 
 

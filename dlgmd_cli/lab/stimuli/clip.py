@@ -183,8 +183,16 @@ def write_clip(
             document = {**first, **facts, **sheet, **identity(scene, options, form)}
             temporary[2].write_text(yaml_text(document), encoding="utf-8")
         if draw_sheet is not None:
-            sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
-            draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
+            drawn = ContactSheet(
+                name=name,
+                fps=options.fps,
+                n_frames=n_frames,
+                seed=options.seed,
+                record=facts,
+                images=[*stills.values()],
+                rows=[rows[index] for index in stills],
+            )
+            draw_sheet(drawn, temporary[-1])
         _commit(temporary, paths)
     except OSError as error:
         raise unwritable(paths[0], error) from None

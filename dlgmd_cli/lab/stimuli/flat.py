@@ -114,8 +114,9 @@ def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: floa
     """
     rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
     columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])
-    near_y, far_y = _squared_distances(y)
-    near_x, far_x = _squared_distances(x)
+    # Squared distances from the centre to the nearest and the farthest point of each pixel.
+    near_y, near_x = (np.clip(0.0, each[:-1], each[1:]) ** 2 for each in (y, x))
+    far_y, far_x = (np.maximum(-each[:-1], each[1:]) ** 2 for each in (y, x))
     square = radius_px * radius_px  # `**` would raise OverflowError
     covered = far_y[:, None] + far_x <= square
     coverage = covered.astype(np.float64)
@@ -140,13 +141,6 @@ def _pixel_edges(center: float, reach: float, n_pixels: int) -> tuple[slice, Flo
     high = max(low, high)
     edges: FloatArray = np.arange(low, high + 1, dtype=np.float64) - center
     return slice(low, high), edges
-
-
-def _squared_distances(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squared distances from 0 to the nearest and the farthest point of each pixel."""
-    low, high = edges[:-1], edges[1:]
-    near = np.clip(0.0, low, high)
-    return near**2, np.maximum(-low, high) ** 2
 
 
 def _area_from_center(y: FloatArray, x: FloatArray, radius: float) -> FloatArray:
