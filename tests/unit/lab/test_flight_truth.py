@@ -382,14 +382,20 @@ def test_contact_is_when_the_nearest_point_is_within_reach(body):
     assert first_contact(straight(1.3, 2.2), world) is None
 
 
-def test_only_the_names_that_are_asked_for_count():
+@pytest.mark.parametrize(
+    ("names", "speed", "expected"),
+    [
+        (None, 2.0, 0.95),
+        (["board"], 2.0, 1.45),
+        (["room"], 2.0, None),
+        ([], 2.0, None),
+        (["room"], 10.0, 1.99),
+    ],
+)
+def test_only_the_names_that_are_asked_for_count(names, speed, expected):
     world = World(ROOM, [board(2, 1, "poster"), board(3, 1)])
-    path = straight(2.0, 3.0)
-    assert first_contact(path, world) == pytest.approx(0.95, abs=1e-3)
-    assert first_contact(path, world, ["board"]) == pytest.approx(1.45, abs=1e-3)
-    assert first_contact(path, world, ["room"]) is None
-    assert first_contact(path, world, []) is None
-    assert first_contact(straight(10.0, 3.0), world, ["room"]) == pytest.approx(1.99, abs=0.01)
+    found = first_contact(straight(speed, 3.0), world, names)
+    assert found == (expected and pytest.approx(expected, abs=0.01))
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_a_lamp_that_goes_on_while_the_shutter_is_open_counts_from_then_on():
     for lit_s, share in ((0.51, 0.25), (0.495, 0.625), (0.525, 0.0)):
         world = replace(still.world, light=lambda t, lit_s=lit_s: 1.0 if t >= lit_s else 0.0)
         stage = replace(still, world=world)
-        assert filmed(stage, 0.5, exposure_ms=40.0) == pytest.approx(bright * share, abs=4.0)
+        assert np.abs(filmed(stage, 0.5, exposure_ms=40.0) - bright * share).max() < 4.0
         # Rows that are taken later than that are lit.
         rolled = filmed(stage, 0.5, rolling_shutter_ms=40.0)
         first_lit = round(60 * (1.0 - share))
