@@ -340,12 +340,9 @@ class Surfaces:
         self.faces = [face for _, solid in solids for face in solid.faces]
         self.face_body: IntArray = np.array([i for i, body in solids for _ in body.faces], np.intp)
         most = max((len(face.corners_m) for face in self.faces), default=3)
-        self.corners_m = np.array(
-            [
-                np.pad(face.corners_m, ((0, most - len(face.corners_m)), (0, 0)), "edge")
-                for face in self.faces
-            ]
-        ).reshape(-1, most, 3)
+        each = np.arange(most)
+        padded = [face.corners_m[np.minimum(each, len(face.corners_m) - 1)] for face in self.faces]
+        self.corners_m = np.array(padded).reshape(-1, most, 3)
         self.normals = np.array([face.normal for face in self.faces]).reshape(-1, 3)
         self.origins_m = np.array([face.origin_m for face in self.faces]).reshape(-1, 3)
         self.capsules = [body for _, body in capsules]
