@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.renderer.solids import Capsule, Solid, quad
-from dlgmd_cli.lab.flights.renderer.texture import Texture
+from dlgmd_cli.lab.flights.solids import Capsule, Solid, Texture, quad
 
 
 def plain(level):

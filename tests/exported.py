@@ -9,7 +9,7 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.folder import files, sources
-from dlgmd_cli.lab.stimuli.looming import ball_approaches
+from dlgmd_cli.lab.stimuli.flat import ball_approaches
 
 needs_cc = pytest.mark.skipif(
     not (shutil.which("cc") and shutil.which("make")), reason="cc and make are not installed"

@@ -8,11 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from dlgmd_cli.errors import OutputError
+from dlgmd_cli.lab.flights.drone import PHASES
 from dlgmd_cli.lab.flights.path import Path, Stage, Stretch
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World, quad
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
+from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
 
 SMALL = {"--size": (36, 64)}
 SHAPE = (16, 32)
@@ -22,6 +21,7 @@ SHORT = 8  # the seed of the short flight
 CONTACTS_S = {1: 0.4, 3: 0.41, 5: 0.6, 7: 0.601, 11: 0.28}
 WALL = Solid("wall", [quad((5, 2, 4), (0, -4, 0), (0, 0, -4), Texture([[0.5]]))])
 
+stand, take_off, hover, pitch, accelerate, cruise, decelerate, yaw, _, roll = PHASES.values()
 built = Counter()
 
 

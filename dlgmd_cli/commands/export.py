@@ -68,7 +68,7 @@ def c(
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
-    from dlgmd_cli.lab.stimuli.looming import ball_approaches
+    from dlgmd_cli.lab.stimuli.flat import ball_approaches
     from dlgmd_cli.results.store import file_of
 
     made = Export(setup.params, *size, is_fixed, setup.label)

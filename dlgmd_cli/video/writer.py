@@ -45,14 +45,13 @@ def best_codec() -> str:
 
 
 def playable_fps(fps: float) -> float:
-    """The frame rate closest to `fps` that players support and all three codecs can store."""
+    """The frame rate closest to `fps` that players support; 30000/1001 stays exactly that."""
     lowest, highest = PLAYABLE_FPS
-    rate = min(max(fps, lowest), highest)
-    return round(rate, 3 if rate * 1000 <= MAX_TICKS_PER_S else 2)
+    return float(encoded_rate(min(max(fps, lowest), highest)))
 
 
 def encoded_rate(fps: float) -> Fraction:
-    """The frame rate as H.264 stores it: 29.97 becomes 30000/1001."""
+    """The frame rate as H.264 stores it: 29.97002997 is 30000/1001."""
     return Fraction(fps).limit_denominator(1001)
 
 
@@ -141,7 +140,9 @@ def write_video(
 def _by_opencv(
     fourcc: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
 ) -> Iterator[Write]:
-    """OpenCV's encoder."""
+    """OpenCV's encoder, which keeps three decimals of a frame rate: 30000/1001 becomes 29.97."""
+    if fourcc == _FOURCC["mpeg4"] and fps * 1000 > MAX_TICKS_PER_S:
+        fps = round(fps, 2)
     # FFV1 is lossless only if grey frames are passed as grey (the last argument).
     writer = cv2.VideoWriter(
         name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*fourcc), fps, shape[::-1], is_colour

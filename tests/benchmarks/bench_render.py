@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.painter import Renderer
+from dlgmd_cli.lab.flights.camera import Camera
+from dlgmd_cli.lab.flights.painter import Renderer
 from dlgmd_cli.lab.flights.scenes import SCENES
 
 SIZES = [(360, 640), (1080, 1920)]

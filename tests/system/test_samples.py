@@ -10,8 +10,7 @@ import pytest
 import yaml
 from conftest import read_video
 
-from dlgmd_cli.lab.flights.scene import FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene
 
 pytestmark = pytest.mark.slow
 

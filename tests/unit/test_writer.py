@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def write(path, n=12, codec="mpeg4", fps=25.0):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-@pytest.mark.parametrize("fps", [25.0, 29.97, 59.94, 1.0, 240.0])
+@pytest.mark.parametrize("fps", [25.0, 30000 / 1001, 123.4567, 1.0, 240.0])
 def test_a_video_comes_back(tmp_path, codec, fps):
     path = write(tmp_path / "x.mp4", codec=codec, fps=playable_fps(fps))
     rate, frames = read_video(path)
@@ -46,9 +47,9 @@ def test_a_video_comes_back(tmp_path, codec, fps):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_names_that_decoders_read_otherwise(tmp_path, codec):
-    for name in ("a%03d.mp4", "b:c.mp4", "d$e f.mp4"):
-        assert count_frames(write(tmp_path / name, codec=codec)) == 12
+@pytest.mark.parametrize("name", ["a%03d.mp4", "b:c.mp4", "d$e f.mp4"])
+def test_names_that_decoders_read_otherwise(tmp_path, codec, name):
+    assert count_frames(write(tmp_path / name, codec=codec)) == 12
 
 
 def test_h264_is_what_browsers_play(tmp_path):
@@ -102,10 +103,18 @@ except OutputError as error:
 
 @pytest.mark.parametrize(
     ("fps", "expected"),
-    [(30.0, 30.0), (30000 / 1001, 29.97), (120000 / 1001, 119.88), (0.2, 1.0), (5000.0, 240.0)],
+    [(30.0, 30.0), (30000 / 1001, 30000 / 1001), (29.97, 29.97), (0.2, 1.0), (5000.0, 240.0)],
 )
 def test_playable_rates(fps, expected):
     assert playable_fps(fps) == expected
+
+
+@pytest.mark.parametrize("fps", [24000, 30000, 60000, 120000])
+def test_a_rate_of_broadcasts_is_kept_exactly(tmp_path, fps):
+    av = pytest.importorskip("av")
+    path = write(tmp_path / "x.mp4", codec="h264", fps=playable_fps(fps / 1001))
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].average_rate == Fraction(fps, 1001)
 
 
 def test_an_error_leaves_what_was_there(tmp_path):

@@ -9,13 +9,12 @@ import math
 import cv2
 import numpy as np
 
-from dlgmd_cli.lab.flights.drone import fly
+from dlgmd_cli.lab.flights.camera import FloatImage
+from dlgmd_cli.lab.flights.drone import PHASES, fly
 from dlgmd_cli.lab.flights.path import REACH_M, Stage
-from dlgmd_cli.lab.flights.placing import FRAME_S
-from dlgmd_cli.lab.flights.renderer.solids import Body, Capsule, Motion, Solid, World, quad
-from dlgmd_cli.lab.flights.renderer.texture import FloatImage, Texture
-from dlgmd_cli.lab.flights.rooms import Interior
-from dlgmd_cli.lab.flights.script import hover
+from dlgmd_cli.lab.flights.rooms import walls
+from dlgmd_cli.lab.flights.solids import Body, Capsule, Solid, Texture, World
+from dlgmd_cli.lab.flights.stages import FRAME_S
 from dlgmd_cli.lab.flights.textures import Rng, reflectance, smooth_noise
 
 CONTACT_FRAME = 61
@@ -42,11 +41,9 @@ def ball_and_capsules(seed: int, _agile: bool | None = None) -> Stage:
 
     center = _EYE + np.array([arrives_m, 0.0, 0.0])
     ball = Capsule("ball", np.array([center, center]), _BALL_M, _ball_texture(rng), motion=approach)
-    walls = Interior((60.0, 80.0, 40.0)).walls().values()
-    white = Texture(_BACKGROUND)
-    room = Solid("room", [quad(w.origin_m, w.right_m, w.down_m, white) for w in walls])
+    room = Solid("room", [*walls((60.0, 80.0, 40.0), Texture(_BACKGROUND)).values()])
     capsules = [_capsule(rng, down, pace) for down, pace in _CAPSULES]
-    path = fly([hover(contact_s + FRAME_S)], position_m=_EYE, seed=seed, jitter=0.0)
+    path = fly([PHASES["hover"](contact_s + FRAME_S)], position_m=_EYE, seed=seed, jitter=0.0)
     return Stage(World(room, [ball, *capsules]), path, "ball", contact_s, contact_s)
 
 
@@ -57,13 +54,12 @@ def _capsule(rng: Rng, down_px: float, px_per_frame: float) -> Body:
     middle = _EYE + np.array([_CAPSULES_AT_M, -_START_PX * scale, -down_px * scale])
     half = np.array([0.0, 0.0, (height - width) / 2.0])
     ends = np.array([middle - half, middle + half])
-    passing = _sideways(px_per_frame * scale / FRAME_S)
+    speed_m_s = px_per_frame * scale / FRAME_S
+
+    def passing(time_s: float) -> tuple[float, float, float]:
+        return 0.0, -speed_m_s * time_s, 0.0
+
     return Capsule("capsule", ends, width / 2.0, _capsule_texture(rng), motion=passing)
-
-
-def _sideways(speed_m_s: float) -> Motion:
-    """Motion to the right in the picture."""
-    return lambda time_s: (0.0, -speed_m_s * time_s, 0.0)
 
 
 def _ball_texture(rng: Rng) -> Texture:

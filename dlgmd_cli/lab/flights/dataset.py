@@ -8,7 +8,7 @@ from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
 from dlgmd_cli.files import remove_leftovers
-from dlgmd_cli.lab.flights.scene import FlightOptions
+from dlgmd_cli.lab.flights.scenes import FlightOptions
 from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.lab.stimuli.clip import (
     DrawSheet,
@@ -95,12 +95,10 @@ class FlightSet:
         differing = differences(facts, options=wanted.pop("options"), settings=wanted)
         if differing:
             return [key for key in differing if key != "--seed"]
-        paths = self.paths_of(number)
-        if self.draw_sheet is not None and not (
-            facts.get("sheet") == paths[3].name and paths[3].is_file()
-        ):
+        frames, truth, _, *sheet = self.paths_of(number)
+        if not all(facts.get("sheet") == path.name and path.is_file() for path in sheet):
             return ["without a sheet"]
-        is_whole = "collision_frame" in facts and paths[0].exists() and paths[1].exists()
+        is_whole = "collision_frame" in facts and frames.exists() and truth.exists()
         return [] if is_whole else ["damaged"]
 
     def _check_labels(self, *, overwrite: bool) -> None:
@@ -120,6 +118,15 @@ class FlightSet:
             raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
 
 
+def _flat(facts: dict[str, Any]) -> dict[str, Any]:
+    """A record with its options, but for the seed, by their flags."""
+    options = facts.get("options")
+    if not isinstance(options, dict):
+        options = {}
+    flags = {f"--{key}": value for key, value in options.items() if key != "seed"}
+    return {key: value for key, value in facts.items() if key != "options"} | flags
+
+
 def render_flights(
     flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
 ) -> Iterator[tuple[int, DlgmdError | None]]:
@@ -129,12 +136,11 @@ def render_flights(
     """
     if jobs == 1:
         for number in numbers:
-            error: DlgmdError | None = None
             try:
                 _render(flights, overwrite, number)
-            except DlgmdError as caught:
-                error = caught
-            yield number, error
+                yield number, None
+            except DlgmdError as error:
+                yield number, error
         return
     try:
         for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):

@@ -6,16 +6,78 @@ commands are smoothed first, as on a stabilised camera drone.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import accumulate, pairwise
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.lab.flights.camera import FloatArray
 from dlgmd_cli.lab.flights.path import Path, Stretch
-from dlgmd_cli.lab.flights.renderer.camera import FloatArray
-from dlgmd_cli.lab.flights.script import SPIN_UP_S, Phase, hover
+
+# Time until the propellers carry the weight.
+SPIN_UP_S = 0.5
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a flight with constant commands.
+
+    Attributes
+    ----------
+    forward : str
+        Control of the forward speed: "stand" on the floor, "hold" the position, "keep" the initial
+        speed, "tilt" by `pitch_deg` regardless of the speed, or "brake" with `pitch_deg` and then
+        hold the position.
+    pitch_deg, roll_deg, yaw_rate_deg_s : float
+        Positive for nose up, right side down, and counter-clockwise as seen from above. Without
+        `roll_deg`, the drone banks so as not to slip sideways.
+    climb_m : float
+        Gain in height; the drone can climb at most about 1.4 (seconds - 0.5)² m.
+    """
+
+    name: str
+    seconds: float
+    forward: Literal["stand", "hold", "keep", "tilt", "brake"]
+    pitch_deg: float = 0.0
+    roll_deg: float | None = None
+    yaw_rate_deg_s: float = 0.0
+    climb_m: float = 0.0
+
+
+# The phases of scripts. All begin with their duration; angles are in degrees.
+PHASES: dict[str, Callable[..., Phase]] = {
+    # Stand on the floor with the motors off; only before the first take-off.
+    "stand": lambda seconds: Phase("stand", seconds, "stand"),
+    # Climb, vertically or with a constant pitch. As the first phase or after "stand", the
+    # propellers spin up before the drone leaves the floor.
+    "take_off": lambda seconds, height_m, pitch=0.0: Phase(
+        "take off", seconds, "tilt" if pitch else "hold", pitch, climb_m=height_m
+    ),
+    # Stop and hold the position.
+    "hover": lambda seconds: Phase("hover", seconds, "hold"),
+    # Pitch up (positive) or down (negative) and keep that angle.
+    "pitch": lambda seconds, pitch: Phase("pitch", seconds, "tilt", pitch),
+    # Accelerate with the nose down (a negative angle); drag limits the speed.
+    "accelerate": lambda seconds, pitch: Phase("accelerate", seconds, "tilt", pitch),
+    # Keep the initial forward speed, straight on or in a banked turn.
+    "cruise": lambda seconds, rate=0.0: Phase("cruise", seconds, "keep", yaw_rate_deg_s=rate),
+    # Brake with the nose up (a positive angle), then hold the position.
+    "decelerate": lambda seconds, pitch: Phase("decelerate", seconds, "brake", pitch),
+    # Turn about the vertical axis, on the spot or in a curve, at the initial forward speed or with
+    # a constant pitch.
+    "yaw": lambda seconds, rate, pitch=0.0: Phase(
+        "yaw", seconds, "tilt" if pitch else "keep", pitch, yaw_rate_deg_s=rate
+    ),
+    # Do everything at once: change speed, roll, turn, and climb or sink.
+    "weave": lambda seconds, pitch, roll, rate, climb_m: Phase(
+        "weave", seconds, "tilt", pitch, roll, rate, climb_m
+    ),
+    # Roll right (positive) or left (negative) and slip sideways, keeping the forward speed.
+    "roll": lambda seconds, roll: Phase("roll", seconds, "keep", roll_deg=roll),
+}
 
 STEP_S = 0.001
 GRAVITY_M_S2 = 9.81
@@ -59,6 +121,8 @@ _DISTURBANCES = (
     *((math.radians(0.25), 0.2), (math.radians(0.25), 0.2), (math.radians(1.0), 0.4)),
 )
 _Gust = tuple[float, ...]
+# Roll and pitch in rad, yaw rate in rad/s, and acceleration upwards in m/s².
+_Commands = tuple[float, float, float, float]
 
 
 def fly(
@@ -92,14 +156,9 @@ def fly(
     agile : bool
         Whether commands are followed at once, as by a racing drone, instead of smoothed.
     """
-    starts = [0.0]
-    for each in script:
-        starts.append(starts[-1] + each.seconds)
+    starts = list(accumulate((phase.seconds for phase in script), initial=0.0))
     duration = starts[-1]
-    phases = tuple(
-        (phase.name, start, end)
-        for phase, start, end in zip(script, starts[:-1], starts[1:], strict=True)
-    )
+    phases = [(phase.name, *ends) for phase, ends in zip(script, pairwise(starts), strict=True)]
     n_steps = math.ceil(duration / STEP_S) + 2
     gusts = _gusts(n_steps, seed, jitter)
     drone = _start(script[0], position_m, yaw_deg, speed_m_s)
@@ -110,7 +169,7 @@ def fly(
     pilot = _Pilot(drone, agile=agile)
     first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
     if contact_s is None:
-        return Path((first,), phases)
+        return Path((first,), tuple(phases))
     after = _after_contact(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
     kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
@@ -149,15 +208,6 @@ def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
     return list(zip(*channels, strict=True))
 
 
-class _Commands(NamedTuple):
-    """Roll and pitch in rad, yaw rate in rad/s, and acceleration upwards in m/s²."""
-
-    roll: float
-    pitch: float
-    yaw_rate: float
-    lift: float
-
-
 @dataclass(slots=True)
 class _Drone:
     """Position and velocity in the world, attitude, and thrust per mass; m, rad and s.
@@ -189,14 +239,15 @@ class _Drone:
             *(self.roll_rate, self.pitch_rate, self.yaw_rate),
         )
 
-    def advance(self, orders: _Commands, gust: _Gust) -> None:
+    def advance(self, commands: _Commands, gust: _Gust) -> None:
         """Advance by one time step."""
+        to_roll, to_pitch, to_yaw_rate, to_lift = commands
         wind_x, wind_y, wind_z, sway, nod, swing = gust
         cr, sr = math.cos(self.roll), math.sin(self.roll)
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)
         cy, sy = math.cos(self.yaw), math.sin(self.yaw)
         thrust = self.thrust
-        asked = min(max((GRAVITY_M_S2 + orders.lift) / (cp * cr), 0.0), _MAX_THRUST_M_S2)
+        asked = min(max((GRAVITY_M_S2 + to_lift) / (cp * cr), 0.0), _MAX_THRUST_M_S2)
         self.thrust += (asked - thrust) / _MOTOR_LAG_S * STEP_S
         ahead, left = -thrust * sp * cr, -thrust * sr
         lift = thrust * cp * cr - GRAVITY_M_S2
@@ -211,9 +262,9 @@ class _Drone:
         self.y, self.vy = _integrated(self.y, self.vy, ay)
         self.z, self.vz = _integrated(self.z, self.vz, az)
         w = _ATTITUDE_RAD_S
-        roll_pull = w * (w * (orders.roll + sway - self.roll) - 2.0 * self.roll_rate)
-        pitch_pull = w * (w * (orders.pitch + nod - self.pitch) - 2.0 * self.pitch_rate)
-        yaw_pull = (orders.yaw_rate + swing - self.yaw_rate) / _YAW_LAG_S
+        roll_pull = w * (w * (to_roll + sway - self.roll) - 2.0 * self.roll_rate)
+        pitch_pull = w * (w * (to_pitch + nod - self.pitch) - 2.0 * self.pitch_rate)
+        yaw_pull = (to_yaw_rate + swing - self.yaw_rate) / _YAW_LAG_S
         self.roll, self.roll_rate = _integrated(self.roll, self.roll_rate, roll_pull)
         self.pitch, self.pitch_rate = _integrated(self.pitch, self.pitch_rate, pitch_pull)
         self.yaw, self.yaw_rate = _integrated(self.yaw, self.yaw_rate, yaw_pull)
@@ -260,7 +311,7 @@ def _after_contact(
     drone.pitch_rate = rates[1] + math.radians(kick)
     drone.yaw_rate = rates[2] + math.radians(kick * swing)
     hold = drone.x + _BACK_OFF_M * back[0], drone.y + _BACK_OFF_M * back[1]
-    samples = _simulated(drone, _Pilot(drone, hold, agile=agile), {0: hover(1.0)}, gusts)
+    samples = _simulated(drone, _Pilot(drone, hold, agile=agile), {0: PHASES["hover"](1.0)}, gusts)
     return Stretch(contact_s, STEP_S, samples)
 
 
@@ -341,9 +392,17 @@ class _Pilot:
         roll = min(max(-math.atan2(leftwards, GRAVITY_M_S2), -_MAX_LEAN), _MAX_LEAN)
         if self._phase.roll_deg is not None:
             roll = math.radians(self._phase.roll_deg)
+        most_rad_s2 = math.inf
         if self._eased:
             roll, pitch = self._eased[0].follow(roll), self._eased[1].follow(pitch)
-        return _Commands(roll, pitch, self._turn(drone), self._lift(drone, time_s))
+            most_rad_s2 = _YAW_RAD_S2
+        self._turns = _rate_limited(self._turns, self._yaw_rate, most_rad_s2)
+        # The heading of an undisturbed drone.
+        was = self._heading_rate
+        self._heading_rate += (self._turns - was) / _YAW_LAG_S * STEP_S
+        yaw_rate = self._turns + _HEADING_GAIN * (self._heading - drone.yaw)
+        self._heading += 0.5 * (was + self._heading_rate) * STEP_S
+        return roll, pitch, yaw_rate, self._lift(drone, time_s)
 
     def _stay(self, drone: _Drone) -> tuple[float, float]:
         """Acceleration along x and y that stops the drone and then holds its position."""
@@ -354,16 +413,6 @@ class _Pilot:
             _SPEED_GAIN * (_PLACE_GAIN * (to_x - drone.x) - drone.vx),
             _SPEED_GAIN * (_PLACE_GAIN * (to_y - drone.y) - drone.vy),
         )
-
-    def _turn(self, drone: _Drone) -> float:
-        """Yaw rate that keeps the heading of an undisturbed drone."""
-        eases = self._eased is not None
-        self._turns = _rate_limited(self._turns, self._yaw_rate, _YAW_RAD_S2 if eases else math.inf)
-        was = self._heading_rate
-        self._heading_rate += (self._turns - was) / _YAW_LAG_S * STEP_S
-        wanted = self._turns + _HEADING_GAIN * (self._heading - drone.yaw)
-        self._heading += 0.5 * (was + self._heading_rate) * STEP_S
-        return wanted
 
     def _lift(self, drone: _Drone, time_s: float) -> float:
         """Vertical acceleration that holds the height, or climbs on a minimum-jerk trajectory."""

@@ -1,24 +1,23 @@
-"""Building the furniture described in `furniture.yaml`."""
+"""Furniture: boxes, panels and capsules, put together as described in `furniture.yaml`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
-from dlgmd_cli.lab.flights import pictures, textures
-from dlgmd_cli.lab.flights.bodies import SIDES, Placement, Skin, block, panel
-from dlgmd_cli.lab.flights.renderer.solids import Body, Capsule, Motion
-from dlgmd_cli.lab.flights.renderer.texture import Texture
+from dlgmd_cli.lab.flights import textures
+from dlgmd_cli.lab.flights.camera import FloatArray, rotation
+from dlgmd_cli.lab.flights.solids import Body, Capsule, Face, Motion, Solid, Texture, quad
 from dlgmd_cli.lab.flights.textures import Rng, Size
 
-CATALOGUE = Path(__file__).with_name("furniture.yaml")
-_PICTURES = {**vars(textures), **vars(pictures)}
 # Visible faces of a box, by the values of `shows`.
 _SHOWN = {
-    "all": SIDES,
+    "all": ("front", "back", "left", "right", "top", "bottom"),
     "standing": ("front", "back", "left", "right", "top"),
     "at a wall": ("front", "left", "right", "top"),
     "around": ("front", "back", "left", "right"),
@@ -29,12 +28,116 @@ _MIRRORED = {
     "y": ((1, 1), (1, -1)),
     "xy": ((1, 1), (1, -1), (-1, 1), (-1, -1)),
 }
+_ABOVE, _BELOW, _LEVEL = 1.0, 0.45, 0.72  # share of the light on faces facing up, down, sideways
+_LAMP_SIDE = np.array([0.1, -0.15, 0.0])
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The texture of a face.
+
+    A picture with a size (width and height, in m) is cut to the face, with its height along the
+    longer side. A picture without a size is stretched to fill the face.
+    """
+
+    texture: Texture
+    size_m: Size | None = None
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Position, orientation and scale of an object; its own axes are front (x), left (y), up (z).
+
+    Attributes
+    ----------
+    at_m : ndarray, shape (3,)
+        Its origin in the world.
+    axes : ndarray, shape (3, 3)
+        Its axes in the world, as columns; their length is the scale.
+    """
+
+    at_m: FloatArray
+    axes: FloatArray
+
+    @property
+    def scale(self) -> float:
+        """Scale relative to the catalogue."""
+        return float(np.linalg.norm(self.axes[:, 0]))
+
+    def world(self, points_m: npt.ArrayLike) -> FloatArray:
+        """Points, (..., 3), from object to world coordinates."""
+        points: FloatArray = self.at_m + np.asarray(points_m, float) @ self.axes.T
+        return points
+
+    def inside(
+        self, at_m: npt.ArrayLike, yaw_deg: float = 0.0, pitch_deg: float = 0.0
+    ) -> "Placement":
+        """A placement given in the coordinates of this one."""
+        return Placement(self.world(at_m), self.axes @ rotation(0.0, pitch_deg, yaw_deg))
+
+
+def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -> Placement:
+    """A placement at (x, y) on the floor, or at (x, y, z)."""
+    x, y, z = (*at_m, 0.0)[:3]
+    return Placement(np.array([x, y, z], float), scale * rotation(0.0, 0.0, yaw_deg))
+
+
+def block(
+    name: str, where: Placement, corners_m: FloatArray, skins: Mapping[str, Skin], motion: Any
+) -> Solid:
+    """A box between two corners, (2, 3) in object coordinates, the lower one first.
+
+    It has only the sides that have skins: "front" (+x), "back", "left" (+y), "right", "top" and
+    "bottom". Sides that can never be seen may be left out.
+    """
+    (x0, y0, z0), (x1, y1, z1) = corners_m.tolist()
+    dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
+    # Top left corner, right and down, as seen from outside.
+    frames = {
+        "front": ((x1, y0, z1), (0, dy, 0), (0, 0, -dz)),
+        "back": ((x0, y1, z1), (0, -dy, 0), (0, 0, -dz)),
+        "left": ((x1, y1, z1), (-dx, 0, 0), (0, 0, -dz)),
+        "right": ((x0, y0, z1), (dx, 0, 0), (0, 0, -dz)),
+        "top": ((x0, y0, z1), (0, dy, 0), (dx, 0, 0)),
+        "bottom": ((x1, y0, z0), (0, dy, 0), (-dx, 0, 0)),
+    }
+    faces = [_face(where, covered, *frames[side]) for side, covered in skins.items()]
+    return Solid(name, faces, motion)
+
+
+def panel(name: str, where: Placement, size_m: Size, covered: Skin, motion: Motion | None) -> Solid:
+    """An upright flat picture facing +x; its placement is at the middle of the bottom edge."""
+    width, height = size_m
+    face = _face(where, covered, (0, -width / 2, height), (0, width, 0), (0, 0, -height))
+    return Solid(name, [face], motion)
+
+
+def _face(where: Placement, covered: Skin, *lines: npt.ArrayLike) -> Face:
+    """A face with a skin, lit by lamps above; `lines` are its origin, right and down."""
+    at = where.world(lines[0])
+    across, along = (where.axes @ np.asarray(side, float) for side in lines[1:])
+    width, height = float(np.linalg.norm(across)), float(np.linalg.norm(along))
+    normal = np.cross(along, across) / (width * height)
+    up = normal[2] ** 2
+    most = _ABOVE if normal[2] > 0 else _BELOW
+    gain = min(1.0, float((1.0 - up) * _LEVEL + up * most + _LAMP_SIDE @ normal))
+    face = quad(at, across, along, covered.texture, gain)
+    if covered.size_m is None:
+        return face
+    if width > height:
+        at, across, along = at + along, -along, across
+        width, height = height, width
+    across = across * max(1.0, covered.size_m[0] / width)
+    along = along * max(1.0, covered.size_m[1] / height)
+    return Face(face.corners_m, covered.texture, at, across, along, gain)
 
 
 @cache
 def catalogue() -> dict[str, dict[str, Any]]:
     """The contents of `furniture.yaml`: `pieces`, and furniture `at_walls`, each by name."""
-    found: dict[str, dict[str, Any]] = yaml.safe_load(CATALOGUE.read_text("utf-8"))
+    found: dict[str, dict[str, Any]] = yaml.safe_load(
+        Path(__file__).with_name("furniture.yaml").read_text("utf-8")
+    )
     return found
 
 
@@ -57,14 +160,14 @@ def _parts(
 ) -> list[Body]:
     """The bodies of a catalogue entry, in its order."""
     tones = {name: _number(spec, {}, rng) for name, spec in entry.get("tones", {}).items()}
-    parts = entry["parts"]
-    sizes = {part["skin"]: tuple(part["panel"]) for part in parts if "panel" in part}
+    # A skin without a size takes that of the panel it is on.
+    sizes = {part["skin"]: part["panel"] for part in entry["parts"] if "panel" in part}
     skins = {
-        name: _skin(spec, sizes.get(name), tones, rng)
+        name: _skin({"size_m": sizes.get(name), **spec}, tones, rng)
         for name, spec in entry.get("skins", {}).items()
     }
     bodies: list[Body] = []
-    for part in parts:
+    for part in entry["parts"]:
         at = where.inside(part.get("at", (0, 0, 0)), part.get("yaw", 0.0), part.get("pitch", 0.0))
         if "piece" in part:
             bodies += furniture(part["piece"], rng, at, motion=motion)
@@ -76,32 +179,26 @@ def _parts(
             middles = at.world(np.reshape(ends, (2, 3)))
             bodies.append(Capsule(name, middles, at.scale * radius, texture, 0.85, motion))
         else:
-            bodies += _boxes(part, name, at, skins, motion)
+            shown = _SHOWN[part.get("shows", "all")]
+            sides = {side: skins[part.get(side, part["skin"])] for side in shown}
+            low, high = np.reshape(part["box"], (2, 3))
+            middle, half = (low + high) / 2, (high - low) / 2
+            for x, y in _MIRRORED[part.get("mirror", "")]:
+                image = middle * (x, y, 1)
+                corners = np.array([image - half, image + half])
+                bodies.append(block(name, at, corners, sides, motion))
     return bodies
 
 
-def _boxes(
-    part: Mapping[str, Any], name: str, where: Placement, skins: Mapping[str, Skin], motion: Any
-) -> list[Body]:
-    """A box and its mirror images."""
-    sides = {side: skins[part.get(side, part["skin"])] for side in _SHOWN[part.get("shows", "all")]}
-    low, high = np.reshape(part["box"], (2, 3))
-    middle, half = (low + high) / 2, (high - low) / 2
-    middles = [middle * (x, y, 1) for x, y in _MIRRORED[part.get("mirror", "")]]
-    return [block(name, where, np.array([m - half, m + half]), sides, motion) for m in middles]
-
-
-def _skin(
-    spec: Mapping[str, Any], size_m: Size | None, tones: Mapping[str, float], rng: Rng
-) -> Skin:
+def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Skin:
     """A skin of the catalogue with random details."""
     if "plain" in spec:
         return Skin(Texture(_number(spec["plain"], tones, rng)))
-    size = size_m or tuple(spec["size_m"])
+    size = tuple(spec["size_m"])
     looks = {"tone": _number(spec["tone"], tones, rng)} if "tone" in spec else {}
-    draw = _PICTURES[spec["cut"] if "cut" in spec else spec["fill"]]
-    image = draw(rng, size, spec["px_per_m"], **looks)
-    return Skin(Texture(image), size if "cut" in spec else None)
+    draw = getattr(textures, spec["cut"] if "cut" in spec else spec["fill"])
+    texture = Texture(draw(rng, size, spec["px_per_m"], **looks))
+    return Skin(texture, size if "cut" in spec else None)
 
 
 def _number(spec: Any, tones: Mapping[str, float], rng: Rng) -> float:

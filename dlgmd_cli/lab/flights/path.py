@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.renderer.camera import FloatArray, Pose, rotation
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World
+from dlgmd_cli.lab.flights.camera import FloatArray, Pose, rotation
+from dlgmd_cli.lab.flights.solids import Solid, World
 
 # Distance from the camera to the drone's hull: contact is at this distance.
 REACH_M = 0.1
@@ -20,8 +20,8 @@ _SAME_S = 1e-9
 class State:
     """State of the drone at an instant.
 
-    For the angles, see `rotation` in renderer/camera.py; yaw exceeds 360 after a full turn. The
-    angular velocity, (3,), is in world coordinates.
+    For the angles, see `rotation`; yaw exceeds 360 after a full turn. The angular velocity, (3,),
+    is in world coordinates.
     """
 
     position_m: FloatArray
@@ -103,9 +103,13 @@ class Path:
         time = min(max(time_s, 0.0), self.duration_s)
         begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
         position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
-        roll, pitch, yaw = (math.degrees(angle) for angle in angles)
-        spin = _angular_velocity(angles, rates)
-        return State(position, velocity, roll, pitch, yaw, spin)
+        _, pitch, yaw = angles
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])
+        spin = about_nose * rates[0] + np.array([sin, -cos, 0.0]) * rates[1]
+        spin[2] += rates[2]
+        roll_deg, pitch_deg, yaw_deg = map(math.degrees, angles.tolist())
+        return State(position, velocity, roll_deg, pitch_deg, yaw_deg, spin)
 
     def pose(self, time_s: float) -> Pose:
         """Position and attitude of the camera; see `state`."""
@@ -137,14 +141,3 @@ class Stage:
     duration_s: float
     agile: bool = False
     wall: Solid | None = None
-
-
-def _angular_velocity(angles: FloatArray, rates: FloatArray) -> FloatArray:
-    """Angular velocity in world coordinates, from roll, pitch and yaw in rad and their rates."""
-    _, pitch, yaw = angles
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])
-    about_right = np.array([sin, -cos, 0.0])
-    spin: FloatArray = about_nose * rates[0] + about_right * rates[1]
-    spin[2] += rates[2]
-    return spin

@@ -1,24 +1,27 @@
 """Furnished rooms to fly through, along the x axis in the middle of the floor.
 
-In all functions, `obstacles` are the bodies that a flight hits or passes. They are not part of the
-furniture. Furniture is placed clear of them, and those at rest cast shadows.
+A room extends over x from 0 to its length, y from -width/2 to width/2, and z from 0 to its height.
+In all functions, `size_m` is (length, width, height), and `obstacles` are the bodies that a flight
+hits or passes. Furniture is placed clear of them, and those at rest cast shadows.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.lab.flights import textures
-from dlgmd_cli.lab.flights.bodies import placement
-from dlgmd_cli.lab.flights.furniture import catalogue, furniture_at_wall
-from dlgmd_cli.lab.flights.pictures import ceiling_panels
-from dlgmd_cli.lab.flights.renderer.camera import FloatArray
-from dlgmd_cli.lab.flights.renderer.solids import Body, Solid, quad
-from dlgmd_cli.lab.flights.renderer.texture import FloatImage, Texture
+from dlgmd_cli.lab.flights.camera import FloatArray, FloatImage
+from dlgmd_cli.lab.flights.furniture import catalogue, furniture_at_wall, placement
+from dlgmd_cli.lab.flights.solids import Body, Face, Solid, Texture, World, quad
 from dlgmd_cli.lab.flights.textures import Rng, reflectance
+
+Size3 = tuple[float, float, float]
+
+# Light in a room: a white surface facing the lamps is just saturated in the camera.
+DAYLIGHT = 1.35
 
 _WALL_PX_PER_M, _FLOOR_PX_PER_M, _CEILING_PX_PER_M = 250.0, 200.0, 120.0
 _GAINS = {"near": 0.82, "far": 0.85, "left": 0.9, "right": 0.78, "floor": 0.95, "ceiling": 0.85}
@@ -39,95 +42,55 @@ _DEEPEST = 0.6
 _FADE_M = 0.25
 _FARTHEST_M = 0.9
 
-
-@dataclass(frozen=True)
-class Wall:
-    """A side of a room seen from inside; origin, right and down are as in `Face`."""
-
-    origin_m: FloatArray
-    right_m: FloatArray
-    down_m: FloatArray
-
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Width and height."""
-        return float(np.linalg.norm(self.right_m)), float(np.linalg.norm(self.down_m))
-
-    def seen(self, points_m: FloatArray) -> FloatArray:
-        """Points as (right, down, distance in front), relative to the top left corner, in m."""
-        width, height = self.size_m
-        right, down = self.right_m / width, self.down_m / height
-        axes = np.array([right, down, np.cross(down, right)])
-        relative: FloatArray = (points_m - self.origin_m) @ axes.T
-        return relative
-
-
-@dataclass(frozen=True)
-class Interior:
-    """The interior of a room: x from 0 to its length, y from -width/2 to width/2, z from 0.
-
-    `size_m` is (length, width, height).
-    """
-
-    size_m: tuple[float, float, float]
-
-    def walls(self) -> dict[str, Wall]:
-        """The sides: "near" (at x = 0), "far", "left" (towards +y), "right", "floor", "ceiling"."""
-        length, width, height = self.size_m
-        half = width / 2
-        sides = {
-            "near": ((0, -half, height), (0, width, 0), (0, 0, -height)),
-            "far": ((length, half, height), (0, -width, 0), (0, 0, -height)),
-            "left": ((0, half, height), (length, 0, 0), (0, 0, -height)),
-            "right": ((length, -half, height), (-length, 0, 0), (0, 0, -height)),
-            "floor": ((0, half, 0), (length, 0, 0), (0, -width, 0)),
-            "ceiling": ((0, -half, height), (length, 0, 0), (0, width, 0)),
-        }
-        return {
-            side: Wall(*(np.array(each, float) for each in lines)) for side, lines in sides.items()
-        }
-
-    def stand(self, side: str, along_m: float, off_m: float) -> tuple[tuple[float, float], float]:
-        """Position `off_m` in front of a wall, and the yaw of a piece with its back to the wall.
-
-        `along_m` is x on the "left" and "right" wall and y on the "near" and "far" one.
-        """
-        length, width, _ = self.size_m
-        return {
-            "near": ((off_m, along_m), 0.0),
-            "far": ((length - off_m, along_m), 180.0),
-            "left": ((along_m, width / 2 - off_m), -90.0),
-            "right": ((along_m, off_m - width / 2), 90.0),
-        }[side]
-
-
-# Names of the sides of a room as targets, in the order of `Interior.walls`.
+# Names of the sides of a room as targets, in the order of `walls`.
 SIDES = ("wall", "wall", "wall", "wall", "floor", "ceiling")
 
 
-@dataclass(frozen=True)
-class FurnishedRoom:
-    """A room with its furniture; `room` holds the walls as in `World`."""
+def walls(size_m: Size3, texture: Texture) -> dict[str, Face]:
+    """The sides: "near" (at x = 0), "far", "left" (towards +y), "right", "floor", "ceiling"."""
+    length, width, height = size_m
+    half = width / 2
+    sides = {
+        "near": ((0, -half, height), (0, width, 0), (0, 0, -height)),
+        "far": ((length, half, height), (0, -width, 0), (0, 0, -height)),
+        "left": ((0, half, height), (length, 0, 0), (0, 0, -height)),
+        "right": ((length, -half, height), (-length, 0, 0), (0, 0, -height)),
+        "floor": ((0, half, 0), (length, 0, 0), (0, -width, 0)),
+        "ceiling": ((0, -half, height), (length, 0, 0), (0, width, 0)),
+    }
+    return {side: quad(*lines, texture) for side, lines in sides.items()}
 
-    interior: Interior
-    room: Solid
-    bodies: list[Body] = field(default_factory=list)
+
+def at_wall(
+    size_m: Size3, side: str, along_m: float, off_m: float
+) -> tuple[tuple[float, float], float]:
+    """Position (x, y), `off_m` in front of a wall, and the yaw of a piece with its back to it.
+
+    `along_m` is x on the "left" and "right" wall and y on the "near" and "far" one.
+    """
+    length, width, _ = size_m
+    x, y, yaw_deg = {
+        "near": (off_m, along_m, 0.0),
+        "far": (length - off_m, along_m, 180.0),
+        "left": (along_m, width / 2 - off_m, -90.0),
+        "right": (along_m, off_m - width / 2, 90.0),
+    }[side]
+    return (x, y), yaw_deg
 
 
-def shaded(image: FloatImage, wall: Wall, bodies: Sequence[Body]) -> FloatImage:
+def shaded(image: FloatImage, wall: Face, bodies: Sequence[Body]) -> FloatImage:
     """The picture of a wall, darker near its edges and behind nearby bodies.
 
     Moving bodies cast no shadow.
     """
     width, height = wall.size_m
-    shape = (
-        max(2, math.ceil(height * _SHADE_PX_M)),
-        max(2, math.ceil(width * _SHADE_PX_M)),
-    )
-    light = np.outer(_edges(shape[0], height), _edges(shape[1], width)).astype(np.float32)
+    n_rows, n_columns = (max(2, math.ceil(side * _SHADE_PX_M)) for side in (height, width))
+    light = np.outer(_edges(n_rows, height), _edges(n_columns, width)).astype(np.float32)
+    right, down = wall.right_m / width, wall.down_m / height
+    axes = np.array([right, down, np.cross(down, right)])
     for body in bodies:
         if isinstance(body, Solid) and body.motion is None:
-            _darken(light, wall.seen(body.corners_m))
+            _darken(light, (body.corners_m - wall.origin_m) @ axes.T)
     full: FloatImage = image * cv2.resize(light, image.shape[::-1]).reshape(image.shape)
     return full
 
@@ -140,7 +103,7 @@ def _edges(count: int, length_m: float) -> FloatArray:
 
 
 def _darken(light: FloatImage, corners_m: FloatArray) -> None:
-    """Darken the wall behind a body whose corners are given as by `Wall.seen`."""
+    """Darken the wall behind a body with corners at (right, down, distance in front), (n, 3)."""
     nearest = float(corners_m[:, 2].min())
     if nearest > _FARTHEST_M:
         return
@@ -161,7 +124,7 @@ def _darken(light: FloatImage, corners_m: FloatArray) -> None:
 
 
 def room(
-    interior: Interior,
+    size_m: Size3,
     rng: Rng,
     *,
     wall: str = "plaster",
@@ -172,37 +135,31 @@ def room(
     """Walls, floor and ceiling, with soft shadows of `bodies`.
 
     `wall` is plaster or brick, `floor` is parquet or carpet, and `lamps` is the number of lamps
-    along x and along y. The faces are in the order of `Interior.walls`.
+    along x and along y. The faces are in the order of `walls`.
     """
     tone = rng.uniform(0.4, 0.7)
     faces = []
-    for side, seen in interior.walls().items():
+    for side, face in walls(size_m, Texture(tone)).items():
         if side == "floor":
-            image = getattr(textures, floor)(rng, seen.size_m, _FLOOR_PX_PER_M)
+            image = getattr(textures, floor)(rng, face.size_m, _FLOOR_PX_PER_M)
         elif side == "ceiling":
-            image = ceiling_panels(rng, seen.size_m, _CEILING_PX_PER_M, lamps=lamps)
+            image = textures.ceiling_panels(rng, face.size_m, _CEILING_PX_PER_M, lamps=lamps)
         else:
-            image = _wall(rng, wall, seen, tone)
-        picture = Texture(reflectance(shaded(image, seen, bodies)))
-        faces.append(quad(seen.origin_m, seen.right_m, seen.down_m, picture, _GAINS[side]))
+            image = getattr(textures, wall)(rng, face.size_m, _WALL_PX_PER_M, tone)
+            board = round(0.08 * image.shape[0] / face.size_m[1])  # the skirting board
+            image[-board:] = 0.22
+            image[-board : 2 - board] = 0.5
+            image[-board - 2 : -board] *= 0.6
+        picture = Texture(reflectance(shaded(image, face, bodies)))
+        faces.append(replace(face, texture=picture, gain=_GAINS[side]))
     return Solid("room", faces)
-
-
-def _wall(rng: Rng, material: str, seen: Wall, tone: float) -> FloatImage:
-    """A wall with its skirting board."""
-    image = getattr(textures, material)(rng, seen.size_m, _WALL_PX_PER_M, tone)
-    board = round(0.08 * image.shape[0] / seen.size_m[1])
-    image[-board:] = 0.22
-    image[-board : 2 - board] = 0.5
-    image[-board - 2 : -board] *= 0.6
-    return image
 
 
 @dataclass
 class Furnishing:
     """A room while it is being furnished, clear of `obstacles`."""
 
-    interior: Interior
+    size_m: Size3
     obstacles: Sequence[Body] = ()
     bodies: list[Body] = field(default_factory=list)
 
@@ -238,42 +195,50 @@ class Furnishing:
             # If a position is taken, try farther along the wall.
             for middle in np.arange(at + half, end - half, 0.3).tolist():
                 # Creating furniture is slow, since its textures are drawn: first check the space.
+                where = placement(*at_wall(self.size_m, side, middle, 0.0))
                 if self._is_free(self._ground(side, middle, half, deep / 2)) and self.add(
-                    furniture_at_wall(name, rng, placement(*self.interior.stand(side, middle, 0.0)))
+                    furniture_at_wall(name, rng, where)
                 ):
                     at = middle + half + rng.uniform(*gap_m)
                     break
 
-    def finished(self, rng: Rng, wall: str, lamps: tuple[int, int] | None = None) -> FurnishedRoom:
-        """The furnished room."""
+    def finished(self, rng: Rng, wall: str, lamps: tuple[int, int] | None = None) -> World:
+        """The room with its furniture and the obstacles, in constant light.
+
+        Furniture with the same name as an obstacle is renamed: the name identifies the target.
+        """
         inside = room(
-            self.interior,
+            self.size_m,
             rng,
             wall=wall,
             floor=str(rng.choice(["parquet", "carpet"])),
-            lamps=lamps or (max(1, round(self.interior.size_m[0] / 2.5)), 2),
+            lamps=lamps or (max(1, round(self.size_m[0] / 2.5)), 2),
             bodies=[*self.obstacles, *self.bodies],
         )
-        return FurnishedRoom(self.interior, inside, self.bodies)
+        taken = {obstacle.name for obstacle in self.obstacles}
+        others = [renamed(body) if body.name in taken else body for body in self.bodies]
+        return World(inside, [*others, *self.obstacles], lambda _: DAYLIGHT)
 
     def _is_free(self, box_m: FloatArray) -> bool:
         """Whether a box is inside the room and clear of all bodies; (6,), its reach on `_AXES`."""
-        length, width, height = self.interior.size_m
+        length, width, height = self.size_m
         most = np.array([length, width / 2, height, 0.0, width / 2, 0.0])
-        others = (body.reach(_AXES) for body in (*self.obstacles, *self.bodies))
-        return bool((box_m <= most + 1e-9).all()) and not any(_meet(box_m, o) for o in others)
+        taken = np.array([body.reach(_AXES) for body in (*self.obstacles, *self.bodies)])
+        # Overlap along each axis, from either side; two boxes meet if they overlap along all.
+        overlaps = box_m + np.roll(taken.reshape(-1, 6), 3, axis=1)
+        is_taken = (overlaps > -_SPACE_M).all(axis=1).any()
+        return bool((box_m <= most + 1e-9).all() and not is_taken)
 
     def _ground(self, side: str, along_m: float, half_m: float, deep: float) -> FloatArray:
         """The box from floor to ceiling that a piece at a wall occupies; see `_is_free`."""
-        (x, y), yaw_deg = self.interior.stand(side, along_m, deep)
+        (x, y), yaw_deg = at_wall(self.size_m, side, along_m, deep)
         dx, dy = (deep, half_m) if yaw_deg % 180.0 == 0.0 else (half_m, deep)
-        return np.array([x + dx, y + dy, self.interior.size_m[2], dx - x, dy - y, 0.0])
+        return np.array([x + dx, y + dy, self.size_m[2], dx - x, dy - y, 0.0])
 
 
-def _meet(one: FloatArray, other: FloatArray) -> bool:
-    """Whether two boxes, given by their reach on `_AXES`, are closer than `_SPACE_M`."""
-    gaps = np.concatenate([one[:3] + other[3:], other[:3] + one[3:]])
-    return bool((gaps > -_SPACE_M).all())
+def renamed(body: Body) -> Body:
+    """The body under another name, so that it is not part of a target."""
+    return replace(body, name=f"other {body.name}")
 
 
 def cluttered_room(
@@ -284,13 +249,13 @@ def cluttered_room(
     free_width_m: float = 2.4,
     end_m: float = 1.1,
     obstacles: Sequence[Body] = (),
-) -> FurnishedRoom:
+) -> World:
     """A room full of furniture along its walls.
 
     A strip of `free_width_m` along the x axis stays free, except at the far wall, where furniture
     may be `end_m` deep.
     """
-    furnishing = Furnishing(Interior((length_m, width_m, 2.8)), obstacles)
+    furnishing = Furnishing((length_m, width_m, 2.8), obstacles)
     depth, half_m = (width_m - free_width_m) / 2, width_m / 2
     ends = list(rng.permutation(_END))
     furnishing.line(rng, "far", ends, (0.05 - half_m, half_m - 0.05), depth_m=end_m)
@@ -307,9 +272,9 @@ def cluttered_room(
 
 def simple_room(
     rng: Rng, *, length_m: float, width_m: float = 5.0, obstacles: Sequence[Body] = ()
-) -> FurnishedRoom:
+) -> World:
     """A room with a few pieces at least 1.3 m from the x axis, and a bare far wall."""
-    furnishing = Furnishing(Interior((length_m, width_m, 2.8)), obstacles)
+    furnishing = Furnishing((length_m, width_m, 2.8), obstacles)
     names = list(rng.permutation(_LITTLE))
     for side, share in (("left", names[::2]), ("right", names[1::2])):
         span = (rng.uniform(0.3, 1.0), length_m - 0.3)
@@ -326,9 +291,9 @@ def corridor(
     width_m: float = 2.2,
     height_m: float = 2.6,
     obstacles: Sequence[Body] = (),
-) -> FurnishedRoom:
+) -> World:
     """A narrow corridor with doors and posters on both sides and a row of lamps."""
-    furnishing = Furnishing(Interior((length_m, width_m, height_m)), obstacles)
+    furnishing = Furnishing((length_m, width_m, height_m), obstacles)
     for side, start in (("left", 0.4), ("right", 1.4)):
         names = [str(rng.choice(["door", "door", "poster"])) for _ in range(int(length_m))]
         furnishing.line(rng, side, names, (start, length_m - 0.2), depth_m=0.1, gap_m=(0.5, 1.3))

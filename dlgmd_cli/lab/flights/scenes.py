@@ -1,8 +1,10 @@
-"""All scenes, by name."""
+"""All scenes, by name; flights are built from a seed, filmed, and have full ground truth."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,138 +13,232 @@ import yaml
 
 from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights import script
 from dlgmd_cli.lab.flights.ball import ball_and_capsules
-from dlgmd_cli.lab.flights.bodies import placement
-from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.furniture import furniture
-from dlgmd_cli.lab.flights.path import Path as FlightPath
+from dlgmd_cli.lab.flights.camera import Camera, FloatImage, Sensor
+from dlgmd_cli.lab.flights.painter import Renderer
 from dlgmd_cli.lab.flights.path import Stage
-from dlgmd_cli.lab.flights.placing import DAYLIGHT, FRAME_S, build_world, obstacle_in_path
-from dlgmd_cli.lab.flights.random_flight import random_flight
-from dlgmd_cli.lab.flights.renderer.solids import Body, Motion
-from dlgmd_cli.lab.flights.rooms import cluttered_room, corridor, simple_room
-from dlgmd_cli.lab.flights.scene import FlightOptions, FlightScene
-from dlgmd_cli.lab.flights.textures import Rng
-from dlgmd_cli.lab.stimuli.base import Scene
-from dlgmd_cli.lab.stimuli.looming import Approach, ApproachOptions
-from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
+from dlgmd_cli.lab.flights.stages import named_flight, random_flight
+from dlgmd_cli.lab.flights.truth import FlightTruth, ImageSpeed, truth_rows
+from dlgmd_cli.lab.stimuli.base import (
+    MAX_FRAMES,
+    ClipOptions,
+    GreyImage,
+    Scene,
+    invalid,
+    option,
+    switch,
+)
+from dlgmd_cli.lab.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
 
-NAMED_FLIGHTS = Path(__file__).with_name("scenes.yaml")
-_ROOMS = {"cluttered": cluttered_room, "simple": simple_room, "corridor": corridor}
-_DUSK, _OFF_WALL_M = 0.3, 0.01
-# Time filmed after a collision.
-_AFTER_S = 15 * FRAME_S
-
-_LOOMING = ApproachOptions()
-# Starts where the looming cube ends: each is the other played backwards.
-_RECEDING = ApproachOptions(distance_m=_LOOMING.speed_m_s / _LOOMING.fps)
-
-# Frame sizes of the paper's videos, of its simulations, and one that is fast to render.
-_FULL_HD = FlightOptions(shape=(1080, 1920))
-_SIMULATED = FlightOptions(shape=(600, 800))
-_SMALL = FlightOptions(shape=(360, 640))
+# Rounding tolerance for times in ms and in frames.
+_TOLERANCE = 1e-6
+# Motion blur averages several pictures; a rolling shutter is rendered in strips of rows. Each has a
+# greatest motion per step and a greatest number, which is also used while the light changes.
+_BLUR_STEP_PX, _MAX_PICTURES = 1.0, 64
+_STRIP_STEP_PX, _MAX_STRIPS = 0.5, 128
+_TOO_FAST_PX_S = 1e12
 
 
-def named_flight(spec: Mapping[str, Any], seed: int, agile: bool | None = None) -> Stage:
-    """The flight described by an entry of `scenes.yaml`; `seed` determines everything random.
+@dataclass(frozen=True)
+class FlightOptions(ClipOptions):
+    """Options of all flights: those of the camera and the drone, besides those of every clip.
 
-    `agile` overrides the entry.
+    For the noise see `Sensor`. An exposure or rolling shutter of 0 disables it. `agile` says
+    whether the drone follows commands at once, see `fly`; None leaves it to the scene.
     """
-    agile = spec.get("agile", False) if agile is None else agile
-    phases = [getattr(script, name)(n / 30.0, *told) for name, n, *told in spec["flies"]]
-    start = {"position_m": spec["start_m"], "yaw_deg": spec.get("yaw_deg", 0.0)}
-    flight = partial(fly, phases, **start, seed=seed, agile=agile)
-    free, obstacle = flight(), spec["obstacle"]
-    target, hit_at = obstacle.get("target", obstacle["piece"]), obstacle.get("hit_at")
-    room = dict(spec["room"])
-    rng = np.random.default_rng([seed, room.pop("number", 1)])
-    kind, behind_m = _ROOMS[room.pop("kind")], room.pop("behind_m", 0.0)
-    if hit_at is not None:
-        contact_s = hit_at * FRAME_S
-        build = partial(_piece, obstacle["piece"], np.random.default_rng([seed, 2]))
-        turned = obstacle.get("turned_deg", 0.0)
-        obstacles = obstacle_in_path(free, contact_s, build, target, turned_deg=turned)
-        end_m = max(float(body.reach(np.array([[1.0, 0.0, 0.0]]))[0]) for body in obstacles)
-        place = kind(rng, **{"length_m": end_m + behind_m, **room}, obstacles=obstacles)
-        path = flight(contact_s=contact_s)
-        return Stage(
-            build_world(place, obstacles), path, target, contact_s, contact_s + _AFTER_S, agile
-        )
-    room.setdefault("length_m", _x(free, free.duration_s) + behind_m)
-    obstacles = _missed_obstacle(obstacle, rng, free, room["length_m"])
-    world = build_world(kind(rng, **room, obstacles=obstacles), obstacles)
-    if "lamps_on_at" in spec:
-        on_s = spec["lamps_on_at"] / 30.0
-        world = replace(world, light=lambda time_s: DAYLIGHT if time_s >= on_s else _DUSK)
-    return Stage(world, free, target, None, free.duration_s, agile)
+
+    fov_deg: float = option(80.0, "--fov", 1, 170, unit="degrees")
+    exposure_ms: float = option(0.0, "--exposure", 0, 1000, unit="ms")
+    vignette: float = option(0.3, "--vignette", 0, 1)
+    noise: float = option(0.002, "--noise", 0, 1)
+    shot_noise: float = option(0.01, "--shot-noise", 0, 1)
+    gamma: float = option(2.2, "--gamma", 1, 4)
+    rolling_shutter_ms: float = option(0.0, "--rolling-shutter", 0, 1000, unit="ms")
+    agile: bool | None = switch(None, "--agile")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        period_ms = 1000.0 / self.fps
+        times = {"--exposure": self.exposure_ms, "--rolling-shutter": self.rolling_shutter_ms}
+        for flag, value in times.items():
+            if value > period_ms + _TOLERANCE:
+                raise invalid(
+                    flag,
+                    f"{value:g} ms is longer than a frame at {self.fps:g} frames/s",
+                    f"Choose {period_ms:.4g} or less, or a lower --fps.",
+                )
 
 
-def _piece(
-    name: str, rng: Rng, at_m: Sequence[float], yaw_deg: float = 0.0, motion: Motion | None = None
-) -> list[Body]:
-    """A piece of furniture at (x, y) on the floor, or at (x, y, z)."""
-    return furniture(name, rng, placement(at_m, yaw_deg), motion=motion)
+class FlightScene(Scene[FlightOptions]):
+    """A flight through a room.
+
+    `stage` builds the room and the flight from a seed and `FlightOptions.agile`; it must be
+    picklable.
+    """
+
+    truth_type = FlightTruth
+    is_flight = True
+
+    def __init__(
+        self,
+        name: str,
+        description: str,
+        defaults: FlightOptions,
+        stage: Callable[[int, bool | None], Stage],
+    ) -> None:
+        self.name, self.description, self.defaults = name, description, defaults
+        self._build = stage
+        self._built: tuple[tuple[int, bool | None], Stage] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_built": None}
+
+    def stage(self, options: FlightOptions) -> Stage:
+        """The room and the flight; the latest is cached."""
+        wanted = options.seed, options.agile
+        if self._built is None or self._built[0] != wanted:
+            self._built = wanted, self._build(*wanted)
+        return self._built[1]
+
+    def n_frames(self, options: FlightOptions) -> int:
+        """Number of frames: as set, else the whole flight."""
+        n_all = math.floor(self.stage(options).duration_s * options.fps + _TOLERANCE) + 1
+        if options.n_frames is not None and options.n_frames > n_all:
+            raise invalid(
+                "--frames",
+                f"the flight ends after {n_all} frames",
+                f"Choose 1 to {n_all}, or a higher --fps.",
+            )
+        n_frames = options.n_frames or n_all
+        if n_frames > MAX_FRAMES:
+            raise invalid(
+                "--fps",
+                f"the flight has {n_frames} frames, and a clip has {MAX_FRAMES} at most",
+                "Lower it, or end the clip earlier with --frames.",
+            )
+        return n_frames
+
+    def frames(self, options: FlightOptions) -> Iterator[GreyImage]:
+        """The frames in order, (H, W) uint8."""
+        return film(self.stage(options), options, self.n_frames(options))
+
+    def truth(self, options: FlightOptions) -> Iterator[FlightTruth]:
+        """The ground truth of each frame, computed from the geometry."""
+        camera = Camera(options.shape, options.fov_deg)
+        return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
+
+    def record(self, options: FlightOptions) -> dict[str, Any]:
+        """Properties of the clip, as documented in the README of the sample videos.
+
+        `collision_frame` is the first frame at or after contact, None if there is none.
+        """
+        stage, n_frames = self.stage(options), self.n_frames(options)
+        height, width = options.shape
+        frame = None
+        if stage.contact_s is not None:
+            frame = math.ceil(stage.contact_s * options.fps - _TOLERANCE)
+        phases: list[dict[str, Any]] = []
+        names = [stage.path.phase(index / options.fps) for index in range(n_frames)]
+        for name, group in groupby(range(n_frames), key=names.__getitem__):
+            frames = list(group)
+            phases.append({"name": name, "first_frame": frames[0], "last_frame": frames[-1]})
+        return {
+            "width": width,
+            "height": height,
+            "fps": options.fps,
+            "frames": n_frames,
+            "agile": stage.agile,
+            "target": stage.target,
+            "collision_frame": frame if frame is not None and frame < n_frames else None,
+            "collision_time_s": None if stage.contact_s is None else float(stage.contact_s),
+            "phases": phases,
+        }
 
 
-def _missed_obstacle(
-    obstacle: Mapping[str, Any], rng: Rng, path: FlightPath, length_m: float
-) -> list[Body]:
-    """An obstacle that is not hit."""
-    name = obstacle["piece"]
-    if "at_frame" in obstacle:
-        return _piece(name, rng, (_x(path, obstacle["at_frame"] / 30.0), obstacle["y_m"]))
-    if "up_m" in obstacle:
-        return _piece(name, rng, (length_m - _OFF_WALL_M, 0.0, obstacle["up_m"]), 180.0)
-    walk = obstacle["walks"]
+def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
+    """The frames of a flight in order, (H, W) uint8.
 
-    def motion(time_s: float) -> tuple[float, float, float]:
-        way = walk["m_s"] * (time_s - walk["from"] / 30.0)
-        return 0.0, float(np.clip(way, 0.0, walk["way_m"])), 0.0
+    Frame i is taken at i / fps: the middle of the exposure, and the time of the middle row with a
+    rolling shutter.
+    """
+    camera = Camera(options.shape, options.fov_deg)
+    sensor = Sensor(
+        camera,
+        vignette=options.vignette,
+        shot_noise=options.shot_noise,
+        read_noise=options.noise,
+        gamma=options.gamma,
+        seed=options.seed,
+    )
+    renderer = Renderer(stage.world, camera)
+    speeds = ImageSpeed(stage.world, camera, stage.target)
+    exposure_s, readout_s = options.exposure_ms / 1000.0, options.rolling_shutter_ms / 1000.0
+    n_rows = camera.shape[0]
+    for index in range(n_frames):
+        time_s = index / options.fps
+        half_s, light = (exposure_s + readout_s) / 2.0, stage.world.light
+        speed = 0.0
+        if light(time_s - half_s) != light(time_s + half_s):
+            speed = _TOO_FAST_PX_S
+        elif half_s > 0.0:
+            speed = speeds.fastest(stage.path.state(time_s), time_s)
+        n_pictures = max(1, min(math.ceil(speed * exposure_s / _BLUR_STEP_PX), _MAX_PICTURES))
+        n_strips = math.ceil(speed * readout_s / _STRIP_STEP_PX)
+        n_strips = max(1, min(n_strips, _MAX_STRIPS, n_rows))
+        borders = np.linspace(0, n_rows, n_strips + 1).round().astype(int).tolist()
+        strips = []
+        for first, last in pairwise(borders):
+            middle_s = time_s + ((first + last) / 2.0 / n_rows - 0.5) * readout_s
+            strip: FloatImage = np.zeros((last - first, camera.shape[1]), np.float32)
+            for picture in range(n_pictures):
+                time = middle_s + ((picture + 0.5) / n_pictures - 0.5) * exposure_s
+                strip += renderer.render(stage.path.pose(time), time, (first, last))
+            strips.append(strip * np.float32(1.0 / n_pictures))
+        yield sensor.develop(np.concatenate(strips), index)
 
-    return _piece(name, rng, obstacle["at_m"], obstacle["yaw_deg"], motion)
 
-
-def _x(path: FlightPath, time_s: float) -> float:
-    """Position along the room at a time, in m."""
-    return float(path.state(time_s).position_m[0])
-
-
-def _flat_scenes() -> Iterator[Scene[Any]]:
-    """Plain objects on a plain background."""
-    yield Approach("looming-cube", "a cube that comes straight at the camera", "cube", _LOOMING)
-    yield Approach(
+# Starts where the looming cube ends: each is the other played backwards.
+_RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
+_FLAT: tuple[Scene[Any], ...] = (
+    Approach("looming-cube", "a cube that comes straight at the camera", "cube"),
+    Approach(
         "receding-cube",
         "a cube that goes straight away from the camera",
         "cube",
         _RECEDING,
         recedes=True,
-    )
-    yield Approach("looming-ball", "a ball that comes straight at the camera", "ball", _LOOMING)
-    yield Translation(
+    ),
+    Approach("looming-ball", "a ball that comes straight at the camera", "ball"),
+    Translation(
         "translating-cubes",
         "cubes that cross the picture, each at its own speed",
         TranslationOptions(),
-    )
+    ),
+)
 
 
 def _flights() -> Iterator[FlightScene]:
     """First-person flights: collisions, the paper's Fig. 8, near misses, and random ones."""
-    named = yaml.safe_load(NAMED_FLIGHTS.read_text("utf-8")).items()
-    hits = {name for name, spec in named if "hit_at" in spec["obstacle"]}
-    for name, spec in named:
-        if name in hits:
-            yield FlightScene(name, spec["shows"], _FULL_HD, partial(named_flight, spec))
+    # Frame sizes of the paper's videos, of its simulations, and one that is fast to render.
+    full_hd, simulated, small = (
+        FlightOptions(shape=shape) for shape in ((1080, 1920), (600, 800), (360, 640))
+    )
+    named = yaml.safe_load(Path(__file__).with_name("scenes.yaml").read_text("utf-8"))
+    hits, misses = (
+        {name: spec for name, spec in named.items() if ("hit_at" in spec["obstacle"]) == is_hit}
+        for is_hit in (True, False)
+    )
+    for name, spec in hits.items():
+        yield FlightScene(name, spec["shows"], full_hd, partial(named_flight, spec))
     shows = "a looming ball, and four capsules that pass by"
-    yield FlightScene("ball-and-capsules", shows, _SIMULATED, ball_and_capsules)
-    for name, spec in named:
-        if name not in hits:
-            yield FlightScene(name, spec["shows"], _SMALL, partial(named_flight, spec))
+    yield FlightScene("ball-and-capsules", shows, simulated, ball_and_capsules)
+    for name, spec in misses.items():
+        yield FlightScene(name, spec["shows"], small, partial(named_flight, spec))
     shows = "a random room, flight and outcome, by the seed"
-    yield FlightScene("random", shows, _SMALL, random_flight)
+    yield FlightScene("random", shows, small, random_flight)
 
 
-SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_flat_scenes(), *_flights())}
+SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_FLAT, *_flights())}
 
 
 def find_scene(name: str) -> Scene[Any]:

@@ -78,15 +78,11 @@ def _thumbnail(image: npt.NDArray[np.uint8], dpi: int) -> npt.NDArray[np.uint8]:
 def _title(sheet: ContactSheet) -> str:
     """The facts about the clip, and for a flight its outcome."""
     height, width = sheet.images[0].shape
-    facts = (
-        shortened(sheet.name, _LONGEST_NAME),
-        f"{width}×{height} px",
-        f"{sheet.fps:g} frames/s",
-        "1 frame" if sheet.n_frames == 1 else f"{sheet.n_frames} frames",
-        f"seed {sheet.seed}",
+    title = (
+        f"{shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · {sheet.fps:g} frames/s · "
+        f"{sheet.n_frames} frame{'s'[: sheet.n_frames != 1]} · seed {sheet.seed}"
     )
     target, time_s = sheet.record.get("target"), sheet.record.get("collision_time_s")
-    title = " · ".join(facts)
     if target is None:
         return title
     outcome = "no collision"

@@ -3,6 +3,7 @@
 A clip with a record is complete if and only if the record exists, see `results.store`.
 """
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +20,7 @@ from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, 
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import refuse_existing, replacing
-from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, write_video
+from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
 
 N_STILLS = 12
 _SUFFIXES = {"mpeg4": ".mp4", "h264": ".mp4", "ffv1": ".avi", "png": ""}
@@ -64,11 +65,15 @@ class Form:
                 f"{width}x{height} is odd, and a video needs an even width and height",
                 f"Choose {width + width % 2}x{height + height % 2}, or --png.",
             )
+        if self.codec == "h264":
+            if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
+                raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
+            return
         rounded = round(options.fps, 3)
         if rounded != options.fps:
             raise invalid(
                 "--fps",
-                f"{options.fps!r} has more than three decimals, which a video file does not keep",
+                f"{options.fps!r} has more than three decimals, which this video does not keep",
                 f"Choose {rounded:g}, or --png.",
             )
         if self.codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
@@ -175,8 +180,16 @@ def write_clip(
             document = {**first, **facts, **sheet, **identity(scene, options, form)}
             temporary[2].write_text(yaml_text(document), encoding="utf-8")
         if draw_sheet is not None:
-            sheet_of = (name, options.fps, n_frames, options.seed, facts, [*stills.values()])
-            draw_sheet(ContactSheet(*sheet_of, [rows[index] for index in stills]), temporary[-1])
+            drawn = ContactSheet(
+                name=name,
+                fps=options.fps,
+                n_frames=n_frames,
+                seed=options.seed,
+                record=facts,
+                images=[*stills.values()],
+                rows=[rows[index] for index in stills],
+            )
+            draw_sheet(drawn, temporary[-1])
     return paths
 
 

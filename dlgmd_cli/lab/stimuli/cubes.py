@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.lab.stimuli.translating import Translation, TranslationOptions
+from dlgmd_cli.lab.stimuli.flat import Translation, TranslationOptions
 from dlgmd_cli.runs.sweep import SweepInput
 
 # The paper's Fig. 11: its parameters (no latency, a = 1.5 and r = 4, say comments in the paper's

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from flightscenes import SMALL, Quick, scene_of
 
-from dlgmd_cli.lab.flights.geometry import first_contact, surroundings
+from dlgmd_cli.lab.flights.camera import Camera
 from dlgmd_cli.lab.flights.path import REACH_M
-from dlgmd_cli.lab.flights.random_flight import random_flight
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder
-from dlgmd_cli.lab.flights.scene import FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.lab.flights.truth import Target
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene
+from dlgmd_cli.lab.flights.solids import Solid
+from dlgmd_cli.lab.flights.stages import random_flight
+from dlgmd_cli.lab.flights.truth import Target, first_contact, surroundings
+from dlgmd_cli.lab.flights.visibility import PaintOrder
 from dlgmd_cli.results.labels import read_labels
 
 pytestmark = pytest.mark.slow
@@ -82,6 +81,43 @@ def test_near_misses_miss(name):
     world = surroundings(stage.world)
     for time_s in np.arange(0.0, stage.duration_s, 0.1):
         assert world.distances(stage.path.state(time_s).position_m, time_s).min() > 0.3
+
+
+def test_the_truth_leads_to_the_contact_and_follows_the_script():
+    """Of group2: it pitches from frame 40, brakes from 105, and hits at 140."""
+    scene, options, rows = scene_of("group2")
+    first = {each["name"]: each["first_frame"] for each in scene.record(options)["phases"]}
+    assert (first["pitch"], first["decelerate"], first["collision"]) == (40, 105, 140)
+    left = [row.time_to_contact_s for row in rows]
+    assert left[139] == pytest.approx(1 / 30) and math.isnan(left[141])
+    assert rows[140].distance_m == pytest.approx(REACH_M, abs=1e-6)
+    assert min(row.distance_m for row in rows) > 0.08
+    sizes = [row.angular_size_deg for row in rows[:141]]
+    assert sizes[0] < 30 and sizes[-1] > max(60, max(sizes) - 3)
+    # The nose goes down first, and speed comes of it.
+    assert all(abs(row.pitch_deg) < 1.5 for row in rows[:40])
+    assert rows[60].pitch_deg < -7 and rows[138].pitch_deg > 5
+    speeds = np.diff([row.x_m for row in rows]) * 30
+    assert abs(speeds[30]) < 0.05 < 0.3 < speeds[60] < speeds[90] < speeds[110]
+    assert 0.5 < speeds[138] < speeds.max() / 2
+
+
+def test_group3_yaws_without_pitching():
+    _, _, rows = scene_of("group3")
+    turning = [row for row in rows if row.phase == "yaw"]
+    assert turning[-1].yaw_deg - turning[0].yaw_deg > 25
+    assert np.ptp([row.pitch_deg for row in turning]) < 1.5
+
+
+def test_groups_1_to_3_share_a_room():
+    """What stands there is the same, but for what each of them hits."""
+    places = []
+    for name in ("group1", "group2", "group3"):
+        bodies = SCENES[name].stage(scene_of(name)[1]).world.bodies
+        places.append([body.corners_m.tolist() for body in bodies if isinstance(body, Solid)])
+    shared = [place for place in places[0] if place in places[1] and place in places[2]]
+    assert len(shared) > 25
+    assert all(len(place) - len(shared) < 20 for place in places)
 
 
 def test_through_the_doorway_means_through():

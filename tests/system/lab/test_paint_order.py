@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera, Pose, rotation
-from dlgmd_cli.lab.flights.renderer.painter import Renderer
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder
+from dlgmd_cli.lab.flights.camera import Camera, Pose, rotation
+from dlgmd_cli.lab.flights.painter import Renderer
 from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.solids import Solid, Texture, World
+from dlgmd_cli.lab.flights.visibility import PaintOrder
 
 pytestmark = pytest.mark.slow
 

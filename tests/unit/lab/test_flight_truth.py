@@ -7,19 +7,23 @@ import bodies
 import numpy as np
 import pytest
 from bodies import box
+from flightscenes import accelerate, cruise, hover, stand, take_off, yaw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights.camera import Camera
 from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.geometry import Nearest, first_contact
-from dlgmd_cli.lab.flights.image_speed import ImageSpeed
 from dlgmd_cli.lab.flights.path import REACH_M, Stage, State
-from dlgmd_cli.lab.flights.renderer.camera import Camera
-from dlgmd_cli.lab.flights.renderer.solids import Capsule, Face, Solid, World
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.script import accelerate, cruise, hover, stand, take_off, yaw
-from dlgmd_cli.lab.flights.truth import FlightTruth, Target, truth_rows
+from dlgmd_cli.lab.flights.solids import Capsule, Face, Solid, Texture, World
+from dlgmd_cli.lab.flights.truth import (
+    FlightTruth,
+    ImageSpeed,
+    Nearest,
+    Target,
+    first_contact,
+    truth_rows,
+)
 
 PLAIN = Texture([[0.5]])
 CAMERA = Camera((90, 160), 80.0)
@@ -378,14 +382,20 @@ def test_contact_is_when_the_nearest_point_is_within_reach(body):
     assert first_contact(straight(1.3, 2.2), world) is None
 
 
-def test_only_the_names_that_are_asked_for_count():
+@pytest.mark.parametrize(
+    ("names", "speed", "expected"),
+    [
+        (None, 2.0, 0.95),
+        (["board"], 2.0, 1.45),
+        (["room"], 2.0, None),
+        ([], 2.0, None),
+        (["room"], 10.0, 1.99),
+    ],
+)
+def test_only_the_names_that_are_asked_for_count(names, speed, expected):
     world = World(ROOM, [board(2, 1, "poster"), board(3, 1)])
-    path = straight(2.0, 3.0)
-    assert first_contact(path, world) == pytest.approx(0.95, abs=1e-3)
-    assert first_contact(path, world, ["board"]) == pytest.approx(1.45, abs=1e-3)
-    assert first_contact(path, world, ["room"]) is None
-    assert first_contact(path, world, []) is None
-    assert first_contact(straight(10.0, 3.0), world, ["room"]) == pytest.approx(1.99, abs=0.01)
+    found = first_contact(straight(speed, 3.0), world, names)
+    assert found == (expected and pytest.approx(expected, abs=0.01))
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,6 @@ def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
 def test_folders_of_pictures(synth):
     assert synth("--png", "--frames", 2, count=2).exit_code == 0
     assert labels() == HEADER + "quick-0000,,wall\nquick-0001,,wall\n"
-    assert sorted(path.name for path in (OUT / "quick-0001").iterdir()) == ["0000.png", "0001.png"]
 
 
 def test_every_scene_goes_to_other_processes():
@@ -121,10 +120,7 @@ def test_flights_of_other_settings_are_refused(synth, arguments, differing):
     before = contents()
     result = synth(*arguments, count=2)
     assert result.exit_code == 2
-    assert result.stderr == (
-        f"Error: {OUT / 'quick-0000.yaml'}: another flight already exists here ({differing}). "
-        "Add --overwrite to replace such flights, or choose another --out.\n"
-    )
+    assert f"quick-0000.yaml: another flight already exists here ({differing})" in result.stderr
     assert contents() == before
     assert synth(*arguments, "--overwrite", count=2).exit_code == 0
     assert contents().keys() == before.keys() and contents() != before
@@ -145,26 +141,28 @@ def test_files_of_others_are_refused(synth):
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
-@pytest.mark.parametrize("text", ["scene: [", "collision_frame: 3\n"])
-def test_a_record_that_says_nothing_is_no_flight(synth, text):
-    synth(count=2)
-    (OUT / "quick-0001.yaml").write_text(text)
-    result = synth(count=2)
-    assert result.exit_code == 2 and "quick-0001" in result.stderr
-    assert synth("--overwrite", count=2).exit_code == 0
-
-
-@pytest.mark.parametrize("fault", ["mp4", "csv", "x", "-3"])
-def test_a_damaged_flight_is_none(synth, fault):
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        ("no mp4", "(damaged)"),
+        ("no csv", "(damaged)"),
+        ("collision_frame: x", "(damaged)"),
+        ("collision_frame: -3", "(damaged)"),
+        ("scene: [", "already exists"),
+        ("target: wall", "already exists"),
+    ],
+)
+def test_a_damaged_flight_is_none(synth, damage, why):
     synth(count=2)
     record = OUT / "quick-0001.yaml"
-    if fault in ("mp4", "csv"):
-        record.with_suffix(f".{fault}").unlink()
+    if damage.startswith("no "):
+        record.with_suffix(f".{damage[3:]}").unlink()
+    elif damage.startswith("collision_frame"):
+        record.write_text(record.read_text().replace("collision_frame: 12", damage))
     else:
-        odd = record.read_text().replace("collision_frame: 12", f"collision_frame: {fault}")
-        record.write_text(odd)
+        record.write_text(f"{damage}\n")
     result = synth(count=2)
-    assert result.exit_code == 2 and "already exists here (damaged)" in result.stderr
+    assert result.exit_code == 2 and "quick-0001" in result.stderr and why in result.stderr
     assert synth("--overwrite", count=2).exit_code == 0
     assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
 
@@ -181,11 +179,7 @@ def test_labels_of_others_are_refused(synth, text, why):
     OUT.mkdir()
     (OUT / "labels.csv").write_text(text)
     result = synth()
-    assert result.exit_code == 2
-    assert result.stderr == (
-        f"Error: {OUT / 'labels.csv'}: {why}. "
-        "Add --overwrite to replace it, or choose another --out.\n"
-    )
+    assert result.exit_code == 2 and f"labels.csv: {why}. Add --overwrite" in result.stderr
     assert contents() == {"labels.csv": text.encode()}
     assert synth("--overwrite").exit_code == 0 and labels() == LABELS_OF_4
 
@@ -196,11 +190,9 @@ def test_labels_of_others_are_refused(synth, text, why):
 def test_one_that_fails_keeps_the_others(synth):
     result = synth(at_1="error")
     assert result.exit_code == 1
-    assert result.stderr.splitlines() == [
-        "quick-0001: here: it cannot be. Mend it.",
-        f"Error: 1 of 4 flights failed; the other 3 are in {OUT}. "
-        "Fix what is named above, then run the same command again.",
-    ]
+    first, last = result.stderr.splitlines()
+    assert first.startswith("quick-0001: here: ")
+    assert last.startswith("Error: 1 of 4 flights failed; the other 3 are in ")
     assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall\n", "")
     assert not list(OUT.glob("quick-0001*"))
     assert synth().exit_code == 0 and labels() == LABELS_OF_4
@@ -216,27 +208,19 @@ def test_what_a_killed_process_left_is_removed(synth):
 
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
-    assert result.exit_code == 1
-    assert result.stderr.startswith("quick-0001: Invalid value for '--frames': the flight ends aft")
+    assert result.exit_code == 1 and result.stderr.startswith("quick-0001: ")
+    assert "'--frames': the flight ends aft" in result.stderr
     assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0002.mp4,,wall\n"
 
 
-def test_a_bug_keeps_what_is_there(synth):
-    result = synth(count=4, at_3="bug")
-    assert result.exit_code == 1 and "internal error (IndexError)" in result.stderr
-    listed = [line.split(",")[0] for line in labels().splitlines()[1:]]
-    assert listed == sorted(path.name for path in OUT.glob("*.mp4")) and len(listed) == 3
-    assert f"{OUT} holds {len(listed)} of 4 flights; run the same command again" in result.stderr
-    assert len(contents()) == 3 * len(listed) + 1
-
-
-def test_an_interrupt_keeps_what_is_there(synth):
-    result = synth(at_2="interrupt")
-    assert result.exit_code == 130
-    assert result.stderr == (
-        f"Interrupted. {OUT} holds 2 of 4 flights; run the same command again for the others.\n"
-    )
-    assert result.stdout == f"{OUT / 'labels.csv'}\n"
+@pytest.mark.parametrize(
+    ("fault", "code", "message"),
+    [("bug", 1, "internal error (IndexError)"), ("interrupt", 130, "Interrupted. ")],
+)
+def test_an_early_end_keeps_what_is_there(synth, fault, code, message):
+    result = synth(at_2=fault)
+    assert result.exit_code == code and message in result.stderr
+    assert f"{OUT} holds 2 of 4 flights; run the same command again" in result.stderr
     assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
     assert len(contents()) == 7
     before = identities()
@@ -258,7 +242,6 @@ def test_an_interrupt_before_the_first_flight_leaves_nothing(synth):
     ("arguments", "message"),
     [
         ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
-        ("quick --jobs 2", "--jobs works only with --count. Add it."),
         ("quick --count 0", "Invalid value for '--count': 0 is not at least 1"),
         ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
         ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),

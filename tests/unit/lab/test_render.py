@@ -10,13 +10,10 @@ from bodies import ball, board, box, capsule, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera, Pose, rotation
-from dlgmd_cli.lab.flights.renderer.coverage import Coverage
-from dlgmd_cli.lab.flights.renderer.painter import Renderer
-from dlgmd_cli.lab.flights.renderer.sensor import Sensor
-from dlgmd_cli.lab.flights.renderer.solids import Solid, World, quad
-from dlgmd_cli.lab.flights.renderer.texture import Texture
-from dlgmd_cli.lab.flights.renderer.visibility import PaintOrder, separating_plane
+from dlgmd_cli.lab.flights.camera import Camera, Pose, Sensor, rotation
+from dlgmd_cli.lab.flights.painter import Coverage, Renderer
+from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.lab.flights.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)
@@ -100,8 +97,8 @@ def test_known_points_are_found_in_the_picture(place, angles, tilt, n_texels):
 
 @settings(max_examples=15, deadline=None)
 @given(
-    corners=st.lists(st.tuples(st.floats(-30, 60), st.floats(-30, 60)), min_size=3, max_size=7),
-    window=st.tuples(*[st.integers(0, 12)] * 2, *[st.integers(13, 30)] * 2),
+    corners=st.lists(st.tuples(st.floats(-10, 20), st.floats(-10, 20)), min_size=3, max_size=7),
+    window=st.tuples(*[st.integers(0, 4)] * 2, *[st.integers(5, 10)] * 2),
 )
 def test_coverage_is_the_area_of_the_polygon_in_each_pixel(corners, window):
     """Against clipping the polygon at every pixel."""
@@ -115,7 +112,7 @@ def test_coverage_is_the_area_of_the_polygon_in_each_pixel(corners, window):
         x, y = clipped(hull, column + left, row + top).T
         expected[row, column] = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
     if expected.any():
-        share = Coverage([hull + 7.3, hull, hull], (0, 0, 30, 30)).share(1, window)
+        share = Coverage([hull + 7.3, hull, hull], (0, 0, 10, 10)).share(1, window)
         assert (1.0 if share is None else share) == pytest.approx(expected, abs=1e-5)
         assert (share is None) == (expected.min() > 1.0 - 1e-9)
 
@@ -217,7 +214,7 @@ def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
     textures = [Texture(rng.random(size)) for size in ((1, 900), (700, 1), (40, 50)) * 2]
     world = World(room(0, (-3, -3, -3), (3, 3, 3), textures))
     renderer = Renderer(world, Camera((36, 64), 170.0))
-    for angles in itertools.product((-90, 0, 45, 90), repeat=3):
+    for angles in itertools.product((0, 45, 90), repeat=3):
         picture = renderer.render(look(0.3, -0.4, 0.2, *angles))
         assert picture.min() > -1e-6 and picture.max() < 1.0 + 1e-6, angles
 
@@ -225,8 +222,7 @@ def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
 # What hides what
 
 
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 10_000))
+@pytest.mark.parametrize("seed", range(8))
 def test_what_is_behind_is_hidden(seed):
     """Against rays through the middle and the rim of every pixel, where they all see the same."""
     rng = np.random.default_rng(seed)
@@ -265,11 +261,11 @@ def test_order_is_exact_for_upright_bodies():
     assert sorted(cut.back_to_front(np.array([-5.0, 0, 1]), everywhere)) == [*range(11)]
 
 
-def test_of_bodies_that_cut_the_nearer_one_is_seen():
-    bodies = [box((2, -1, -1), (3, 1, 1), 1.0), box((2.5, -1, -1), (4, 1, 1), 0.5)]
-    for ordered in (bodies, bodies[::-1]):
-        assert seen(ordered)[60, 80] == 1.0
-        assert seen(ordered, look(x=6.0, yaw=180.0))[60, 80] == 0.5
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_bodies_that_cut_the_nearer_one_is_seen(order):
+    bodies = [box((2, -1, -1), (3, 1, 1), 1.0), box((2.5, -1, -1), (4, 1, 1), 0.5)][::order]
+    assert seen(bodies)[60, 80] == 1.0
+    assert seen(bodies, look(x=6.0, yaw=180.0))[60, 80] == 0.5
 
 
 def test_a_moving_body_is_where_it_moves_to():

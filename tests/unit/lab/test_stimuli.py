@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.scene import FlightScene
-from dlgmd_cli.lab.flights.scenes import SCENES, find_scene
-from dlgmd_cli.lab.stimuli.base import Scene
-from dlgmd_cli.lab.stimuli.plain import Patch, disc, rectangle
+from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene, find_scene
+from dlgmd_cli.lab.stimuli.flat import disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"--size": (48, 64), "--frames": 6}
@@ -23,14 +20,14 @@ near = st.floats(-10.0, 40.0)
 extents = st.floats(0.01, 60.0)
 
 
-def whole(patch: Patch, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+def whole(patch, shape=SHAPE):
     """The coverage of every pixel of a picture."""
     picture = np.zeros(shape, np.float32)
     patch.paint(picture, 1.0)
     return picture
 
 
-def darkness(frame: np.ndarray, options: Any) -> np.ndarray:
+def darkness(frame, options):
     """Share of each pixel that the object covers, as far as grey levels tell."""
     contrast = options.background - options.object_luminance
     return (options.background - frame / 255.0) / contrast
@@ -40,7 +37,7 @@ def darkness(frame: np.ndarray, options: Any) -> np.ndarray:
 
 
 @given(near, near, extents, extents)
-def test_rectangle_covers_its_own_area(y: float, x: float, height: float, width: float) -> None:
+def test_rectangle_covers_its_own_area(y, x, height, width):
     inside_y = max(0.0, min(SHAPE[0], y + height / 2) - max(0.0, y - height / 2))
     inside_x = max(0.0, min(SHAPE[1], x + width / 2) - max(0.0, x - width / 2))
     coverage = whole(rectangle(SHAPE, (y, x), (height, width)))
@@ -50,7 +47,7 @@ def test_rectangle_covers_its_own_area(y: float, x: float, height: float, width:
 
 @settings(max_examples=40, deadline=None)
 @given(near, near, st.floats(0.05, 40.0))
-def test_disc_agrees_with_counting_points(y: float, x: float, radius: float) -> None:
+def test_disc_agrees_with_counting_points(y, x, radius):
     n = 40
     points = (np.arange(SHAPE[1] * n) + 0.5) / n
     rows = points[: SHAPE[0] * n, None]
@@ -62,7 +59,7 @@ def test_disc_agrees_with_counting_points(y: float, x: float, radius: float) -> 
 
 
 @pytest.mark.parametrize("size", [1e4, 1e9, 1e30, 1e200])
-def test_shapes_far_larger_than_the_picture_cover_it(size: float) -> None:
+def test_shapes_far_larger_than_the_picture_cover_it(size):
     assert np.all(whole(disc(SHAPE, (12.0, 16.0), size)) == 1.0)
     assert np.all(whole(rectangle(SHAPE, (12.0, 16.0), (size, size))) == 1.0)
 
@@ -71,11 +68,11 @@ def test_shapes_far_larger_than_the_picture_cover_it(size: float) -> None:
 
 
 @pytest.fixture(params=[name for name in SCENES if not isinstance(SCENES[name], FlightScene)])
-def scene(request: pytest.FixtureRequest) -> Scene[Any]:
+def scene(request):
     return SCENES[request.param]
 
 
-def test_scene_has_a_line_and_as_many_frames_as_rows(scene: Scene[Any]) -> None:
+def test_scene_has_a_line_and_as_many_frames_as_rows(scene):
     assert SCENES[scene.name] is scene
     assert scene.description and "\n" not in scene.description
     options = scene.defaults
@@ -86,7 +83,7 @@ def test_scene_has_a_line_and_as_many_frames_as_rows(scene: Scene[Any]) -> None:
     assert [row.time_s for row in rows] == [index / 30.0 for index in range(75)]
 
 
-def test_angular_velocity_is_the_slope_of_the_angular_size(scene: Scene[Any]) -> None:
+def test_angular_velocity_is_the_slope_of_the_angular_size(scene):
     options = scene.configure({"--fps": 500.0})
     rows = list(scene.truth(options))
     for before, here, after in zip(rows, rows[1:], rows[2:], strict=False):
@@ -95,7 +92,7 @@ def test_angular_velocity_is_the_slope_of_the_angular_size(scene: Scene[Any]) ->
             assert here.angular_velocity_deg_s == pytest.approx(slope, rel=1e-2, abs=1e-9)
 
 
-def test_noise_has_the_spread_asked_for(scene: Scene[Any]) -> None:
+def test_noise_has_the_spread_asked_for(scene):
     still = scene.configure({"--background": 0.5, "--contrast": 0.0, "--frames": 4})
     frames = np.stack(list(scene.frames(replace(still, noise=0.05)))) / 255.0
     assert frames.mean() == pytest.approx(0.5, abs=1e-3)
@@ -104,7 +101,7 @@ def test_noise_has_the_spread_asked_for(scene: Scene[Any]) -> None:
     assert np.std(frames[1] - frames[0]) == pytest.approx(math.sqrt(2) * 0.05, rel=1e-2)
 
 
-def test_a_seed_gives_the_same_frames_and_another_seed_others(scene: Scene[Any]) -> None:
+def test_a_seed_gives_the_same_frames_and_another_seed_others(scene):
     options = scene.configure({**SMALL, "--noise": 0.05, "--seed": 3})
     first, again = list(scene.frames(options)), list(scene.frames(options))
     other = list(scene.frames(replace(options, seed=4)))
@@ -122,9 +119,7 @@ def test_a_seed_gives_the_same_frames_and_another_seed_others(scene: Scene[Any])
         (0.25, 0.8, (204, 255)),
     ],
 )
-def test_contrast_is_webers(
-    scene: Scene[Any], contrast: float, background: float, grey: tuple[int, int]
-) -> None:
+def test_contrast_is_webers(scene, contrast, background, grey):
     options = scene.configure({**SMALL, "--contrast": contrast, "--background": background})
     frame = list(scene.frames(options))[-1]
     found = {int(value) for value in np.unique(frame)}
@@ -146,16 +141,31 @@ def test_contrast_is_webers(
         ("--background", 0.0, "0.0 is not above 0. Choose above 0 to 1."),
     ],
 )
-def test_scene_refuses_what_it_cannot_be(
-    scene: Scene[Any], flag: str, value: Any, why: str
-) -> None:
-    with pytest.raises(ParameterError) as caught:
+def test_scene_refuses_what_it_cannot_be(scene, flag, value, why):
+    with pytest.raises(ParameterError, match=f"'{flag}': ") as caught:
         scene.configure({flag: value})
-    assert str(caught.value).startswith(f"Invalid value for '{flag}': ")
     assert why in str(caught.value)
 
 
-def test_unknown_scene_is_met_with_the_nearest_name() -> None:
+@pytest.mark.parametrize(
+    ("name", "given", "why"),
+    [
+        ("looming-cube", {"--frames": 76}, "'--frames': contact comes after 75 frames"),
+        ("looming-cube", {"--speed": 0.001}, "'--speed': contact comes only after 225000 "),
+        ("looming-cube", {"--speed": (1.0, 2.0)}, "'--speed': the scene takes one value, not 2"),
+        ("translating-cubes", {"--speed": (0.0,)}, "every square needs a speed other than 0"),
+        ("translating-cubes", {"--speed": (1.0, 0.0)}, "every square needs a speed other than 0"),
+        ("translating-cubes", {"--speed": ()}, "every square needs a speed other than 0"),
+        ("translating-cubes", {"--speed": 10.0, "--frames": 47}, "leaves the picture after 46 fra"),
+        ("translating-cubes", {"--object-size": 68.0}, "4 squares of 68 px .* Choose 67 px or les"),
+    ],
+)
+def test_what_one_scene_refuses(name, given, why):
+    with pytest.raises(ParameterError, match=why):
+        SCENES[name].configure(given)
+
+
+def test_unknown_scene_is_met_with_the_nearest_name():
     with pytest.raises(ParameterError, match="Did you mean 'looming-ball'"):
         find_scene("loming-ball")
     with pytest.raises(ParameterError, match=r"Choose from .*looming-cube, receding-cube"):
@@ -165,32 +175,26 @@ def test_unknown_scene_is_met_with_the_nearest_name() -> None:
 # Objects that come closer or go away
 
 
-@pytest.mark.parametrize("name", ["looming-cube", "receding-cube"])
-def test_area_of_the_cube_follows_from_the_distance(name: str) -> None:
+@pytest.mark.parametrize("name", ["looming-cube", "receding-cube", "looming-ball"])
+def test_the_area_of_the_object_follows_from_the_distance(name):
     scene = SCENES[name]
-    for frame, row in zip(scene.frames(scene.defaults), scene.truth(scene.defaults), strict=True):
-        focal = scene.defaults.focal_px
-        side = 2.0 * focal * math.tan(math.radians(row.angular_size_deg) / 2.0)
-        distance = 7.5 - 3.0 * row.time_s if name == "looming-cube" else 0.1 + 3.0 * row.time_s
-        assert side == pytest.approx(focal * 0.5 / distance, rel=1e-9)
-        area = min(side, 270.0) * min(side, 480.0)
-        assert darkness(frame, scene.defaults).sum() == pytest.approx(area, rel=1e-3)
-
-
-def test_area_of_the_ball_follows_from_the_truth() -> None:
-    scene = SCENES["looming-ball"]
     focal = scene.defaults.focal_px
     for frame, row in zip(scene.frames(scene.defaults), scene.truth(scene.defaults), strict=True):
         half = math.radians(row.angular_size_deg) / 2.0
-        distance = 7.5 - 3.0 * row.time_s
-        assert math.sin(half) == pytest.approx(0.25 / (distance + 0.25), rel=1e-9)
-        if (radius := focal * math.tan(half)) < 135.0:
-            area = math.pi * radius**2
+        span = 2.0 * focal * math.tan(half)
+        distance = 0.1 + 3.0 * row.time_s if name == "receding-cube" else 7.5 - 3.0 * row.time_s
+        if name == "looming-ball":
+            assert math.sin(half) == pytest.approx(0.25 / (distance + 0.25), rel=1e-9)
+            area = math.pi * span**2 / 4 if span < 270.0 else None
+        else:
+            assert span == pytest.approx(focal * 0.5 / distance, rel=1e-9)
+            area = min(span, 270.0) * min(span, 480.0)
+        if area is not None:
             assert darkness(frame, scene.defaults).sum() == pytest.approx(area, rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["looming-cube", "looming-ball"])
-def test_looming_grows_without_a_break_and_ends_before_contact(name: str) -> None:
+def test_looming_grows_without_a_break_and_ends_before_contact(name):
     scene = SCENES[name]
     frames, rows = list(scene.frames(scene.defaults)), list(scene.truth(scene.defaults))
     areas = [darkness(frame, scene.defaults).sum() for frame in frames]
@@ -204,7 +208,7 @@ def test_looming_grows_without_a_break_and_ends_before_contact(name: str) -> Non
     assert np.allclose(np.diff([row.time_to_contact_s for row in rows]), -1 / 30)
 
 
-def test_receding_cube_is_the_looming_cube_backwards() -> None:
+def test_receding_cube_is_the_looming_cube_backwards():
     looming, receding = SCENES["looming-cube"], SCENES["receding-cube"]
     there, back = looming.frames(looming.defaults), receding.frames(receding.defaults)
     for a, b in zip(list(there)[::-1], back, strict=True):
@@ -225,27 +229,17 @@ def test_receding_cube_is_the_looming_cube_backwards() -> None:
         ({"--speed": 0.001, "--frames": 3}, 3),
     ],
 )
-def test_length_of_a_looming_clip(given: dict[str, Any], n_frames: int) -> None:
+def test_length_of_a_looming_clip(given, n_frames):
     scene = SCENES["looming-ball"]
     rows = list(scene.truth(scene.configure(given)))
     assert len(rows) == n_frames
     assert all(row.time_to_contact_s > 0.0 for row in rows)
 
 
-def test_clip_past_contact_or_without_end_is_refused() -> None:
-    scene = SCENES["looming-cube"]
-    with pytest.raises(ParameterError, match=r"'--frames': contact comes after 75 frames"):
-        scene.configure({"--frames": 76})
-    with pytest.raises(ParameterError, match=r"'--speed': contact comes only after 225000 "):
-        scene.configure({"--speed": 0.001})
-    with pytest.raises(ParameterError, match=r"'--speed': the scene takes one value, not 2"):
-        scene.configure({"--speed": (1.0, 2.0)})
-
-
 # Objects that move sideways
 
 
-def test_centroid_moves_by_exactly_the_speed() -> None:
+def test_centroid_moves_by_exactly_the_speed():
     scene = SCENES["translating-cubes"]
     options = scene.configure({"--speed": (1.0, 2.5, -0.3)})
     xs = np.arange(480) + 0.5
@@ -259,22 +253,9 @@ def test_centroid_moves_by_exactly_the_speed() -> None:
     assert np.allclose(centroids[37], 240.0, atol=0.004)
 
 
-def test_cubes_stay_in_sight() -> None:
+def test_cubes_stay_in_sight():
     scene = SCENES["translating-cubes"]
     options = scene.configure({"--speed": (10.0, -3.0)})
     assert scene.n_frames(options) == 46
     for frame in scene.frames(options):
         assert darkness(frame, options).sum() == pytest.approx(2 * 30.0**2, rel=1e-3)
-    with pytest.raises(ParameterError, match="leaves the picture after 46 frames"):
-        scene.configure({"--speed": 10.0, "--frames": 47})
-
-
-@pytest.mark.parametrize("speeds", [(0.0,), (1.0, 0.0), ()])
-def test_every_cube_needs_a_speed(speeds: tuple[float, ...]) -> None:
-    with pytest.raises(ParameterError, match="every square needs a speed other than 0"):
-        SCENES["translating-cubes"].configure({"--speed": speeds})
-
-
-def test_cubes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ParameterError, match=r"4 squares of 68 px .* Choose 67 px or less"):
-        SCENES["translating-cubes"].configure({"--object-size": 68.0})

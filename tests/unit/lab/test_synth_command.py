@@ -72,7 +72,7 @@ def test_lists_the_scenes_by_kind(dlgmd, monkeypatch):
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
-def test_help_says_what_is_for_which_scenes(dlgmd):
+def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd):
     text = dlgmd("synth", "--help").stdout
     every, flights, flat = re.split(r"^\w.* only:$", text, flags=re.M)
     for section, flags in (
@@ -82,12 +82,7 @@ def test_help_says_what_is_for_which_scenes(dlgmd):
     ):
         assert set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", section, re.M)) >= set(flags.split())
     assert "SCENE\n" not in every.partition("Options:")[2]
-
-
-def test_help_has_an_example_that_runs(dlgmd):
-    result = dlgmd("synth", "--help")
-    example = re.search(r"Example: dlgmd (synth [^\n]+(?:\n +[^\n]+)?)", result.stdout)
-    assert result.exit_code == 0 and example
+    example = re.search(r"Example: dlgmd (synth [^\n]+(?:\n +[^\n]+)?)", text)
     assert dlgmd(*shlex.split(example[1])).exit_code == 0
 
 
@@ -97,11 +92,7 @@ def test_help_has_an_example_that_runs(dlgmd):
         ("", "Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes."),
         ("looming-cub", "there is no scene 'looming-cub'. Did you mean 'looming-cube'? Choose"),
         ("translating-cubes --distance 3", "--distance: translating-cubes has no such option."),
-        ("looming-cube --speed 1 --speed 2", "'--speed': the scene takes one value, not 2."),
-        ("looming-cube --frames 0", "Invalid value for '--frames': 0 is not at least 1."),
-        ("looming-cube --size 63x48", "'--size': 63x48 is odd"),
         ("looming-cube --size 64", "'64' is not WIDTHxHEIGHT"),
-        ("looming-cube --gamma 2", "--gamma: looming-cube has no such option. It takes --size"),
         ("looming-cube --jobs 2", "--jobs works only with --count."),
         ("looming-cube --fps fast", "'fast' is not a valid float"),
         ("looming-ball --speed nan", "'--speed': nan is not a finite number"),

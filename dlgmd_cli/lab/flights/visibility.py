@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.lab.flights.renderer.camera import Camera, FloatArray, Pose
-from dlgmd_cli.lab.flights.renderer.solids import Body, Capsule, IntArray, Surfaces
-from dlgmd_cli.lab.flights.renderer.texture import Outline
+from dlgmd_cli.lab.flights.camera import Camera, FloatArray, Pose
+from dlgmd_cli.lab.flights.solids import Body, Capsule, IntArray, Outline, Surfaces, box_of
 
 # Near plane; a lens could not focus at this distance either.
 _NEAR_M = 0.01
@@ -26,71 +25,48 @@ def is_outside(camera: Camera, seen: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether each face, (n, n_corners, 3), is entirely beyond one border of the picture."""
     right, down = camera.middle_xy / camera.focal_px
     x, y, depth = np.moveaxis(seen, -1, 0)
-    beyond = np.array(
-        [
-            x - right * depth,
-            -x - right * depth,
-            y - down * depth,
-            -y - down * depth,
-            _NEAR_M - depth,
-        ]
-    )
+    wide, high = right * depth, down * depth
+    beyond = np.array([x - wide, -x - wide, y - high, -y - high, _NEAR_M - depth])
     return np.asarray((beyond >= 0.0).all(axis=2).any(axis=0), np.bool_)
 
 
-class Projector:
-    """Projects bodies to outlines, all planar faces at once."""
-
-    def __init__(self, surfaces: Surfaces) -> None:
-        self._surfaces = surfaces
-        faces = surfaces.faces
-        self._origins = np.array([face.origin_m for face in faces]).reshape(-1, 3)
-        sides = [np.array([face.right_m, face.down_m]) for face in faces]
-        # Maps a point to its coordinates along the sides of the texture.
-        self._shares = np.array([np.linalg.pinv(pair).T for pair in sides]).reshape(-1, 2, 3)
-        self._texels_per_m = [
-            max(face.texture.image.shape[::-1] / np.sqrt((pair**2).sum(axis=1)))
-            for face, pair in zip(faces, sides, strict=True)
-        ]
-
-    def outlines(
-        self, camera: Camera, pose: Pose, offsets_m: FloatArray
-    ) -> dict[int, list[Outline]]:
-        """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
-        found: dict[int, list[Outline]] = {}
-        surfaces = self._surfaces
-        # Instead of moving the bodies, move the camera the other way.
-        eyes = pose.position_m - offsets_m
-        seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
-        origins = self._origins - eyes[surfaces.face_body]
-        heights = (surfaces.normals * origins).sum(axis=1)  # of the faces above the camera
-        chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~is_outside(camera, seen))
-        heights, normals, shares = heights[chosen], surfaces.normals[chosen], self._shares[chosen]
-        rays = pose.camera_from_world.T @ camera.rays_from_xy
-        planes = normals @ rays / heights[:, None]
-        along = (shares * origins[chosen, None]).sum(axis=2)
-        rows = heights[:, None, None] * shares - along[:, :, None] * normals[:, None]
-        from_xy = np.concatenate([rows, normals[:, None]], axis=1) @ rays
-        for place, index in enumerate(chosen):
-            face = surfaces.faces[index]
-            corners = _clip_near(seen[index, : len(face.corners_m)])
-            if len(corners) < 3:
-                continue
-            outline = Outline(
-                camera.flatten(corners)[::-1],
-                planes[place],
-                -float(heights[place]),
-                from_xy[place],
-                self._texels_per_m[index],
-                face.texture,
-                face.gain,
-            )
-            found.setdefault(int(surfaces.face_body[index]), []).append(outline)
-        for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
-            outline_of_it = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
-            if outline_of_it is not None:
-                found[index] = [outline_of_it]
-        return found
+def visible_outlines(
+    surfaces: Surfaces, camera: Camera, pose: Pose, offsets_m: FloatArray
+) -> dict[int, list[Outline]]:
+    """The outlines of the visible bodies, by index, displaced by (n_bodies, 3) m."""
+    found: dict[int, list[Outline]] = {}
+    # Instead of moving the bodies, move the camera the other way.
+    eyes = pose.position_m - offsets_m
+    seen = (surfaces.corners_m - eyes[surfaces.face_body][:, None]) @ pose.camera_from_world.T
+    origins = surfaces.origins_m - eyes[surfaces.face_body]
+    heights = (surfaces.normals * origins).sum(axis=1)  # of the faces above the camera
+    chosen = np.flatnonzero((heights < -_EDGE_ON_M) & ~is_outside(camera, seen))
+    heights, normals, shares = heights[chosen], surfaces.normals[chosen], surfaces.shares[chosen]
+    rays = pose.camera_from_world.T @ camera.rays_from_xy
+    planes = normals @ rays / heights[:, None]
+    along = (shares * origins[chosen, None]).sum(axis=2)
+    rows = heights[:, None, None] * shares - along[:, :, None] * normals[:, None]
+    from_xy = np.concatenate([rows, normals[:, None]], axis=1) @ rays
+    for place, index in enumerate(chosen):
+        face = surfaces.faces[index]
+        corners = _clip_near(seen[index, : len(face.corners_m)])
+        if len(corners) < 3:
+            continue
+        outline = Outline(
+            corners_xy=camera.flatten(corners)[::-1],
+            plane=planes[place],
+            distance_m=-float(heights[place]),
+            texture_from_xy=from_xy[place],
+            texels_per_m=face.texels_per_m,
+            texture=face.texture,
+            gain=face.gain,
+        )
+        found.setdefault(int(surfaces.face_body[index]), []).append(outline)
+    for index, body in zip(surfaces.capsule_body.tolist(), surfaces.capsules, strict=True):
+        round_one = _outline_round(body, camera, Pose(eyes[index], pose.rotation))
+        if round_one is not None:
+            found[index] = [round_one]
+    return found
 
 
 def _clip_near(seen: FloatArray) -> FloatArray:
@@ -114,8 +90,11 @@ def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
     """
     ends = camera.view(body.ends_m, pose)
     along = ends[1] - ends[0]
-    if _is_inside(ends[0], along, body.radius_m):
-        return None
+    square = float(along @ along)
+    share = min(max(-float(ends[0] @ along) / square, 0.0), 1.0) if square else 0.0
+    nearest = ends[0] + share * along
+    if float(nearest @ nearest) <= body.radius_m * body.radius_m:
+        return None  # the camera is inside
     circles = [_touching_circle(end, body.radius_m, camera) for end in ends]
     clipped = _before_near(np.concatenate(circles))
     if len(clipped) < 3:
@@ -145,22 +124,14 @@ def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
     ]
     n_rows, n_columns = body.texture.image.shape
     return Outline(
-        hull[:, 0].astype(np.float64),
-        normal @ rays / distance,
-        abs(distance),
-        np.array([*rows, normal]) @ rays,
-        max(n_columns / width, n_rows / height),
-        body.texture,
-        body.gain,
+        corners_xy=hull[:, 0].astype(np.float64),
+        plane=normal @ rays / distance,
+        distance_m=abs(distance),
+        texture_from_xy=np.array([*rows, normal]) @ rays,
+        texels_per_m=max(n_columns / width, n_rows / height),
+        texture=body.texture,
+        gain=body.gain,
     )
-
-
-def _is_inside(end: FloatArray, along: FloatArray, radius: float) -> bool:
-    """Whether the camera is inside a capsule from `end` along a vector."""
-    square = float(along @ along)
-    share = min(max(-float(end @ along) / square, 0.0), 1.0) if square else 0.0
-    nearest = end + share * along
-    return float(nearest @ nearest) <= radius * radius
 
 
 def _upright(
@@ -221,7 +192,7 @@ class PaintOrder:
     def __init__(self, bodies: Sequence[Body]) -> None:
         n = len(bodies)
         self._bodies = list(bodies)
-        boxes = np.array([_box(body) for body in bodies]).reshape(-1, 2, 3)
+        boxes = np.array([box_of(body) for body in bodies]).reshape(-1, 2, 3)
         self._low, self._high = boxes[:, 0], boxes[:, 1]
         # For bodies i and j: normal and offset of up to four planes with i behind and j in front,
         # one along each axis, or one along a face; zeros for none.
@@ -238,7 +209,7 @@ class PaintOrder:
     def move(self, index: int, body: Body) -> None:
         """Replace the body with that index."""
         self._bodies[index] = body
-        self._low[index], self._high[index] = _box(body)
+        self._low[index], self._high[index] = box_of(body)
         others = np.arange(len(self._bodies))
         self._separate(index, others[others != index])
 
@@ -275,15 +246,14 @@ class PaintOrder:
         planes[:, :3, :3] = signs[:, :, None] * np.eye(3)
         planes[:, :3, 3] = signs * levels
         for place in np.flatnonzero(~signs.any(axis=1)):
-            planes[place, 3] = (
-                separating_plane(self._bodies[index], self._bodies[others[place]]) or 0.0
-            )
+            other = self._bodies[others[place]]
+            planes[place, 3] = separating_plane(self._bodies[index], other) or 0.0
         self._planes[index, others], self._planes[others, index] = planes, -planes
 
 
 def separating_plane(body: Body, other: Body) -> tuple[float, float, float, float] | None:
     """Normal and offset of a plane with `body` behind it and `other` in front; None without one."""
-    (low, high), (low2, high2) = _box(body), _box(other)
+    (low, high), (low2, high2) = box_of(body), box_of(other)
     line = (low2 + high2 - low - high) / 2.0
     length = float(np.linalg.norm(line))
     candidates = [body.normals, -body.normals, other.normals, -other.normals]
@@ -298,12 +268,6 @@ def separating_plane(body: Body, other: Body) -> tuple[float, float, float, floa
         return None
     x, y, z = normals[best].tolist()
     return x, y, z, float(ends[best] + begins[best]) / 2.0
-
-
-def _box(body: Body) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest coordinates of a body."""
-    axes = np.eye(3)
-    return -body.reach(-axes), body.reach(axes)
 
 
 def _sorted(behind: npt.NDArray[np.bool_], distances: FloatArray) -> list[int]:

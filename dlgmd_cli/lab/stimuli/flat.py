@@ -1,0 +1,358 @@
+"""Scenes of plain objects on a plain background, antialiased by exact pixel coverage."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.lab.stimuli.base import (
+    MAX_FRAMES,
+    MAX_SIDE_PX,
+    ClipOptions,
+    GreyImage,
+    Scene,
+    invalid,
+    option,
+)
+
+_DEFAULT_FRAMES = 75
+FloatImage = npt.NDArray[np.float32]
+FloatArray = npt.NDArray[np.float64]
+MIN_METRES, MAX_METRES = 0.001, 10_000
+_N_TEST_FRAMES = 20
+
+
+@dataclass(frozen=True)
+class FlatOptions(ClipOptions):
+    """Options of all flat scenes.
+
+    `contrast` is the Weber contrast (object - background) / background. Luminances range from 0 to
+    1, which is grey level 255. `noise` is the standard deviation of the luminance noise, added to
+    each pixel before rounding to grey levels.
+    """
+
+    contrast: float = option(-0.75, "--contrast", -1, 1000)
+    background: float = option(0.8, "--background", 0, 1, low_open=True)
+    noise: float = option(0.0, "--noise", 0, 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 <= self.object_luminance <= 1.0:
+            raise invalid(
+                "--contrast",
+                f"{self.contrast:g} on a background of {self.background:g} makes the object "
+                "brighter than white",
+                f"Choose -1 to {1 / self.background - 1:.3g}, or a darker --background.",
+            )
+
+    @property
+    def object_luminance(self) -> float:
+        """Luminance of the object in 0..1."""
+        return self.background * (1.0 + self.contrast)
+
+
+@dataclass(frozen=True)
+class FlatTruth:
+    """The ground truth of one frame of a flat scene."""
+
+    frame: int
+    time_s: float
+    angular_size_deg: float
+    angular_velocity_deg_s: float
+    time_to_contact_s: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A shape in a picture: `coverage`, 0..1, of the pixels in `rows` and `columns`."""
+
+    rows: slice
+    columns: slice
+    coverage: FloatArray
+
+    def paint(self, picture: FloatImage, luminance: float) -> None:
+        """Blend `luminance` into `picture`, (H, W), by coverage, in place."""
+        below = picture[self.rows, self.columns]
+        below += self.coverage * (luminance - below)
+
+
+def _render(
+    options: FlatOptions, n_frames: int, patches: Callable[[int], Iterable[Patch]]
+) -> Iterator[GreyImage]:
+    """Frames with the objects that `patches` gives for each frame index, on the background."""
+    rng = np.random.default_rng(options.seed)
+    for index in range(n_frames):
+        picture: FloatImage = np.full(options.shape, options.background, np.float32)
+        for patch in patches(index):
+            patch.paint(picture, options.object_luminance)
+        if options.noise > 0.0:
+            picture += options.noise * rng.standard_normal(options.shape, np.float32)
+        yield np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+
+
+def rectangle(
+    shape: tuple[int, int], center_yx: tuple[float, float], size_yx: tuple[float, float]
+) -> Patch:
+    """Exact coverage of an upright rectangle, which may be far larger than the picture.
+
+    Coordinates are in px with y down; pixel (0, 0) extends from 0 to 1.
+    """
+    rows, y = _pixel_edges(center_yx[0], size_yx[0] / 2, shape[0])
+    columns, x = _pixel_edges(center_yx[1], size_yx[1] / 2, shape[1])
+    inside_y = np.diff(np.clip(y, -size_yx[0] / 2, size_yx[0] / 2))
+    inside_x = np.diff(np.clip(x, -size_yx[1] / 2, size_yx[1] / 2))
+    return Patch(rows, columns, np.outer(inside_y, inside_x))
+
+
+def disc(shape: tuple[int, int], center_yx: tuple[float, float], radius_px: float) -> Patch:
+    """Coverage of a disc, exact up to rounding (1e-3 at a radius of a million px).
+
+    It may be far larger than the picture; coordinates are as in `rectangle`.
+    """
+    rows, y = _pixel_edges(center_yx[0], radius_px, shape[0])
+    columns, x = _pixel_edges(center_yx[1], radius_px, shape[1])
+    # Squared distances from the centre to the nearest and the farthest point of each pixel.
+    near_y, near_x = (np.clip(0.0, each[:-1], each[1:]) ** 2 for each in (y, x))
+    far_y, far_x = (np.maximum(-each[:-1], each[1:]) ** 2 for each in (y, x))
+    square = radius_px * radius_px  # `**` would raise OverflowError
+    covered = far_y[:, None] + far_x <= square
+    coverage = covered.astype(np.float64)
+    # Only pixels on the circle itself need the integral.
+    i, j = np.nonzero(~covered & (near_y[:, None] + near_x < square))
+    area = (
+        _area_from_center(y[i + 1], x[j + 1], radius_px)
+        - _area_from_center(y[i], x[j + 1], radius_px)
+        - _area_from_center(y[i + 1], x[j], radius_px)
+        + _area_from_center(y[i], x[j], radius_px)
+    )
+    coverage[i, j] = np.clip(area, 0.0, 1.0)
+    return Patch(rows, columns, coverage)
+
+
+def _pixel_edges(center: float, reach: float, n_pixels: int) -> tuple[slice, FloatArray]:
+    """The pixels within center ± reach, and the positions of their edges relative to `center`."""
+    low, high = (
+        int(np.clip(edge, 0, n_pixels))
+        for edge in (np.floor(center - reach), np.ceil(center + reach))
+    )
+    high = max(low, high)
+    edges: FloatArray = np.arange(low, high + 1, dtype=np.float64) - center
+    return slice(low, high), edges
+
+
+def _area_from_center(y: FloatArray, x: FloatArray, radius: float) -> FloatArray:
+    """Signed area of the part of the disc inside the rectangle from its centre to (y, x).
+
+    The rectangle counts in full up to its intersection with the circle. Beyond that, the area under
+    the circle counts.
+    """
+    height, width = np.minimum(np.abs(y), radius), np.minimum(np.abs(x), radius)
+    cut = np.sqrt(radius * radius - width**2)
+    under_circle = _area_under_circle(np.maximum(height, cut), radius)
+    area = width * np.minimum(height, cut) + under_circle - _area_under_circle(cut, radius)
+    signed: FloatArray = np.sign(y) * np.sign(x) * area
+    return signed
+
+
+def _area_under_circle(t: FloatArray, radius: float) -> FloatArray:
+    """Integral of sqrt(radius² - s²) over s from 0 to t."""
+    square = radius * radius
+    area: FloatArray = (t * np.sqrt(square - t**2) + square * np.arcsin(t / radius)) / 2
+    return area
+
+
+@dataclass(frozen=True)
+class ApproachOptions(FlatOptions):
+    """Options of a scene with one object on the optical axis.
+
+    The size is the side of the cube or the diameter of the ball. The distance is from the camera to
+    the nearest point of the object at frame 0.
+    """
+
+    object_size_m: float = option(0.5, "--object-size", MIN_METRES, MAX_METRES, unit="m")
+    speed_m_s: float = option(3.0, "--speed", MIN_METRES, MAX_METRES, unit="m/s")
+    distance_m: float = option(7.5, "--distance", MIN_METRES, MAX_METRES, unit="m")
+
+
+class Approach(Scene[ApproachOptions]):
+    """A "cube" or a "ball" that moves along the optical axis at constant speed."""
+
+    truth_type = FlatTruth
+
+    def __init__(
+        self,
+        name: str,
+        description: str,
+        solid: Literal["cube", "ball"],
+        defaults: ApproachOptions | None = None,
+        *,
+        recedes: bool = False,
+    ) -> None:
+        self.name, self.description, self.defaults = (
+            name,
+            description,
+            defaults or ApproachOptions(),
+        )
+        self._is_cube, self._recedes = solid == "cube", recedes
+
+    def n_frames(self, options: ApproachOptions) -> int:
+        """Number of frames: as set, else all before contact, or 75 if the object recedes."""
+        if self._recedes:
+            return options.n_frames or _DEFAULT_FRAMES
+        # With a margin for rounding: the frame of contact itself does not count.
+        n_before = math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6)
+        n_before = max(1, n_before)
+        if options.n_frames is None and n_before > MAX_FRAMES:
+            raise invalid(
+                "--speed",
+                f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most",
+                "Raise it, or end the clip earlier with --frames.",
+            )
+        if options.n_frames is not None and options.n_frames > n_before:
+            raise invalid(
+                "--frames",
+                f"contact comes after {n_before} frames",
+                f"Choose 1 to {n_before}, or start at a larger --distance.",
+            )
+        return options.n_frames or n_before
+
+    def frames(self, options: ApproachOptions) -> Iterator[GreyImage]:
+        """The frames in order, (H, W) uint8."""
+        height, width = options.shape
+        middle_yx = height / 2.0, width / 2.0
+
+        def patches(index: int) -> list[Patch]:
+            _, outline_m = self._distances(options, index)
+            span_px = options.focal_px * options.object_size_m / outline_m
+            if self._is_cube:
+                return [rectangle(options.shape, middle_yx, (span_px, span_px))]
+            return [disc(options.shape, middle_yx, span_px / 2.0)]
+
+        return _render(options, self.n_frames(options), patches)
+
+    def truth(self, options: ApproachOptions) -> Iterator[FlatTruth]:
+        """The ground truth of each frame, computed from the geometry.
+
+        The angular size is 2 atan(s / 2d) for a cube, and 2 asin(R / D) for a ball with its centre
+        at D. The derivative with respect to the distance is -s / (d² + s²/4) for a cube, and
+        -2 R / (D sqrt(D² - R²)) for a ball.
+        """
+        size = options.object_size_m
+        rate = options.speed_m_s if self._recedes else -options.speed_m_s
+        for index in range(self.n_frames(options)):
+            distance, outline = self._distances(options, index)
+            if self._is_cube:
+                slope = -size / (distance**2 + size**2 / 4.0)
+            else:
+                slope = -size / ((distance + size / 2.0) * outline)
+            yield FlatTruth(
+                index,
+                index / options.fps,
+                math.degrees(2.0 * math.atan2(size, 2.0 * outline)),
+                math.degrees(slope * rate),
+                math.nan if self._recedes else distance / options.speed_m_s,
+            )
+
+    def _distances(self, options: ApproachOptions, index: int) -> tuple[float, float]:
+        """Distances, in m, of the nearest point d, and at which the outline is seen.
+
+        An object of size s spans f s / the latter in the image. For a cube seen face on, it is d.
+        For a ball, it is the length of the tangent sqrt(D² - R²), computed without cancellation.
+        """
+        covered = options.speed_m_s * index / options.fps
+        distance = options.distance_m + (covered if self._recedes else -covered)
+        size = options.object_size_m
+        return distance, distance if self._is_cube else math.sqrt(distance * (distance + size))
+
+
+@dataclass(frozen=True)
+class TranslationOptions(FlatOptions):
+    """Options of a scene with horizontally moving squares.
+
+    Each square has its own speed, from top to bottom; negative speeds are to the left. The size is
+    a ninth of the picture's height unless given.
+    """
+
+    object_size_px: float | None = option(
+        None, "--object-size", 0, MAX_SIDE_PX, unit="px", low_open=True
+    )
+    speeds_px: tuple[float, ...] = option(
+        (1.0, 2.0, 3.0, 4.0), "--speed", -MAX_SIDE_PX, MAX_SIDE_PX, unit="px/frame"
+    )
+
+    @property
+    def side_px(self) -> float:
+        """Side of the squares, in px."""
+        return self.shape[0] / 9.0 if self.object_size_px is None else self.object_size_px
+
+
+class Translation(Scene[TranslationOptions]):
+    """Squares that stay fully visible, and are in the middle halfway through the clip."""
+
+    truth_type = FlatTruth
+
+    def __init__(self, name: str, description: str, defaults: TranslationOptions) -> None:
+        self.name, self.description, self.defaults = name, description, defaults
+
+    def n_frames(self, options: TranslationOptions) -> int:
+        """Number of frames: as set, else as many as the picture has room for, 75 at most."""
+        height, width = options.shape
+        n_squares, side, speeds = len(options.speeds_px), options.side_px, options.speeds_px
+        if n_squares == 0 or 0.0 in speeds:
+            raise invalid("--speed", "every square needs a speed other than 0")
+        if side * n_squares > height or side > width:
+            squares = f"{n_squares} squares" if n_squares > 1 else "a square"
+            raise invalid(
+                "--object-size",
+                f"{squares} of {side:g} px cannot fit into a picture of {width}x{height}",
+                f"Choose {math.floor(min(height / n_squares, width))} px or less.",
+            )
+        fastest = max(map(abs, speeds))
+        # The margin is for speeds such as 0.1 that floats cannot represent exactly.
+        room = math.floor((width - side) / fastest + 1e-6) + 1
+        if options.n_frames is not None and options.n_frames > room:
+            raise invalid(
+                "--frames",
+                f"a square at {fastest:g} px/frame leaves the picture after {room} frames",
+                f"Choose 1 to {room}, a lower --speed, or a wider --size.",
+            )
+        return options.n_frames or min(_DEFAULT_FRAMES, room)
+
+    def frames(self, options: TranslationOptions) -> Iterator[GreyImage]:
+        """The frames in order, (H, W) uint8."""
+        n_frames = self.n_frames(options)
+        height, width = options.shape
+        row_height = height / len(options.speeds_px)
+
+        def patches(index: int) -> Iterator[Patch]:
+            for row, speed in enumerate(options.speeds_px):
+                x = width / 2.0 + speed * (index - (n_frames - 1) / 2.0)
+                center_yx = ((row + 0.5) * row_height, x)
+                yield rectangle(options.shape, center_yx, (options.side_px, options.side_px))
+
+        return _render(options, n_frames, patches)
+
+    def truth(self, options: TranslationOptions) -> Iterator[FlatTruth]:
+        """The ground truth of each frame; the angular size is that of a square in the middle."""
+        angle = 2.0 * math.atan2(options.side_px, 2.0 * options.focal_px)
+        for index in range(self.n_frames(options)):
+            yield FlatTruth(index, index / options.fps, math.degrees(angle), 0.0, math.nan)
+
+
+def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
+    """Frames, (H, W) uint8, of a ball up to contact, at several speeds, with a little noise.
+
+    In small frames, or with narrow kernels, not every speed raises an alarm.
+    """
+    for speed_m_s in (3.0, 2.0, 4.0, 6.0):
+        options = ApproachOptions(
+            shape=(height, width),
+            n_frames=_N_TEST_FRAMES,
+            noise=0.004,
+            speed_m_s=speed_m_s,
+            distance_m=speed_m_s * (_N_TEST_FRAMES + 1) / ApproachOptions.fps,
+        )
+        yield list(Approach("looming-ball", "", "ball", options).frames(options))
