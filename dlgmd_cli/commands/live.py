@@ -1,9 +1,8 @@
-"""`dlgmd live`: a camera, a stream, a pipe or a file at its own pace; alarms as they are raised."""
+"""`dlgmd live`: alarms from a camera, a stream, a pipe, or a file at its own pace."""
 
 import math
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -22,7 +21,6 @@ from dlgmd_cli.commands.console import (
     print_table,
     say,
     settings,
-    warn,
 )
 from dlgmd_cli.commands.options import (
     SIZE,
@@ -33,22 +31,22 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import is_lively
-from dlgmd_cli.errors import ParameterError, SourceError, printable
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.video.base import PIXEL_FORMATS
 
 if TYPE_CHECKING:
-    from dlgmd_cli.live.hooks import Hook
-    from dlgmd_cli.live.serve import Screen
-    from dlgmd_cli.live.watch import Answer, Statistics
+    from dlgmd_cli.live.outputs import Output
+    from dlgmd_cli.live.serve import PageServer
+    from dlgmd_cli.live.watch import Statistics
     from dlgmd_cli.runs.setup import Setup
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
-_BAR, _DRAW_S = 12, 0.2
+_BAR = 12
 
 
 def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
-    """An option in the section of the help about who hears the alarm."""
+    """An option in the section of the help about the receivers of alarms."""
 
     def decorate(command: Any) -> Any:
         command = click.option(*args, **kwargs)(command)
@@ -77,13 +75,13 @@ def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
     "--jsonl", is_flag=True, help="Print a JSON object for every frame, each on a line of stdout."
 )
 @alarm_option(
-    "--events", is_flag=True, help="With --jsonl and --udp: only where an alarm begins or ends."
+    "--events", is_flag=True, help="With --jsonl and --udp: only the objects with an event."
 )
 @alarm_option(
     "--exec",
     metavar="CMD",
-    help="Start a program where an alarm begins or ends. The event is in its environment: "
-    "DLGMD_EVENT is begin or end.",
+    help="Start a program at each event. The object is in its environment: DLGMD_EVENT is begin, "
+    "end, blind or sees, DLGMD_REASON is lost, black or frozen.",
 )
 @alarm_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
 @alarm_option(
@@ -96,7 +94,7 @@ def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
     "--serve",
     metavar="[HOST:]PORT",
     help="Serve a page with the picture and the curves; needs dlgmd[live]. Without HOST, only "
-    "this machine can open it; with 0.0.0.0, whoever has the address that is printed.",
+    "this machine can open it; with 0.0.0.0, everyone who has the address that is printed.",
 )
 @click.option(
     "--record",
@@ -114,21 +112,22 @@ def live(
     overwrite: bool,
     **asked: Any,
 ) -> None:
-    """Watch a live source, and tell of alarms as they are raised.
+    """Watch a live source, and raise alarms as they occur.
 
     SOURCE is a camera (0, /dev/video0), a stream (rtsp://, udp://, http://), - for a pipe of raw
     frames, or a file with --realtime.
 
-    The newest frame wins: where the model cannot keep up, frames are dropped and counted. A source
-    that is lost is tried again. Ctrl-C ends the command.
+    The newest frame wins: if the model is too slow, frames are dropped and counted. A lost source
+    is opened again. Ctrl-C ends the command.
 
-    The JSON objects hold frame, time_s, mp, mp_abs, spike, alarm, g_x, g_y (where the active cells
-    are, from -1 to 1), latency_ms (from capture to answer) and, where an alarm begins or ends,
-    event.
+    The JSON objects hold frame, time_s, mp, mp_abs, spike, alarm, g_x, g_y (the centroid of the
+    active cells, from -1 to 1) and latency_ms (from capture to answer). Events have an event:
+    begin and end of an alarm, blind where the source is lost or its pictures are black or frozen,
+    sees where it shows something again. The reason is lost, black or frozen as long as it does not.
     """
-    from dlgmd_cli.live.hooks import join
+    from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import Recording
-    from dlgmd_cli.live.watch import Statistics, answers, warm_up
+    from dlgmd_cli.live.watch import Sight, Statistics, answers
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.setup import input_options
@@ -136,40 +135,31 @@ def live(
     if asked["events"] and not (asked["jsonl"] or asked["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
     options = input_options(setup, given)
-    frames = _open(source, setup, options, asked)
+    frames = _source(source, setup, options, asked)
     alarm = Alarm(setup.params, repeats=options.repeats or "skip", engine=setup.engine)
-    statistics, status = Statistics(), Status(frames)
+    statistics, sight, recording = Statistics(), Sight(frames), None
     with ExitStack() as stack:
-        hooks = _hooks(asked, frames, status.tell)
-        stack.callback(join, hooks)
-        receivers: list[Any] = [*hooks, statistics]
-        recording = screen = None
+        outputs = _outputs(asked, frames)
+        stack.callback(finish, outputs)
+        receivers: list[Any] = [*outputs, statistics]
         if record is not None:
             store.check(record, store.RUN, {"path": frames.name}, overwrite=overwrite)
             stack.enter_context(store.locked(record))
-            recording = Recording(record, frames, setup, options, alarm, status.tell)
-            stack.callback(recording.close)
-            receivers.append(recording)
-        if asked["serve"]:
-            threshold = setup.params.t_mp
-            screen = stack.enter_context(_screen(asked["serve"], frames, statistics, threshold))
-            receivers.append(screen)
-        warm_up(alarm)
-        with status.shown(), frames:
-            for answer in answers(frames, alarm, lambda: frames.wants_images):
-                for message in frames.messages():
-                    status.tell(message)
-                    if screen is not None:
-                        screen.tell(message)
+            recording = Recording(record, frames, setup, options, alarm, sight)
+            receivers.append(stack.enter_context(recording))
+        if asked["serve"] is not None:
+            page = _page(asked["serve"], frames, statistics, setup.params.t_mp)
+            receivers.append(stack.enter_context(page))
+        with _status_line(frames, statistics), frames:
+            for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures):
                 if answer is not None:
                     for receiver in receivers:
                         receiver.put(answer)
-                status.update(answer, statistics)
-            for message in frames.messages():
-                status.tell(message)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
-    _show(statistics, frames, record if recording and recording.has_begun else None, asked["jsonl"])
+    _show(statistics, frames, sight.warnings(), as_note=asked["jsonl"])
+    if recording is not None and recording.has_begun and not asked["jsonl"]:
+        print_path(str(record))
     if cancel.requested():
         say("Interrupted.")
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
@@ -177,136 +167,107 @@ def live(
         raise click.exceptions.Exit(EXIT_FAILED)
 
 
-def _open(
+def _source(
     source: str, setup: "Setup", options: "InputOptions", asked: dict[str, Any]
 ) -> "LiveSource":
-    """The source, not yet reading."""
-    from dlgmd_cli.video.live import (
-        LiveSource,
-        check_source,
-        is_camera,
-        shots_at_their_pace,
-        shots_of_capture,
-        shots_of_pipe,
-        without_password,
-    )
+    """The source, not yet open."""
+    from dlgmd_cli.video import live
 
     size = asked["input_size"]
-    made_for: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
-    check_source(source, is_realtime=asked["realtime"], has_size=size is not None)
-    name = without_password(source)
-    shots: Any
+    design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
+    live.check_source(source, is_realtime=asked["realtime"], has_size=size is not None)
     if source == "-":
-        shots = partial(shots_of_pipe, sys.stdin.buffer, size, asked["pixel_format"])
-        return LiveSource("standard input", shots, options, **made_for)
-    if not asked["realtime"]:
-        shots = partial(shots_of_capture, source, size)
-        again = {"tries_again": True, "must_open": is_camera(source)}
-        return LiveSource(name, shots, options, **made_for, **again)
-    plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
-    video = plain.open(source, **made_for)
-    shots = partial(shots_at_their_pace, video)
-    return LiveSource(os.path.abspath(source), shots, options, **made_for)
+        pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, asked["pixel_format"])
+        return live.LiveSource("standard input", pipe, options, **design)
+    if asked["realtime"]:
+        plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
+        file = partial(live.shots_at_their_pace, partial(plain.open, source, **design))
+        return live.LiveSource(os.path.abspath(source), file, options, **design)
+    return live.LiveSource(
+        live.without_password(source),
+        partial(live.shots_of_capture, source, size),
+        options,
+        **design,
+        waits=False,
+        tries_again=True,
+        must_open=live.is_camera(source),
+    )
 
 
-def _hooks(
-    asked: dict[str, Any], frames: "LiveSource", tell: Callable[[str], None]
-) -> "list[Hook]":
-    """What was asked to hear the alarm."""
-    from dlgmd_cli.live import hooks
+def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Output]":
+    """The receivers that were asked for, except the page and the recording."""
+    from dlgmd_cli.live import outputs
 
     makers: dict[str, Callable[[], Any]] = {
-        "jsonl": lambda: hooks.lines_on_stdout(frames.end),
-        "udp": lambda: hooks.datagrams(asked["udp"]),
-        "exec": lambda: hooks.Programs(asked["exec"], tell),
-        "mavlink": lambda: hooks.Mavlink(asked["mavlink"]),
+        "jsonl": lambda: outputs.lines_on_stdout(frames.end),
+        "udp": lambda: outputs.Datagrams(asked["udp"]),
+        "exec": lambda: outputs.Programs(asked["exec"]),
+        "mavlink": lambda: outputs.Mavlink(asked["mavlink"]),
     }
     only_events = {"jsonl": asked["events"], "udp": asked["events"], "exec": True}
     return [
-        hooks.Hook(f"--{name}", make(), tell, only_events=only_events.get(name, False))
+        outputs.Output(f"--{name}", make(), only_events=only_events.get(name, False))
         for name, make in makers.items()
-        if asked[name]
+        if asked[name] not in (None, False)
     ]
 
 
-def _screen(
-    place: str, frames: "LiveSource", statistics: "Statistics", threshold: float
-) -> "Screen":
+def _page(
+    address: str, frames: "LiveSource", statistics: "Statistics", threshold: float
+) -> "PageServer":
     """The server of the page."""
-    from dlgmd_cli.live.hooks import split_address
-    from dlgmd_cli.live.serve import Screen
+    from dlgmd_cli.live.outputs import split_address
+    from dlgmd_cli.live.serve import PageServer
 
-    host, port = split_address(place, "--serve", "127.0.0.1")
-    screen = Screen(host, port, frames, statistics, threshold)
+    host, port = split_address(address, "--serve", "127.0.0.1")
+    page = PageServer(host, port, frames, statistics, threshold)
     # With --quiet too: nobody could guess the token. Without a full stop, which would be copied.
-    say(f"The page is at {screen.url}")
-    return screen
+    say(f"The page is at {page.url}")
+    return page
 
 
-class Status:
-    """The line on a terminal that says how it goes, drawn by a thread of its own."""
+@contextmanager
+def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[None]:
+    """A context in which a line on the terminal shows the latest numbers; messages go above it."""
+    if settings().quiet or not is_lively():
+        yield
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
 
-    def __init__(self, source: "LiveSource") -> None:
-        self._source, self._line = source, "waiting for the first frame"
-        self._live: Any = None
-        self._said: Any = None
-        self._drawn_s = -math.inf
+    with Live(
+        console=Console(stderr=True),
+        get_renderable=lambda: Text(_status(source, statistics), no_wrap=True, overflow="crop"),
+        refresh_per_second=5,
+        transient=True,
+    ):
+        yield
 
-    @contextmanager
-    def shown(self) -> Iterator[None]:
-        """A context in which the line is there, if stderr is a terminal."""
-        if settings().quiet or not is_lively():
-            yield
-            return
-        from rich.console import Console
-        from rich.live import Live
-        from rich.text import Text
 
-        console = Console(stderr=True)
-        line = Live(
-            console=console,
-            get_renderable=lambda: Text(self._line, no_wrap=True, overflow="crop"),
-            refresh_per_second=5,
-            transient=True,
-        )
-        with line:
-            self._live = line
-            yield
-        self._live = None
-
-    def tell(self, message: str) -> None:
-        """A warning above the line; may be called from any thread."""
-        if self._live is None:
-            warn(message)
-        else:
-            self._live.console.print(f"Warning: {printable(message)}.", markup=False)
-
-    def update(self, answer: "Answer | None", statistics: "Statistics") -> None:
-        """Take in what came last: an answer, or that none came."""
-        if answer is not None:
-            self._said = answer.said
-        now_s = time.monotonic()
-        if self._live is None or statistics.n_frames < 2 or now_s - self._drawn_s < _DRAW_S:
-            return
-        self._drawn_s = now_s
-        median, high = statistics.latency_ms(lately=True)
-        said, source = self._said, self._source
-        level = 0.0 if math.isnan(said.mp_abs) else said.mp_abs
-        n_full = round(level * _BAR)
-        parts = [
-            "ALARM" if said.alarm else "     ",
-            f"MP {'█' * n_full}{'░' * (_BAR - n_full)} {level:.2f}",
-            f"{statistics.fps:.1f} frames/s",
-            f"{median:.1f} ms (99 %: {high:.1f})",
-            f"{source.n_dropped} dropped",
-        ]
-        self._line = "  ".join(parts)
+def _status(source: "LiveSource", statistics: "Statistics") -> str:
+    """The latest numbers on one line."""
+    newest = statistics.newest
+    if newest is None or statistics.n_frames < 2:
+        return "waiting for the first frame"
+    median, high = statistics.latency_ms(lately=True)
+    found = newest.detection
+    level = 0.0 if math.isnan(found.mp_abs) else found.mp_abs
+    n_full = round(level * _BAR)
+    parts = [
+        "BLIND" if newest.reason else "ALARM" if found.alarm else "     ",
+        f"MP {'█' * n_full}{'░' * (_BAR - n_full)} {level:.2f}",
+        f"{statistics.fps:.1f} frames/s",
+        f"{median:.1f} ms (99 %: {high:.1f})",
+        f"{source.n_dropped} dropped",
+    ]
+    return "  ".join(parts)
 
 
 def _show(
-    statistics: "Statistics", source: "LiveSource", record: Path | None, as_note: bool
+    statistics: "Statistics", source: "LiveSource", warnings: list[str], *, as_note: bool
 ) -> None:
-    """What the session came to: a table on stdout, or a note where stdout has the lines of JSON."""
+    """The numbers of the session: a table on stdout, or a note where stdout has lines of JSON."""
     median, high = statistics.latency_ms()
     latency = f"{median:.1f} ms, 99th percentile {high:.1f} ms" if statistics.n_frames else "none"
     rows = [
@@ -314,12 +275,11 @@ def _show(
         ("dropped", f"{source.n_dropped}"),
         ("latency", latency),
         ("alarms", f"{statistics.n_alarms}"),
+        *(("warning", line) for line in warnings),
     ]
     if source.n_left_out:
         rows.insert(2, ("left out by --fps", f"{source.n_left_out}"))
     if as_note:
         note("; ".join(f"{name}: {value}" for name, value in rows))
-        return
-    print_table(("", ""), rows)
-    if record is not None:
-        print_path(record)
+    else:
+        print_table(("", ""), rows)

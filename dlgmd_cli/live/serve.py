@@ -6,6 +6,7 @@ import errno
 import hashlib
 import ipaddress
 import json
+import logging
 import math
 import os
 import re
@@ -17,12 +18,13 @@ from collections import deque
 from collections.abc import AsyncIterator
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
-from dlgmd_cli.live.watch import Answer, Statistics
+from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.video.live import LiveSource
 
@@ -34,41 +36,69 @@ try:
     from starlette.responses import HTMLResponse, PlainTextResponse, StreamingResponse
     from starlette.routing import Route
     from starlette.types import Message, Receive, Scope, Send
+    from uvicorn.protocols.http.h11_impl import H11Protocol
 except ImportError as error:
     why, mend = f"the package {error.name!r} is not installed", "Run: pip install 'dlgmd[live]'."
     raise MissingExtraError("--serve", why, mend) from None
+
+_log = logging.getLogger(__name__)
 
 # How far back the curves of the page go.
 _HISTORY_S = 30.0
 _PICTURE_PERIOD_S, _EVENT_PERIOD_S = 1.0 / 15.0, 0.1
 _JPEG_QUALITY = 80
-# Bytes under way to a client. What waits in a bigger buffer would be old when it is shown.
+# Size of a client's send buffer. With a bigger one, pictures would be old when they are shown.
 _SEND_BUFFER = 1 << 17
-_MESSAGE_S = 5.0
+# Connections at once, and those that wait to be accepted; how long one may take to send a request.
+_MAX_CONNECTIONS, _BACKLOG, _REQUEST_S = 64, 64, 5.0
 _CLOSING_S = 0.4
 _PICTURE = "/picture"
 _HEADERS = {
     "Cache-Control": "no-store",
+    "Connection": "close",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
 
 
-class Screen:
+class _Connection(H11Protocol):
+    """A connection for one request, which must come soon; one too many is closed at once."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for the request."""
+        super().connection_made(transport)
+        if len(self.connections) > _MAX_CONNECTIONS:
+            transport.abort()
+            return
+        self._deadline = self.loop.call_later(_REQUEST_S, self._close_if_idle)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the deadline."""
+        if hasattr(self, "_deadline"):
+            self._deadline.cancel()
+        super().connection_lost(exc)
+
+    def _close_if_idle(self) -> None:
+        if self.cycle is None:
+            self.transport.abort()
+
+
+class PageServer:
     """Serves the page from a thread of its own; a context manager.
 
     The port is taken at once, and answered on within the context. From other machines, the page can
-    be opened only with the token that is part of `url`.
+    be opened only with the token that is part of `url`. There are 64 connections at most, each for
+    one request, and one that does not send a request within 5 s is closed.
 
     Parameters
     ----------
     host, port : str, int
         Where to listen; port 0 is any free one.
     source : LiveSource
-        What is watched; asked for pictures only while someone looks at them.
+        The source; asked for pictures only while someone looks at them.
     statistics : Statistics
-        Of the session.
+        Of the session; must have seen each answer first.
     threshold : float
         Normalised MP from which on a frame is a spike.
 
@@ -82,7 +112,7 @@ class Screen:
     ParameterError
         If there is no such host.
     DlgmdError
-        If the port cannot be had.
+        If the port cannot be used.
     """
 
     def __init__(
@@ -101,7 +131,7 @@ class Screen:
         self._rows: deque[tuple[float, dict[str, object]]] = deque()
         self._n_rows, self._n_watching = 0, 0
         self._newest: Answer | None = None
-        self._put_s, self._told_s, self._told = time.monotonic(), -math.inf, ""
+        self._put_s, self._reason = time.monotonic(), ""
         self._greatest_g = 0.0
         self._jpegs: dict[bool, tuple[Answer, bytes]] = {}
 
@@ -117,7 +147,9 @@ class Screen:
         config = uvicorn.Config(
             self._guard,
             interface="asgi3",
-            http="h11",
+            http=_Connection,
+            # So many connections are accepted at once before the limit holds.
+            backlog=_BACKLOG,
             ws="none",
             loop="asyncio",
             lifespan="off",
@@ -130,13 +162,10 @@ class Screen:
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(
-            target=self._server.run,
-            kwargs={"sockets": [self._socket]},
-            name="dlgmd-serve",
-            daemon=True,
+            target=lambda: asyncio.run(self._serve()), name="dlgmd-serve", daemon=True
         )
 
-    def __enter__(self) -> "Screen":
+    def __enter__(self) -> "PageServer":
         self._thread.start()
         return self
 
@@ -145,21 +174,34 @@ class Screen:
         self._is_closing = self._server.should_exit = True
         self._thread.join(_CLOSING_S)
 
+    async def _serve(self) -> None:
+        """Serve until the end; errors of the loop are logged once for each message."""
+        logged: set[str] = set()
+
+        def log_once(_: object, context: dict[str, Any]) -> None:
+            if context["message"] not in logged:
+                logged.add(context["message"])
+                why = context.get("exception", "")
+                _log.warning("--serve: %s (%s)", context["message"].lower().rstrip("."), why)
+
+        asyncio.get_running_loop().set_exception_handler(log_once)
+        await self._server.serve([self._socket])
+
     def put(self, answer: Answer) -> None:
         """Show an answer; returns at once."""
+        self._reason = answer.reason
+        if answer.frame is None:
+            return
         with self._lock:
             self._rows.append((answer.frame.time_s, answer.to_dict()))
             self._n_rows += 1
             while answer.frame.time_s - self._rows[0][0] > _HISTORY_S:
                 self._rows.popleft()
-        self._newest, self._put_s = answer, time.monotonic()
-
-    def tell(self, message: str) -> None:
-        """Show what happened to the source."""
-        self._told, self._told_s = message, time.monotonic()
+        if answer.is_of_frame:
+            self._newest, self._put_s = answer, time.monotonic()
 
     async def _guard(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request: refuse strangers, count who watches, and add the headers of all."""
+        """Answer a request if its token or host is valid; count viewers, and add common headers."""
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -182,14 +224,14 @@ class Screen:
             given = request.query_params.get("token", "").encode()
             is_known = secrets.compare_digest(given, self._token.encode())
             return "" if is_known else "Open the address that 'dlgmd live' printed, with its token."
-        # A page of some other site, whose name was made to lead here, must not read what is served.
+        # Another site's page, whose name resolves to this machine, must not read the answers.
         name = re.sub(r":\d+$", "", request.headers.get("host", "")).lower()
         return "" if name in self._names else "This server does not answer to that name."
 
     def _count(self, n_more: int) -> None:
-        """Take in that so many more watch the picture; only the server's thread calls it."""
+        """Change the number of viewers of the picture; only the server's thread calls it."""
         self._n_watching += n_more
-        self._source.wants_images = self._n_watching > 0
+        self._source.wants_pictures = self._n_watching > 0
 
     async def _show_page(self, _: Request) -> HTMLResponse:
         return HTMLResponse(self._page)
@@ -207,25 +249,26 @@ class Screen:
         yield b"--frame\r\n"
         while not self._is_closing:
             answer = self._newest
-            if answer is not shown and answer is not None and answer.frame.image is not None:
-                shown, jpeg = answer, self._jpeg(answer, answer.frame.image, has_overlay)
+            picture = None if answer is None or answer.frame is None else answer.frame.picture
+            if answer is not shown and answer is not None and picture is not None:
+                shown, jpeg = answer, self._jpeg(answer, picture, has_overlay)
                 # A browser shows a part once it has seen the boundary after it.
                 head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 yield head.encode() + jpeg + b"\r\n--frame\r\n"
             await asyncio.sleep(_PICTURE_PERIOD_S)
 
     def _jpeg(self, answer: Answer, image: np.ndarray, has_overlay: bool) -> bytes:
-        """The picture of an answer, made once for all who watch."""
+        """The picture of an answer, encoded once for all viewers."""
         before = self._jpegs.get(has_overlay)
         if before is not None and before[0] is answer:
             return before[1]
         if has_overlay:
-            said, image = answer.said, image.copy()
-            g = None if said.layers is None else said.layers.g
+            found, image = answer.detection, image.copy()
+            g = None if found.layers is None else found.layers.g
             if g is not None and g.any():
                 self._greatest_g = max(self._greatest_g, float(np.abs(g).max()))
                 image = tinted(image, g, self._greatest_g)
-            mark_centroid(image, said.g_x, said.g_y)
+            mark_centroid(image, found.g_x, found.g_y)
         _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
         self._jpegs[has_overlay] = answer, data.tobytes()
         return self._jpegs[has_overlay][1]
@@ -242,12 +285,10 @@ class Screen:
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, object]:
-        """What the page says beside the curves; None where a number is not defined."""
+        """The numbers beside the curves; None where one is not defined."""
         now_s, statistics = time.monotonic(), self._statistics
         median, high = statistics.latency_ms(lately=True)
         numbers = {"fps": statistics.fps, "latency_ms": median, "latency_high_ms": high}
-        # What was told of a lost source stands until there is a frame again.
-        is_new = now_s - self._told_s < _MESSAGE_S or self._told_s > self._put_s
         return {
             "name": self._source.name,
             "threshold": self._threshold,
@@ -255,7 +296,7 @@ class Screen:
             "alarms": statistics.n_alarms,
             "has_frames": self._newest is not None,
             "quiet_s": round(now_s - self._put_s, 1),
-            "message": self._told if is_new else "",
+            "blind": BLIND_WORDS.get(self._reason, ""),
             **{k: None if math.isnan(v) else round(v, 1) for k, v in numbers.items()},
         }
 

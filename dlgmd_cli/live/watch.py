@@ -1,75 +1,96 @@
-"""The loop of `dlgmd live`: the newest frame, the model's answer, and what became of the alarm."""
+"""The loop of `dlgmd live`: the newest frame, the model's answer, and events."""
 
 import json
+import logging
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli import cancel
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.models.base import undefined
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, Detection
-from dlgmd_cli.video.live import LiveFrame, LiveSource
+from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.prefetch import opencv_threads
 
-BEGIN, END = "begin", "end"
+Image = npt.NDArray[Any]
+_log = logging.getLogger(__name__)
+
+BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"
+BLIND_WORDS = {
+    "lost": "the source is lost, or sends no frames",
+    "black": "its pictures are black",
+    "frozen": "its picture is frozen, the same again and again",
+}
 # How often the loop looks at the stop flag while no frame comes.
 _WAIT_S = 0.1
-# An alarm is over when no frame has come for so long.
-_SILENT_S = 1.0
+# A source is lost when no frame has come for so long, or before the first one. With the time to
+# notice it, the former is a second.
+_SILENT_S, _OPENING_S = 0.9, 5.0
 # Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
 _N_LATENCIES = 108_000
 _N_LATELY = 300
-_N_WARM = 8
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the model said about a frame.
+    """A model's answer to a frame, or an event between frames.
 
     Attributes
     ----------
-    frame : LiveFrame
-        The frame.
-    said : Detection
-        The answer.
+    frame : Frame or None
+        The frame; of an event between frames, the one before it, if there was one.
+    detection : Detection
+        The model's response, with spike and alarm.
     is_repeat : bool
         Whether the frame repeats the one before, so that the model did not see it.
     event : str
-        `begin` or `end` where an alarm begins or ends, else empty. An alarm that comes back within
-        0.3 s is still the same one; its end is therefore told 0.3 s late.
+        `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
+        more (or for another reason), `sees` where it does again, else empty. An alarm that comes
+        back within 0.3 s is still the same one; its end is therefore told 0.3 s late.
     latency_ms : float
-        Time from the frame's capture to the answer.
+        Time from the frame's arrival to the answer; NaN for an event between frames.
+    reason : str
+        Why the source shows nothing: `lost`, `black` or `frozen`; empty if it does.
     """
 
-    frame: LiveFrame
-    said: Detection
-    is_repeat: bool
-    event: str
-    latency_ms: float
+    frame: Frame | None
+    detection: Detection
+    is_repeat: bool = False
+    event: str = ""
+    latency_ms: float = math.nan
+    reason: str = ""
+
+    @property
+    def is_of_frame(self) -> bool:
+        """Whether this is the answer to a frame."""
+        return not math.isnan(self.latency_ms)
 
     def to_dict(self) -> dict[str, object]:
-        """What receivers are told; None where a number is not defined."""
-        said = self.said
+        """The object for receivers; None where a number is not defined."""
+        frame, found = self.frame, self.detection
         facts: dict[str, object] = {
-            "frame": self.frame.index,
-            "time_s": round(self.frame.time_s, 6),
-            "mp": _number(said.mp),
-            "mp_abs": _number(said.mp_abs),
-            "spike": said.spike,
-            "alarm": said.alarm,
-            "g_x": _number(said.g_x),
-            "g_y": _number(said.g_y),
+            "frame": None if frame is None else frame.index,
+            "time_s": None if frame is None else round(frame.time_s, 6),
+            "mp": _number(found.mp),
+            "mp_abs": _number(found.mp_abs),
+            "spike": found.spike,
+            "alarm": found.alarm,
+            "g_x": _number(found.g_x),
+            "g_y": _number(found.g_y),
             "latency_ms": _number(round(self.latency_ms, 2)),
         }
-        return facts | ({"event": self.event} if self.event else {})
-
-    def without_alarm(self) -> "Answer":
-        """What to tell of an alarm that is on when no more frames come; it is of no frame."""
-        said = replace(self.said, spike=False, alarm=False)
-        return replace(self, said=said, is_repeat=True, event=END, latency_ms=math.nan)
+        if self.event:
+            facts["event"] = self.event
+        if self.reason:
+            facts["reason"] = self.reason
+        return facts
 
     def to_json(self) -> str:
         """The same on one line."""
@@ -82,7 +103,7 @@ def _number(value: float) -> float | None:
 
 
 class Events:
-    """Tells from the alarm of each frame where one begins, as `onsets` has it, and has ended."""
+    """Finds where alarms begin, as `onsets` does, and where they have ended, frame by frame."""
 
     def __init__(self) -> None:
         self.reset()
@@ -106,24 +127,30 @@ class Events:
 
 
 def answers(
-    source: LiveSource, alarm: Alarm, wants_layers: Callable[[], bool] = lambda: False
+    source: LiveSource,
+    alarm: Alarm,
+    sight: "Sight",
+    wants_layers: Callable[[], bool] = lambda: False,
 ) -> Iterator[Answer | None]:
-    """Answer to the newest frame of a source, again and again.
+    """Prepare a model, and answer to the newest frame of a source, again and again.
 
     Parameters
     ----------
     source : LiveSource
         Already reading.
     alarm : Alarm
-        Begins anew where frames were lost.
+        Resets itself where frames were lost.
+    sight : Sight
+        Of the source.
     wants_layers : callable
-        Whether somebody wants the layers of the next frame.
+        Whether the layers of the next frame are wanted.
 
     Yields
     ------
     Answer or None
-        None where no frame has come for a tenth of a second. An alarm that is on when the source is
-        over, or silent for a second, ends with an answer of no frame.
+        None where no frame has come for a tenth of a second. Where a source is lost, silent, black
+        or frozen, the event `blind` comes within a second, and `sees` when it shows something
+        again. An alarm that is on when the source is over, or silent, ends with an event.
 
     Raises
     ------
@@ -132,50 +159,133 @@ def answers(
     ParameterError
         If the options do not fit its pictures.
     """
-    events, last, answered_s = Events(), None, math.nan
+    events = Events()
+    last = Answer(None, Detection(**vars(undefined())))
+
+    def between_frames(event: str, *, alarm: bool) -> Answer:
+        nothing = Detection(**vars(undefined()), alarm=alarm)
+        return Answer(last.frame, nothing, event=event, reason=sight.reason)
+
     # The decoder is busy on the other processor.
     with opencv_threads(1):
+        while (sample := source.sample(_WAIT_S)) is None:
+            if cancel.requested() or source.is_over:
+                return
+            event = sight.step()
+            yield between_frames(event, alarm=False) if event else None
+        alarm.ignore(source.hidden())
+        warm_up(alarm, sample)
+        source.begin()
         while not cancel.requested():
             frame = source.take(_WAIT_S)
+            if frame is None and source.is_over:
+                break
+            event = sight.step()
+            if events.is_on and sight.is_silent:
+                events.reset()
+                yield between_frames(END, alarm=False)
+            if event:
+                yield between_frames(event, alarm=events.is_on)
             if frame is None:
-                if source.is_over:
-                    break
-                if last is not None and events.is_on and time.monotonic() - answered_s > _SILENT_S:
-                    events.reset()
-                    yield last.without_alarm()
                 yield None
                 continue
-            if last is None:
-                alarm.ignore(source.hidden())
-            said = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
-            answered_s = time.monotonic()
-            is_repeat = last is not None and said is last.said
-            event = events.step(said.alarm, frame.time_s)
-            last = Answer(frame, said, is_repeat, event, 1e3 * (answered_s - frame.captured_s))
+            found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
+            latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
+            is_repeat = found is last.detection
+            event = events.step(found.alarm, frame.time_s)
+            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason)
             yield last
-    if last is not None and events.is_on:
-        yield last.without_alarm()
+    if events.is_on:
+        yield between_frames(END, alarm=False)
 
 
-def warm_up(alarm: Alarm) -> None:
-    """Let a model load what it needs, which takes longer than a frame lasts; it forgets all."""
-    for frame in np.random.default_rng(0).integers(0, 256, (_N_WARM, 60, 80), np.uint8):
-        alarm.step(frame)
+def warm_up(alarm: Alarm, sample: Image) -> None:
+    """Let a model load and compile what it needs for frames like this one; it forgets them."""
+    rng, n_frames = np.random.default_rng(0), alarm.model.first_valid_frame + 2
+    for _ in range(n_frames):
+        noise = rng.integers(0, 256, sample.shape, np.uint8)
+        alarm.step(noise if sample.dtype == np.uint8 else np.float32(noise / 255.0))
     alarm.reset()
 
 
+class Sight:
+    """Whether a source shows something, and for how long it did not.
+
+    Attributes
+    ----------
+    reason : str
+        Why it shows nothing, see `Answer`; empty if it does.
+    is_silent : bool
+        Whether no frame has come for so long that the source counts as lost.
+    """
+
+    def __init__(self, source: LiveSource) -> None:
+        self._source, self.reason, self.is_silent = source, "", False
+        self._since_s, self._before = math.nan, dict[str, tuple[int, float]]()
+
+    def step(self) -> str:
+        """`blind` where it begins, or for another reason, `sees` where it ends, or nothing.
+
+        To be called with each frame, and some ten times a second while none comes. Each event is
+        logged as a warning.
+        """
+        now_s, source = time.monotonic(), self._source
+        usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
+        silent_s = now_s - source.heard_s
+        self.is_silent = silent_s > (max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S)
+        reason = source.blind or ("lost" if self.is_silent else "")
+        if reason == self.reason:
+            return ""
+        self._before, was_s = self._so_far(), now_s - self._since_s
+        self.reason = reason
+        if not reason:
+            _log.warning("%s: sees again, after %.1f s", source.name, was_s)
+            return SEES
+        self._since_s = source.heard_s if reason == "lost" else source.blind_since_s
+        if reason != source.blind:
+            _log.warning("%s: blind, no frame for %.1f s", source.name, silent_s)
+        elif reason != "lost":  # the source itself says why it is lost
+            _log.warning("%s: blind, %s", source.name, BLIND_WORDS[reason])
+        return BLIND
+
+    def _so_far(self) -> dict[str, tuple[int, float]]:
+        """How often, and for how many seconds in all, it showed nothing, for each reason."""
+        if not self.reason:
+            return self._before
+        n_times, total_s = self._before.get(self.reason, (0, 0.0))
+        now = n_times + 1, total_s + time.monotonic() - self._since_s
+        return {**self._before, self.reason: now}
+
+    def warnings(self) -> list[str]:
+        """How long it showed nothing, a line for each reason."""
+        return [
+            f"blind {n_times} time{'s' * (n_times > 1)}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
+            for reason, (n_times, total_s) in self._so_far().items()
+        ]
+
+
 class Statistics:
-    """Numbers of a session, in memory that does not grow."""
+    """Numbers of a session, in memory that does not grow.
+
+    Attributes
+    ----------
+    n_frames, n_alarms : int
+        Answers to frames, and alarms.
+    newest : Answer or None
+        The last answer.
+    """
 
     def __init__(self) -> None:
         self.n_frames = self.n_alarms = 0
+        self.newest: Answer | None = None
         self._latencies_ms: deque[float] = deque(maxlen=_N_LATENCIES)
         self._lately_ms: deque[float] = deque(maxlen=_N_LATELY)
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:
-        """Take in an answer to a frame."""
-        if math.isnan(answer.latency_ms):
+        """Take in an answer or an event."""
+        self.newest = answer
+        if not answer.is_of_frame:
             return
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN

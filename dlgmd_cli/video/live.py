@@ -1,32 +1,39 @@
-"""Live sources: a camera, a stream, a pipe, or a file at its own pace. The newest frame wins."""
+"""Live sources: cameras, streams, pipes, and files at their own pace. The newest frame wins."""
 
+import logging
 import math
 import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
-from dlgmd_cli.video.luma import Levels, to_grey
+from dlgmd_cli.video.blindness import Blindness
+from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Video
 
-Image = npt.NDArray[Any]
-Tell = Callable[[str], None]
+Found = TypeVar("Found")
+_log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
+# What user names and passwords look like in a URL: before the host, or as a value with such a name.
+_USER = re.compile(r"(?<=://)[^/?#]*@")
+_SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
 _EVEN = ("yuv420p", "nv12", "yuyv422")
 _LIMITED = 16, 235
 # FFmpeg is to hand on what has arrived, and to decode without frames in flight.
@@ -36,11 +43,12 @@ _STREAM_OPTIONS = {
     "fflags": "nobuffer",
     "flags": "low_delay",
 }
-_TIMEOUT_MS = 5000
-# Pauses before a lost source is tried again.
-FIRST_PAUSE_S, MAX_PAUSE_S = 0.5, 30.0
-# The rate of a source is measured over so many frames, and may exceed the limit by a tenth.
-_N_MEASURED, _N_AT_LEAST, _SLACK, _PAUSE_S = 61, 10, 0.1, 1.0
+_OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS = 5000, 2000
+# Pauses before a lost source is opened again, which double: in the first minute, and later.
+FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
+# The rate of a source is measured over so many frames, and may exceed the limit by a tenth. An
+# interval of more than three frames is a stall.
+_N_MEASURED, _N_AT_LEAST, _SLACK, _STALL_FRAMES = 61, 10, 0.1, 3.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
 _MAX_LATE_S = 0.25
 SHOWN_PX = 640
@@ -50,8 +58,8 @@ SHOWN_PX = 640
 class Shot:
     """A picture as it came from a source.
 
-    `captured_s` is when it was there, by `time.monotonic`. `index` and `time_s` are those of a
-    file; None where frames are only counted, and their time is that of their arrival.
+    `captured_s` is the time of its arrival, by `time.monotonic`. `index` and `time_s` are those of
+    a file; None where frames are only counted, and their time is that of their arrival.
     """
 
     image: Image
@@ -61,40 +69,28 @@ class Shot:
     time_s: float | None = None
 
 
-@dataclass(frozen=True)
-class LiveFrame:
-    """A frame as models take it.
-
-    `index` counts the frames of the source, dropped ones too; `time_s` is the time since the first
-    one, or the file's. `captured_s` is when it was there, by `time.monotonic`. `image` is the
-    picture, (H, W, 3) BGR and at most 640 px wide, if someone wants to see it.
-    """
-
-    index: int
-    time_s: float
-    captured_s: float
-    grey: Image
-    image: Image | None = None
-
-
 class LiveSource:
     """Reads a source on a thread of its own, and keeps its newest frame.
 
-    All frames have the size that follows from the first picture.
+    All frames have the size that follows from the first picture. The first frame is for `sample`;
+    frames count from `begin` on. Their `index` includes those that were dropped, `time_s` is the
+    time since the first one, or a file's own.
 
     Parameters
     ----------
     name : str
-        What messages call it.
+        Its name in messages and records, without passwords.
     open_shots : callable
-        Opens the source and yields what comes, until it ends or raises `Unreadable`. It is called
-        with what takes a message.
+        Opens the source and yields its pictures, until it ends or raises `Unreadable`.
     options : InputOptions
         `scale`, `size`, `fps`, `crop` and `mask`.
     width_px, model_fps : int, float
-        What the model is made for; used where no option says otherwise.
+        Design of the model; used where no option says otherwise.
+    waits : bool
+        Whether the source waits until its pictures are read, as a file or a pipe does. The pictures
+        that others send before `begin` are lost.
     tries_again : bool
-        Whether a source that was lost is opened again.
+        Whether a lost source is opened again.
     must_open : bool
         Whether it is an error all the same if it cannot be opened the first time.
 
@@ -102,40 +98,48 @@ class LiveSource:
     ----------
     is_over : bool
         Whether no frame will come any more.
+    blind : str
+        Why the source shows nothing: `lost`, or see `Blindness`; empty if it does.
+    heard_s : float
+        Time of the last frame by `time.monotonic`; before it, when the source was made.
     n_frames, n_dropped, n_left_out : int
         Frames that came; of them, those that nobody took before the next one came, and those left
         out because of the frame rate.
     picture_wh, size_wh : (int, int)
         Width and height of the first picture, and of the frames; (0, 0) before it.
-    wants_images : bool
+    wants_pictures : bool
         Set it for frames with their pictures.
     """
 
     def __init__(
         self,
         name: str,
-        open_shots: Callable[[Tell], Iterator[Shot]],
+        open_shots: Callable[[], Generator[Shot, None, None]],
         options: InputOptions,
         *,
         width_px: int,
         model_fps: float,
+        waits: bool = True,
         tries_again: bool = False,
         must_open: bool = False,
     ) -> None:
         self.name, self._open_shots, self._options = name, open_shots, options
-        self._width_px, self._tries_again, self._must_open = width_px, tries_again, must_open
+        self._width_px, self._waits = width_px, waits
+        self._tries_again, self._must_open = tries_again, must_open
         max_fps = model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
         self._masked = None if options.mask is None else read_mask(options.mask)
-        self.is_over, self.wants_images = False, False
+        self.is_over, self.wants_pictures, self.blind = False, False, ""
         self.n_frames = self.n_dropped = self.n_left_out = 0
+        self.heard_s = time.monotonic()
         self.picture_wh = self.size_wh = self._latest_wh = (0, 0)
         self._region: Region | None = None
-        self._first_s = math.nan
-        self._newest: LiveFrame | None = None
+        self._blindness, self._has_opened, self._first_s = Blindness(), False, math.nan
+        self._sample: Image | None = None
+        self._newest: Frame | None = None
         self._error: BaseException | None = None
-        self._told: deque[str] = deque(maxlen=100)
-        self._changed, self._stop = threading.Condition(), threading.Event()
+        self._changed = threading.Condition()
+        self._begun, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._read, name="dlgmd-live", daemon=True)
 
     def __enter__(self) -> "LiveSource":
@@ -149,61 +153,84 @@ class LiveSource:
     def end(self) -> None:
         """Read no further; may be called from any thread."""
         self._stop.set()
+        self._begun.set()
         with self._changed:
             self.is_over = True
-            self._changed.notify()
+            self._changed.notify_all()
 
-    def take(self, timeout_s: float) -> LiveFrame | None:
+    def sample(self, timeout_s: float) -> Image | None:
+        """The first frame, (H, W), to prepare a model with; None if there is none in time.
+
+        Raises what `take` raises.
+        """
+        return self._when(lambda: self._sample, timeout_s)
+
+    def begin(self) -> None:
+        """Count frames from now on; call `sample` first."""
+        self.heard_s = time.monotonic()
+        self._begun.set()
+
+    def take(self, timeout_s: float) -> Frame | None:
         """The newest frame that was not taken yet; None if there is none in time.
 
         Raises whatever made the source unusable for good.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._newest is not None or self.is_over, timeout_s)
-            frame, self._newest = self._newest, None
-            if frame is None and self._error is not None:
-                raise self._error
+            frame = self._when(lambda: self._newest, timeout_s)
+            self._newest = None
             return frame
 
-    def tell(self, message: str) -> None:
-        """Leave a message for `messages`."""
-        self._told.append(message)
-
-    def messages(self) -> Iterator[str]:
-        """What happened to the source since the last call, a line each."""
-        while self._told:
-            yield f"{self.name}: {self._told.popleft()}"
+    def _when(self, find: Callable[[], Found | None], timeout_s: float) -> Found | None:
+        """What `find` finds, as soon as it does; raises the error of the source."""
+        with self._changed:
+            self._changed.wait_for(lambda: find() is not None or self.is_over, timeout_s)
+            if (found := find()) is None and self._error is not None:
+                raise self._error
+            return found
 
     def hidden(self) -> npt.NDArray[np.bool_] | None:
-        """Which cells of a frame the mask leaves out, (H, W); None for none."""
+        """Which cells of a frame the mask hides, (H, W); None for none."""
         return None if self._region is None else self._region.hidden(self.size_wh)
 
     @property
+    def blind_since_s(self) -> float:
+        """Time of the first of the latest black or frozen pictures, by `time.monotonic`."""
+        return self._blindness.since_s
+
+    @property
     def fps(self) -> float:
-        """The frame rate of the source, as measured lately; NaN before there are enough frames."""
+        """Frame rate of the source, as measured lately; NaN before there are enough frames."""
         return self._pace.fps
+
+    def _tell(self, message: str) -> None:
+        _log.warning("%s: %s", self.name, message)
 
     def _read(self) -> None:
         """Open the source, and again when it is lost, until it is over."""
-        pause_s = FIRST_PAUSE_S
+        lost_s, n_tries, told = time.monotonic(), 0, ""
         try:
             while not self._stop.is_set():
                 reason = "the source has ended"
                 try:
-                    for shot in self._open_shots(self.tell):
-                        pause_s = FIRST_PAUSE_S
-                        self._publish(shot)
-                        if self._stop.is_set():
-                            return
+                    with closing(self._open_shots()) as shots:
+                        for shot in shots:
+                            if self._stop.is_set():
+                                return
+                            lost_s, n_tries, told = time.monotonic(), 0, ""
+                            self._publish(shot)
                 except Unreadable as lost:
-                    if not self._tries_again or (self._must_open and self.n_frames == 0):
+                    if not self._tries_again or (self._must_open and not self._has_opened):
                         raise SourceError(self.name, str(lost)) from None
                     reason = str(lost)
                 if not self._tries_again:
                     return
-                self.tell(f"{reason}; trying again in {pause_s:g} s")
-                self._stop.wait(pause_s)
-                pause_s = min(2.0 * pause_s, MAX_PAUSE_S)
+                self.blind = "lost"
+                if reason != told:
+                    self._tell(f"{reason}; trying again")
+                    told = reason
+                limit_s = MAX_PAUSE_S if time.monotonic() - lost_s < _NEW_S else MAX_LATER_PAUSE_S
+                self._stop.wait(min(FIRST_PAUSE_S * 2.0**n_tries, limit_s))
+                n_tries = min(n_tries + 1, 10)
         except BaseException as error:
             self._error = error
         finally:
@@ -211,25 +238,39 @@ class LiveSource:
 
     def _publish(self, shot: Shot) -> None:
         """Put the frame of a picture in place of the newest one."""
+        image = self._region_of(shot.image).of(shot.image)
+        if not self._has_opened:
+            grey, self._has_opened = to_grey(image, self.size_wh, shot.levels), True
+            with self._changed:
+                self._sample = grey
+                self._changed.notify_all()
+            if self._waits:
+                self._begun.wait()
+                shot = replace(shot, captured_s=time.monotonic())
+        if self._stop.is_set() or not self._begun.is_set():
+            return
         if math.isnan(self._first_s):
             self._first_s = shot.captured_s
+        black = shot.levels[0] if shot.levels else 0
+        self.blind = self._blindness.step(image, shot.captured_s, black)
         index = self.n_frames if shot.index is None else shot.index
         time_s = shot.captured_s - self._first_s if shot.time_s is None else shot.time_s
-        self.n_frames += 1
+        self.n_frames, self.heard_s = self.n_frames + 1, time.monotonic()
         is_due = self._pace.is_due(shot.captured_s)
         if shot.time_s is None and not is_due:
             self.n_left_out += 1
             return
-        image = self._region_of(shot.image).of(shot.image)
         grey = to_grey(image, self.size_wh, shot.levels)
-        shown = _shown(image, shot.levels) if self.wants_images else None
+        height, width = image.shape[:2]
+        shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
+        shown = to_bgr(image, shown_wh, shot.levels) if self.wants_pictures else None
         with self._changed:
             self.n_dropped += self._newest is not None
-            self._newest = LiveFrame(index, time_s, shot.captured_s, grey, shown)
-            self._changed.notify()
+            self._newest = Frame(index, time_s, grey, picture=shown, captured_s=shot.captured_s)
+            self._changed.notify_all()
 
     def _region_of(self, image: Image) -> Region:
-        """What is looked at of a picture; of the first one, the size of all frames follows."""
+        """The visible part of a picture; the first one determines the size of all frames."""
         height, width = image.shape[:2]
         if self._region is not None and self._latest_wh == (width, height):
             return self._region
@@ -240,7 +281,7 @@ class LiveSource:
                 raise Unreadable(why)
             raise SourceError(self.name, why, "Choose a rectangle inside them.")
         if self._region is not None:
-            self.tell(f"its pictures are {width}x{height} now, and are scaled")
+            self._tell(f"its pictures are {width}x{height} now, and are scaled")
         self._region = Region((width, height), crop, self._masked)
         self._latest_wh = width, height
         if self.size_wh == (0, 0):
@@ -251,54 +292,49 @@ class LiveSource:
                 size_wh=self._options.size,
                 width_px=self._width_px,
             )
-        self._region.hidden(self.size_wh)  # complains if nothing is left
+        self._region.hidden(self.size_wh)  # raises an error if no cell is left
         return self._region
 
 
 class Pace:
-    """Measures the rate of a source, and takes every k-th frame so that `max_fps` are left."""
+    """Measures the rate of a source, and takes every k-th frame so that `max_fps` are left.
+
+    Frames that arrive late all at once, after a stall, say nothing about the rate.
+
+    Attributes
+    ----------
+    fps : float
+        Frames a second over the last 60 intervals; NaN before there are ten of them.
+    """
 
     def __init__(self, max_fps: float) -> None:
-        self._max_fps = max_fps
+        self._max_fps, self.fps = max_fps, math.nan
         self._times: deque[float] = deque(maxlen=_N_MEASURED)
-        self._since_taken, self._every = 0, 1
-
-    @property
-    def fps(self) -> float:
-        """Frames a second over the last two seconds or so; NaN before there are ten of them."""
-        n_intervals = len(self._times) - 1
-        if n_intervals < _N_AT_LEAST:
-            return math.nan
-        return n_intervals / max(self._times[-1] - self._times[0], 1e-6)
+        self._since_taken, self._every, self._n_late = 0, 1, 0.0
+        self._last_s, self._is_stall = math.nan, False
 
     def is_due(self, captured_s: float) -> bool:
         """Whether to take the frame that came at this time."""
-        if self._times and captured_s - self._times[-1] > _PAUSE_S:
-            self._times.clear()  # it was away, which says nothing about its rate
+        n_passed = (captured_s - self._last_s) * self.fps  # frames in the interval; NaN at first
+        self._last_s = captured_s
+        # A second stall directly after the first one is a slower source.
+        is_second, self._is_stall = self._is_stall, n_passed > _STALL_FRAMES
+        if self._is_stall and not is_second:
+            self._n_late = n_passed
+            self._times.clear()
+        elif self._n_late >= 1.0 and n_passed < 0.5:
+            self._n_late += n_passed - 1.0
+            self._times.clear()
         self._times.append(captured_s)
-        if not math.isnan(fps := self.fps):
-            self._every = max(1, math.ceil(fps / self._max_fps - _SLACK))
+        if len(self._times) > _N_AT_LEAST:
+            n_intervals = len(self._times) - 1
+            self.fps = n_intervals / max(self._times[-1] - self._times[0], 1e-6)
+            self._every = max(1, math.ceil(self.fps / self._max_fps - _SLACK))
         self._since_taken += 1
         if self._since_taken < self._every:
             return False
         self._since_taken = 0
         return True
-
-
-def _shown(image: Image, levels: Levels) -> Image:
-    """A picture to look at, (H, W, 3) BGR of 8 bits, at most 640 px wide."""
-    height, width = image.shape[:2]
-    scale = min(1.0, SHOWN_PX / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    if image.ndim == 3 and image.dtype == np.uint8:
-        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    grey = to_grey(image, size, levels)
-    if grey.dtype != np.uint8:
-        grey = np.rint(255.0 * grey).astype(np.uint8)
-    return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-
-
-# What can be a source.
 
 
 def is_camera(source: str) -> bool:
@@ -307,20 +343,20 @@ def is_camera(source: str) -> bool:
 
 
 def scheme_of(source: str) -> str:
-    """What comes before ``://``, in small letters; empty for none."""
+    """The scheme of a URL, in lower case; empty for none."""
     match = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", source)
     return match[1].lower() if match else ""
 
 
 def without_password(source: str) -> str:
-    """A URL without the user and password that it may hold."""
-    return re.sub(r"(?<=://)[^/?#]*@", "", source)
+    """A URL without the user and password, and with ``***`` for other values that look secret."""
+    return _SECRET.sub(r"\1***", _USER.sub("", source))
 
 
-def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -> Iterator[Shot]:
-    """What a camera or a stream sends; `size_wh` is what a camera is asked for.
+def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[Shot, None, None]:
+    """The pictures of a camera or a stream; `size_wh` is requested from a camera.
 
-    Raises Unreadable if it cannot be opened or sends nothing for five seconds.
+    Raises Unreadable if it cannot be opened, or sends nothing for two seconds.
     """
     if is_camera(source):
         if not source.isdecimal() and not Path(source).exists():
@@ -334,10 +370,11 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -
             why = "the camera cannot be opened; it is not there, or another program uses it"
             raise Unreadable(why)
     else:
-        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        options = [cv2.CAP_PROP_N_THREADS, 1]
-        for limit in limits:
-            options += [limit, _TIMEOUT_MS]
+        options = [
+            *(cv2.CAP_PROP_N_THREADS, 1),
+            *(cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIMEOUT_MS),
+            *(cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIMEOUT_MS),
+        ]
         with guarded(_STREAM_OPTIONS):
             capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, options)
         if not capture.isOpened():
@@ -357,8 +394,8 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None, tell: Tell) -
 
 
 def shots_of_pipe(
-    stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str, tell: Tell
-) -> Iterator[Shot]:
+    stream: BinaryIO, size_wh: tuple[int, int], pixel_format: str
+) -> Generator[Shot, None, None]:
     """Raw frames from a pipe, one directly after the other, in one of the `PIXEL_FORMATS`.
 
     Raises ParameterError if the format has no frames of that size.
@@ -375,7 +412,8 @@ def shots_of_pipe(
             n_more = stream.readinto(memoryview(data)[n_read:])  # type: ignore[attr-defined]
             if not n_more:
                 if n_read:
-                    tell(f"it ended within a frame, after {n_read} of {n_bytes} bytes")
+                    what = "standard input: it ended within a frame, after %d of %d bytes"
+                    _log.warning(what, n_read, n_bytes)
                 return
             n_read += n_more
         captured_s = time.monotonic()
@@ -383,7 +421,7 @@ def shots_of_pipe(
 
 
 def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple[Image, Levels]:
-    """The picture in the bytes of a frame, and its levels; a view where that will do."""
+    """The picture in the bytes of a frame, and its levels; a view if possible."""
     width, height = size_wh
     if pixel_format in ("bgr24", "rgb24"):
         picture = data.reshape(height, width, 3)
@@ -395,32 +433,34 @@ def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple
     return luma, None if pixel_format == "gray" else _LIMITED
 
 
-def shots_at_their_pace(video: Video, tell: Tell) -> Iterator[Shot]:
-    """The pictures of a file, each when its time has come.
+def shots_at_their_pace(open_file: Callable[[], Video]) -> Generator[Shot, None, None]:
+    """The pictures of a file, each at its time, counted from when the first one was taken.
 
     One that is decoded too late is handed on at once. If that happens all the time, the file plays
-    slower, which is told.
+    slower, with a warning.
     """
-    begin_s, is_told = math.nan, False
-    for picture in video.pictures():
-        now_s = time.monotonic()
-        if math.isnan(begin_s):
-            begin_s = now_s - picture.time_s
-        due_s = begin_s + picture.time_s
-        if now_s > due_s + _MAX_LATE_S:
-            begin_s += now_s - due_s
-            due_s = now_s
-            if not is_told:
-                tell("it cannot be decoded at its own pace here, and plays slower")
-                is_told = True
-        while (left_s := due_s - time.monotonic()) > 0.0:
-            time.sleep(left_s)
-        yield Shot(picture.image, picture.levels, due_s, picture.index, picture.time_s)
+    begin_s, has_warned = math.nan, False
+    with open_file() as video:
+        for picture in video.pictures():
+            now_s = time.monotonic()
+            due_s = now_s if math.isnan(begin_s) else begin_s + picture.time_s
+            if now_s > due_s + _MAX_LATE_S:
+                begin_s += now_s - due_s
+                due_s = now_s
+                if not has_warned:
+                    what = "%s: it cannot be decoded at its own pace here, and plays slower"
+                    _log.warning(what, video.info.path)
+                    has_warned = True
+            while (left_s := due_s - time.monotonic()) > 0.0:
+                time.sleep(left_s)
+            yield Shot(picture.image, picture.levels, due_s, picture.index, picture.time_s)
+            if math.isnan(begin_s):
+                begin_s = time.monotonic() - picture.time_s
 
 
 def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
-    """Raise ParameterError unless this can be a live source."""
-    scheme = scheme_of(source)
+    """Raise ParameterError unless this is a live source."""
+    scheme, name = scheme_of(source), without_password(source)
     if source == "-":
         if not has_size:
             mend = "Add, for example, --input-size 640x480 --pixel-format gray."
@@ -428,13 +468,13 @@ def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:
     elif scheme and scheme not in SCHEMES:
         known = ", ".join(f"{name}://" for name in SCHEMES)
         why = f"there is no kind of stream called {scheme}://"
-        raise ParameterError(without_password(source), why, f"Choose from {known}.")
+        raise ParameterError(name, why, f"Choose from {known}.")
     elif not scheme and not is_camera(source) and not is_realtime:
         if Path(source).exists():
             mend = "Add --realtime to play it at its own pace, or use 'dlgmd run'."
-            raise ParameterError(source, "is a file, not a live source", mend)
+            raise ParameterError(name, "is a file, not a live source", mend)
         mend = "Give a camera such as 0, a stream such as rtsp://…, - for a pipe, or a file."
-        raise ParameterError(source, "there is no such source", mend)
+        raise ParameterError(name, "there is no such source", mend)
     if is_realtime and (source == "-" or scheme or is_camera(source)):
         raise ParameterError("--realtime", "works only with files", "Leave it out.")
     if has_size and source != "-" and not is_camera(source):

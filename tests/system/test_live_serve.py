@@ -3,11 +3,12 @@
 import gc
 import http.client
 import json
+import os
 import socket
 import sys
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from urllib.parse import urlsplit
 
@@ -18,11 +19,12 @@ import pytest
 pytest.importorskip("starlette", reason="the page needs Starlette")
 pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
 
-from dlgmd_cli.live.serve import Screen
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.live.serve import PageServer
 from dlgmd_cli.live.watch import Answer, Statistics
 from dlgmd_cli.models.base import Layers
 from dlgmd_cli.models.detection import Detection
-from dlgmd_cli.video.live import LiveFrame, LiveSource
+from dlgmd_cli.video.live import LiveSource
 from dlgmd_cli.video.options import InputOptions
 
 pytestmark = pytest.mark.slow
@@ -33,9 +35,9 @@ THRESHOLD = 0.4
 def served(host="127.0.0.1"):
     """A page that is served."""
     source = LiveSource(
-        "<b>camera</b>", lambda _: iter(()), InputOptions(), width_px=240, model_fps=30.0
+        "<b>camera</b>", lambda: iter(()), InputOptions(), width_px=240, model_fps=30.0
     )
-    with Screen(host, 0, source, Statistics(), THRESHOLD) as screen:
+    with PageServer(host, 0, source, Statistics(), THRESHOLD) as screen:
         yield screen, source
 
 
@@ -52,7 +54,7 @@ def answer(index=0, level=0.5, *, has_image=True, wh=(64, 48)):
     g = np.zeros((24, 32), np.float32)
     g[:6, :8] = 1.0
     image = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) if has_image else None
-    said = Detection(
+    found = Detection(
         *(1.0, 1.0, 1.0, 1.0, 1.0),
         layers=Layers(g=g) if has_image else None,
         g_x=-0.75,
@@ -61,7 +63,7 @@ def answer(index=0, level=0.5, *, has_image=True, wh=(64, 48)):
         spike=level >= THRESHOLD,
         alarm=level > 0.9,
     )
-    return Answer(LiveFrame(index, index / 30, 0.0, grey, image), said, False, "", 4.0)
+    return Answer(Frame(index, index / 30, grey, picture=image), found, latency_ms=4.0)
 
 
 @pytest.fixture
@@ -124,7 +126,7 @@ def test_other_machines_need_the_token(serve, ask, path):
         response = ask(url, path, query)
         assert response.status == 403 and b"its token" in response.read()
         assert response.headers["Cache-Control"] == "no-store"
-    assert not source.wants_images
+    assert not source.wants_pictures
     assert ask(url, path).status == (404 if path == "/other" else 200)
 
 
@@ -151,14 +153,14 @@ def test_other_names_are_refused(serve, ask, host, status):
 def test_pictures_are_asked_for_while_someone_looks(serve, ask):
     screen, source = serve()
     events = ask(screen.url, "/events")
-    assert next_event(events)["rows"] == [] and not source.wants_images
+    assert next_event(events)["rows"] == [] and not source.wants_pictures
     first, second = ask(screen.url, "/picture"), ask(screen.url, "/picture")
-    until(lambda: source.wants_images)
+    until(lambda: source.wants_pictures)
     first.close()
     screen.put(answer())
-    assert next_picture(second).shape == (48, 64, 3) and source.wants_images
+    assert next_picture(second).shape == (48, 64, 3) and source.wants_pictures
     second.close()
-    until(lambda: not source.wants_images)
+    until(lambda: not source.wants_pictures)
 
 
 def test_picture_has_the_active_cells(serve, ask):
@@ -181,31 +183,33 @@ def test_events_have_each_row_once(serve, ask):
     for index in range(1000):
         screen.put(answer(index, level=np.nan if index == 999 else 0.95))
     events = ask(screen.url, "/events")
-    said = next_event(events)
+    state = next_event(events)
     # What came before, of the last half a minute.
-    assert [row["frame"] for row in said["rows"]] == list(range(99, 1000))
-    assert said["rows"][-2]["mp_abs"] == 0.95 and said["rows"][-2]["alarm"]
-    assert said["rows"][-1]["mp_abs"] is None and said["fps"] is None
-    assert said["name"] == "<b>camera</b>" and said["threshold"] == THRESHOLD
+    assert [row["frame"] for row in state["rows"]] == list(range(99, 1000))
+    assert state["rows"][-2]["mp_abs"] == 0.95 and state["rows"][-2]["alarm"]
+    assert state["rows"][-1]["mp_abs"] is None and state["fps"] is None
+    assert state["name"] == "<b>camera</b>" and state["threshold"] == THRESHOLD
     screen.put(answer(1000))
     while not (rows := next_event(events)["rows"]):
         pass
     assert [row["frame"] for row in rows] == [1000]
 
 
-def test_a_lost_source_is_told_until_it_is_back(serve, ask, monkeypatch):
+def test_blindness_is_shown_until_it_is_over(serve, ask):
     screen, _ = serve()
-    monkeypatch.setattr("dlgmd_cli.live.serve._MESSAGE_S", 0.0)
     events = ask(screen.url, "/events")
+    nothing = replace(answer(), frame=None, latency_ms=np.nan)
+    screen.put(replace(nothing, event="blind", reason="lost"))
+    until(lambda: "the source is lost" in next_event(events)["blind"])
     assert not next_event(events)["has_frames"]
+    screen.put(replace(nothing, event="sees"))
     screen.put(answer())
-    screen.tell("the source was lost")
-    until(lambda: next_event(events)["message"] == "the source was lost")
-    said = next_event(events)
-    assert said["has_frames"] and said["message"] == "the source was lost"
+    until(lambda: next_event(events)["has_frames"])
+    state = next_event(events)
+    assert state["blind"] == ""
     until(lambda: next_event(events)["quiet_s"] > 0.2)
     screen.put(answer(1))
-    until(lambda: next_event(events)["message"] == "")
+    until(lambda: next_event(events)["quiet_s"] < 0.2)
 
 
 def test_it_ends_with_clients(serve, ask, capfd):
@@ -213,7 +217,7 @@ def test_it_ends_with_clients(serve, ask, capfd):
     events, picture = ask(screen.url, "/events"), ask(screen.url, "/picture")
     place = urlsplit(screen.url)
     idle = socket.create_connection((place.hostname, place.port))
-    until(lambda: source.wants_images)
+    until(lambda: source.wants_pictures)
     for index in range(5):
         screen.put(answer(index))
         next_event(events), next_picture(picture)
@@ -234,16 +238,66 @@ def test_a_deaf_client_holds_nothing_up(capfd):
         place, one = urlsplit(screen.url), answer()
         deaf = stack.enter_context(socket.create_connection((place.hostname, place.port)))
         deaf.sendall(b"GET /picture?overlay=0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        until(lambda: source.wants_images)
+        until(lambda: source.wants_pictures)
         for _ in range(3):  # more than a connection takes at once
-            screen.put(replace(one, frame=replace(one.frame, image=noise)))
+            screen.put(replace(one, frame=replace(one.frame, picture=noise)))
             time.sleep(0.2)
         screen.__exit__()
         until(lambda: "dlgmd-serve" not in [thread.name for thread in threading.enumerate()])
-    assert not source.wants_images
+    assert not source.wants_pictures
     assert capfd.readouterr() == ("", "")
     del screen
     gc.collect()  # the connection was not closed, but left
+
+
+def request(sock, text=b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"):
+    sock.sendall(text)
+    return sock.recv(64)
+
+
+def test_connections_are_bounded(serve, monkeypatch, caplog):
+    """Those that ask for nothing, or too slowly, are closed; then others are let in again."""
+    monkeypatch.setattr("dlgmd_cli.live.serve._REQUEST_S", 2.0)
+    screen, _ = serve()
+    place = urlsplit(screen.url)
+    with ExitStack() as stack:
+
+        def connect():
+            one = socket.create_connection((place.hostname, place.port))
+            one.settimeout(20)
+            return stack.enter_context(one)
+
+        n_files = len(os.listdir("/proc/self/fd")) if os.path.exists("/proc/self/fd") else 0
+        idle = [connect() for _ in range(300)]
+        time.sleep(0.3)
+        if n_files:  # the clients' ends are of this process, too
+            assert len(os.listdir("/proc/self/fd")) - n_files - 300 < 150
+        begin = time.monotonic()
+        slow = idle[0]
+        with suppress(ConnectionError):
+            while time.monotonic() - begin < 10:
+                slow.sendall(b"G")
+                time.sleep(0.05)
+        assert time.monotonic() - begin < 4
+        with suppress(ConnectionError):
+            assert all(one.recv(1) == b"" for one in idle)
+        one = connect()
+        assert request(one).startswith(b"HTTP/1.1 200")
+        while one.recv(65536):  # each is for one request
+            pass
+    assert not caplog.messages
+
+
+def test_errors_of_the_server_are_logged_once(serve, caplog):
+    screen, _ = serve()
+    until(lambda: screen._server.started)
+    (server,) = screen._server.servers
+    context = {"message": "Accepting failed.", "exception": OSError(24, "Too many open files")}
+    for _ in range(5):
+        server.get_loop().call_soon_threadsafe(server.get_loop().call_exception_handler, context)
+    until(lambda: caplog.messages)
+    time.sleep(0.1)
+    assert caplog.messages == ["--serve: accepting failed ([Errno 24] Too many open files)"]
 
 
 def test_refusals_on_the_command_line(dlgmd, clips, monkeypatch):

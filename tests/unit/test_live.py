@@ -1,4 +1,4 @@
-"""`dlgmd live`: the newest frame wins, what hears the alarm, and what is recorded."""
+"""`dlgmd live`: the newest frame wins, receivers of alarms, blindness, and recordings."""
 
 import io
 import json
@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -21,17 +22,21 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
-from dlgmd_cli.live import hooks, watch
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.live import outputs
 from dlgmd_cli.live.recording import Recording
-from dlgmd_cli.live.watch import Answer, Events, Statistics, answers
+from dlgmd_cli.live.watch import Answer, Events, Sight, Statistics, answers
 from dlgmd_cli.models.detection import onsets
+from dlgmd_cli.results import csv
 from dlgmd_cli.runs.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
-from dlgmd_cli.video.live import LiveFrame, LiveSource, Pace, Shot
+from dlgmd_cli.video.live import LiveSource, Pace, Shot
 from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.source import Video
 
 SOON_S = 5.0
+AGAIN = {"tries_again": True, "must_open": True}
 UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 
 
@@ -41,20 +46,51 @@ def unstopped(stop):
 
 
 def until(condition):
-    """Wait for something that happens on another thread."""
+    """Wait for something that happens in another thread."""
     end = time.monotonic() + SOON_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.002)
 
 
-def source_of(open_shots, options=None, **more):
+def source_of(shots, options=None, **more):
+    """A source of shots: a function that yields them, or takes the source to wait for it."""
     given = {"width_px": 240, "model_fps": 1e6} | more
-    return LiveSource("camera", open_shots, options or InputOptions(), **given)
+    return LiveSource("camera", shots, options or InputOptions(), **given)
+
+
+@contextmanager
+def reading(shots, options=None, **more):
+    """A source that is read, and counts its frames."""
+    with source_of(shots, options, **more) as source:
+        assert source.sample(SOON_S) is not None
+        source.begin()
+        yield source
 
 
 def shot(value, size_wh=(40, 30), captured_s=0.0):
     return Shot(np.full(size_wh[::-1], value, np.uint8), None, captured_s)
+
+
+def played(pictures, options=None, fps=30.0, **more):
+    """A source of pictures, one after the other, as fast as they are taken."""
+
+    def shots():
+        yield Shot(pictures[0], None, 0.0)  # whose time is that of its being read
+        for number, picture in enumerate(pictures[1:], 1):
+            until(lambda: source._newest is None or source.is_over)
+            yield Shot(picture, None, source._first_s + number / fps)
+
+    source = source_of(shots, options, **more)
+    return source
+
+
+def answered(source, alarm=None):
+    """The answers to a source, and its sight."""
+    sight = Sight(source)
+    with source:
+        found = [one for one in answers(source, alarm or Alarm(), sight) if one is not None]
+    return found, sight
 
 
 # Sources.
@@ -63,13 +99,13 @@ def shot(value, size_wh=(40, 30), captured_s=0.0):
 def test_the_newest_frame_wins():
     go_on = threading.Event()
 
-    def shots(tell):
+    def shots():
         yield shot(0)
         assert go_on.wait(SOON_S)
         for value in range(1, 6):
             yield shot(value)
 
-    with source_of(shots) as source:
+    with reading(shots) as source:
         assert source.take(SOON_S).grey[0, 0] == 0
         assert source.take(0.01) is None and not source.is_over
         go_on.set()
@@ -79,46 +115,83 @@ def test_the_newest_frame_wins():
     assert (source.n_frames, source.n_dropped, source.n_left_out) == (6, 4, 0)
 
 
-def test_a_lost_source_is_tried_again_after_growing_pauses(monkeypatch):
-    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.01)
-    monkeypatch.setattr(live, "MAX_PAUSE_S", 0.03)
-    opened = []
+def test_frames_count_once_the_model_is_ready():
+    """The model has then seen noise of their size, and what a camera sent meanwhile is lost."""
+    seen, alarm, sent = [], Alarm(load_set(3)), threading.Event()
+    step = alarm.step
 
-    def shots(tell):
-        opened.append(time.monotonic())
-        if len(opened) == 5:
+    def slow_step(frame, time_s=None, **more):
+        seen.append((frame.shape, time_s is None))
+        if len(seen) == 1:
+            sent.set()
+            time.sleep(0.05)
+        return step(frame, time_s, **more)
+
+    def shots():
+        yield shot(0, (80, 60))
+        assert sent.wait(SOON_S)
+        yield from (shot(value, (80, 60)) for value in range(1, 10))
+        until(source._begun.is_set)
+        yield shot(20, (80, 60))
+        until(lambda: source._newest is None)
+
+    alarm.step = slow_step
+    source = source_of(shots, InputOptions(scale=0.5), waits=False)
+    found, _ = answered(source, alarm)
+    assert {shape for shape, _ in seen} == {(30, 40)}
+    n_warm = [is_warm for _, is_warm in seen].index(False)
+    assert n_warm > alarm.model.first_valid_frame and len(seen) == n_warm + 1
+    assert [one.frame.index for one in found] == [0] and source.n_frames == 1
+
+
+def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
+    """Within two seconds in the first minute, later within 30."""
+    now, pauses, opened = [100.0], [], []
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+
+    def shots():
+        opened.append(now[0])
+        if len(opened) == 40:
             yield shot(9)
+            return
         raise Unreadable("the source was lost")
 
-    with source_of(shots, tries_again=True) as source:
-        assert source.take(SOON_S).index == 0
-        until(lambda: len(opened) == 7)
-        told = list(source.messages())
-    pauses = [float(line.split()[-2]) for line in told[:6]]
-    assert pauses == [0.01, 0.02, 0.03, 0.03, 0.01, 0.02]  # a frame that comes begins anew
-    assert told[0] == "camera: the source was lost; trying again in 0.01 s"
-    assert all(b - a >= pause for a, b, pause in zip(opened, opened[1:], pauses, strict=False))
+    def wait(pause_s):
+        pauses.append(pause_s)
+        now[0] += pause_s
+        if len(pauses) == 45:
+            source._stop.set()
+
+    source = source_of(shots, tries_again=True, waits=False)
+    monkeypatch.setattr(source._stop, "wait", wait)
+    source._read()
+    assert pauses[:4] == [0.5, 1.0, 2.0, 2.0]
+    n_soon = np.searchsorted(np.cumsum(pauses[:39]), 60.0) + 1
+    assert set(pauses[2:n_soon]) == {2.0} and set(pauses[n_soon:39]) == {30.0}
+    assert pauses[39:41] == [0.5, 1.0]  # a picture that comes begins anew
+    # Each outage is told once.
+    assert caplog.messages[0] == "camera: the source was lost; trying again"
+    assert len(caplog.messages) == 3 and "has ended" in caplog.messages[1]
 
 
-@pytest.mark.parametrize("again", [{}, {"tries_again": True, "must_open": True}])
+@pytest.mark.parametrize("again", [{}, AGAIN])
 def test_a_source_that_cannot_be_opened_is_an_error(again):
-    def shots(tell):
+    def shots():
         raise Unreadable("it is not there")
         yield
 
     with source_of(shots, **again) as source, pytest.raises(SourceError, match="it is not there"):
-        source.take(SOON_S)
+        source.sample(SOON_S)
 
 
-def test_a_camera_that_is_unplugged_is_tried_again(monkeypatch, tmp_path):
+def test_a_camera_that_is_unplugged_is_opened_again(monkeypatch, tmp_path, caplog):
     """Its device goes with it; one that never was there is an error."""
     monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(live, "is_camera", lambda source: True)
     device = tmp_path / "video0"
     shots = partial(live.shots_of_capture, str(device), None)
-    again = {"tries_again": True, "must_open": True}
-    with source_of(shots, **again) as source, pytest.raises(SourceError, match="no such camera"):
-        source.take(SOON_S)
+    with source_of(shots, **AGAIN) as source, pytest.raises(SourceError, match="no such camera"):
+        source.sample(SOON_S)
     device.touch()
     captures = [FakeCapture(1), FakeCapture(2, breaks=True), FakeCapture(1)]
 
@@ -128,15 +201,13 @@ def test_a_camera_that_is_unplugged_is_tried_again(monkeypatch, tmp_path):
         return captures.pop(0)
 
     monkeypatch.setattr(live.cv2, "VideoCapture", opened)
-    with source_of(shots, **again) as source:
-        until(lambda: source.n_frames == 1)
-        told = []
-        until(lambda: (told.extend(source.messages()), len(told) >= 1)[1])
+    with reading(shots, **AGAIN) as source:
         until(lambda: source.n_frames == 2)
-        until(lambda: (told.extend(source.messages()), "no such camera" in told[-1])[1])
+        until(lambda: "no such camera" in caplog.text)
+        assert source.blind == "lost"
         device.touch()
         until(lambda: source.n_frames == 3)
-    assert "the source was lost" in told[0] and "cannot be decoded" in "".join(told)
+    assert "the source was lost" in caplog.text and "cannot be decoded" in caplog.text
 
 
 class FakeCapture:
@@ -161,66 +232,49 @@ class FakeCapture:
         return True, np.zeros((30, 40, 3), np.uint8)
 
 
-def test_frames_keep_their_size_when_the_pictures_change():
-    def shots(tell):
-        yield shot(10, (80, 60))
-        until(lambda: source._newest is None)
-        yield shot(20, (50, 90))
-
-    source = source_of(shots, InputOptions(scale=0.5))
-    with source:
-        assert source.take(SOON_S).grey.shape == (30, 40)
-        second = source.take(SOON_S)
-    assert second.grey.shape == (30, 40) and second.grey[0, 0] == 20
+def test_frames_keep_their_size_when_the_pictures_change(caplog):
+    pictures = [np.full(shape, 20, np.uint8) for shape in ((60, 80), (90, 50))]
+    with played(pictures, InputOptions(scale=0.5)) as source:
+        assert source.sample(SOON_S).shape == (30, 40)
+        source.begin()
+        frames = [source.take(SOON_S) for _ in pictures]
+    assert all(one.grey.shape == (30, 40) and one.grey[0, 0] == 20 for one in frames)
     assert source.picture_wh == (80, 60) and source.size_wh == (40, 30)
-    assert list(source.messages()) == ["camera: its pictures are 50x90 now, and are scaled"]
+    assert caplog.messages == ["camera: its pictures are 50x90 now, and are scaled"]
 
 
-def test_crop_and_mask(tmp_path):
+def test_crop_and_mask(tmp_path, caplog):
     mask = np.full((20, 20), 255, np.uint8)
     mask[:10] = 0
     cv2.imwrite(str(tmp_path / "mask.png"), mask)
     picture = np.zeros((60, 80), np.uint8)
     picture[30:50, 10:30] = 200
-
-    def shots(tell):
-        yield Shot(picture, None, 0.0)
-
     options = InputOptions(crop="20x20+10+30", mask=tmp_path / "mask.png")
-    with source_of(shots, options) as source:
-        assert (source.take(SOON_S).grey == 200).all() and source.size_wh == (20, 20)
+    with played([picture], options) as source:
+        assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
         assert source.hidden().sum() == 200 and source.hidden()[:10].all()
-
-    def changing(tell):
-        yield Shot(picture, None, 0.0)
-        yield Shot(picture[:40], None, 0.1)
-
-    with source_of(changing, options, tries_again=True) as source:
-        until(lambda: source.n_frames == 2)  # and not the end
-        told = []
-        until(lambda: (told.extend(source.messages()), told)[1])
-        assert "reaches outside" in told[0] and "trying again" in told[0] and not source.is_over
+    with played([picture, picture[:40]], options, tries_again=True) as source:
+        source.sample(SOON_S)
+        source.begin()
+        source.take(SOON_S)
+        until(lambda: "reaches outside" in caplog.text)  # and it is not the end
+        assert "trying again" in caplog.text and not source.is_over
     with (
-        source_of(shots, InputOptions(crop="20x20+70+30")) as source,
+        played([picture], InputOptions(crop="20x20+70+30")) as source,
         pytest.raises(SourceError, match="reaches outside its pictures of 80x60"),
     ):
-        source.take(SOON_S)
+        source.sample(SOON_S)
 
 
-def test_pictures_to_look_at_come_only_when_they_are_wanted():
-    def shots(tell):
-        for _ in range(2):
-            until(lambda: source._newest is None)
-            yield Shot(np.full((360, 1280, 3), (10, 20, 30), np.uint8), None, 0.0)
-
-    source = source_of(shots)
-    with source:
-        assert source.take(SOON_S).image is None
-    source = source_of(shots)
-    source.wants_images = True
-    with source:
-        image = source.take(SOON_S).image
-    assert image.shape == (180, 640, 3) and (image == (10, 20, 30)).all()
+@pytest.mark.parametrize("is_wanted", [False, True])
+def test_pictures_come_only_when_they_are_wanted(is_wanted):
+    with played([np.full((360, 1280, 3), (10, 20, 30), np.uint8)]) as source:
+        source.wants_pictures = is_wanted
+        source.sample(SOON_S)
+        source.begin()
+        picture = source.take(SOON_S).picture
+    assert (picture is not None) == is_wanted
+    assert not is_wanted or (picture.shape == (180, 640, 3) and (picture == (10, 20, 30)).all())
 
 
 @pytest.mark.parametrize(
@@ -244,6 +298,26 @@ def test_a_pause_does_not_alter_the_rate():
     assert sum(pace.is_due(t + 12.0) for t in times) == 60 and pace.fps == pytest.approx(60)
 
 
+@pytest.mark.parametrize("stall_s", [0.25, 0.9, 5.0])
+def test_what_arrives_late_after_a_stall_is_not_left_out(stall_s):
+    """A receiver hands on what was held up all at once; the source is no faster for it."""
+    pace, sent = Pace(30.0), np.arange(600) / 30
+    held = (sent > 5.0) & (sent < 5.0 + stall_s)
+    came = np.where(held, 5.0 + stall_s + 0.002 * np.cumsum(held), sent)
+    assert all(pace.is_due(t) for t in np.maximum.accumulate(came))
+    assert pace.fps == pytest.approx(30)
+
+
+def test_a_source_may_become_slower_or_faster():
+    pace, t = Pace(30.0), 0.0
+    for fps, share in ((60, 0.5), (15, 1.0), (120, 0.25), (0.5, 1.0)):
+        taken = []
+        for _ in range(150):
+            t += 1.0 / fps
+            taken.append(pace.is_due(t))
+        assert np.mean(taken[70:]) == pytest.approx(share, abs=0.02) and pace.fps > 0.9 * fps
+
+
 GREY = np.random.default_rng(2).integers(30, 220, (24, 32), dtype=np.uint8)
 
 
@@ -260,15 +334,14 @@ def raw(pixel_format):
 
 
 @pytest.mark.parametrize("pixel_format", live.PIXEL_FORMATS)
-def test_raw_frames(pixel_format):
+def test_raw_frames(pixel_format, caplog):
     read_end, write_end = os.pipe()
     with os.fdopen(read_end, "rb") as pipe, os.fdopen(write_end, "wb") as writer:
         writer.write(3 * raw(pixel_format) + b"rest")
         writer.close()
-        told = []
-        shots = live.shots_of_pipe(pipe, (32, 24), pixel_format, told.append)
+        shots = live.shots_of_pipe(pipe, (32, 24), pixel_format)
         greys = [live.to_grey(one.image, (32, 24), one.levels) for one in shots]
-    assert len(greys) == 3 and "ended within a frame, after 4 of" in told[0]
+    assert len(greys) == 3 and "ended within a frame, after 4 of" in caplog.text
     assert np.abs(np.array(greys, int) - GREY).max() <= 1
 
 
@@ -285,7 +358,7 @@ def test_raw_frames(pixel_format):
 )
 def test_odd_sizes(size, pixel_format, is_refused):
     """FFmpeg rounds the size of colour planes up, or writes another number of bytes."""
-    shots = live.shots_of_pipe(io.BytesIO(bytes(41 * 31 * 3)), size, pixel_format, print)
+    shots = live.shots_of_pipe(io.BytesIO(bytes(41 * 31 * 3)), size, pixel_format)
     if is_refused:
         with pytest.raises(ParameterError, match="is odd"):
             next(shots)
@@ -303,17 +376,21 @@ def test_colours_of_raw_frames_are_in_their_order():
     assert levels == {"bgr24": 29, "rgb24": 76}  # BT.601: 0.114 and 0.299
 
 
-def test_a_file_plays_at_its_own_pace(tmp_path):
+def test_a_file_plays_at_its_own_pace_and_is_closed(tmp_path, monkeypatch):
+    closed = []
+    monkeypatch.setattr(Video, "close", lambda video: closed.append(video))
     write_video(tmp_path / "a.avi", looming_frames(6), fps=20.0)
-    video = InputOptions(repeats="keep").open(tmp_path / "a.avi")
-    begin = time.monotonic()
-    shots = [(time.monotonic() - begin, one) for one in live.shots_at_their_pace(video, print)]
-    for number, (now_s, one) in enumerate(shots):
+    shots = live.shots_at_their_pace(lambda: InputOptions(repeats="keep").open(tmp_path / "a.avi"))
+    for number, one in enumerate(shots):
+        if number == 0:
+            time.sleep(0.3)  # while the model is prepared
+            begin = time.monotonic()
         assert one.index == number and one.time_s == pytest.approx(number / 20)
-        assert now_s >= number / 20 - 0.001
+        assert -0.001 <= time.monotonic() - begin - number / 20 < live._MAX_LATE_S
+    assert len(closed) == 1
 
 
-def test_a_file_that_decodes_too_slowly_plays_slower(monkeypatch):
+def test_a_file_that_decodes_too_slowly_plays_slower(monkeypatch, caplog):
     clock = SimpleNamespace(now=100.0)
     monkeypatch.setattr(live.time, "monotonic", lambda: clock.now)
     monkeypatch.setattr(live.time, "sleep", lambda s: setattr(clock, "now", clock.now + s))
@@ -323,10 +400,14 @@ def test_a_file_that_decodes_too_slowly_plays_slower(monkeypatch):
             clock.now += 0.1  # to decode what lasts 0.05 s
             yield SimpleNamespace(image=None, levels=None, index=number, time_s=0.05 * number)
 
-    told = []
-    shots = list(live.shots_at_their_pace(SimpleNamespace(pictures=pictures), told.append))
+    @contextmanager
+    def video():
+        yield SimpleNamespace(pictures=pictures, info=SimpleNamespace(path="a.mp4"))
+
+    shots = list(live.shots_at_their_pace(video))
     lateness = [100.1 + 0.1 * number - one.captured_s for number, one in enumerate(shots)]
-    assert 0.2 < max(lateness) <= live._MAX_LATE_S + 1e-9 and len(told) == 1
+    assert 0.2 < max(lateness) <= live._MAX_LATE_S + 1e-9
+    assert len(caplog.messages) == 1 and "plays slower" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -347,22 +428,34 @@ def test_what_is_no_source(source, more, why):
         live.check_source(source, **{"is_realtime": False, "has_size": False} | more)
 
 
-def test_passwords_are_not_shown():
-    assert live.without_password("rtsp://me:secret@host/a@b") == "rtsp://host/a@b"
-    assert live.without_password("rtsp://me:p@ss@host/x") == "rtsp://host/x"
-    assert live.without_password("rtsp://host/a@b") == "rtsp://host/a@b"
-    with pytest.raises(ParameterError) as caught:
-        live.check_source("gopher://me:secret@host", is_realtime=False, has_size=False)
-    assert "secret" not in str(caught.value)
+@pytest.mark.parametrize(
+    ("source", "shown"),
+    [
+        ("rtsp://me:secret@host/a@b", "rtsp://host/a@b"),
+        ("rtsp://me:s@secret@host/x", "rtsp://host/x"),
+        ("rtsp://host/a@b", "rtsp://host/a@b"),
+        ("rtsp://host/p?user=a&password=secret&ch=1", "rtsp://host/p?user=a&password=***&ch=1"),
+        ("http://host/p?API_Key=secret#x", "http://host/p?API_Key=***#x"),
+        ("rtsp://host/user=a_pwd=secret_ch=1/x", "rtsp://host/user=a_pwd=***/x"),
+        ("http://host/v?fps=30&size=1", "http://host/v?fps=30&size=1"),
+    ],
+)
+def test_passwords_are_not_shown(source, shown):
+    assert live.without_password(source) == shown
+    for wrong in (source.replace("rtsp", "gopher"), source.replace("://", ":/")):
+        with pytest.raises(ParameterError) as caught:
+            live.check_source(wrong, is_realtime=False, has_size=True)
+        assert "secret" not in str(caught.value) or ":/me" in wrong
 
 
 # Answers.
 
 
-def answer(alarm=False, *, index=0, event="", time_s=0.0, level=0.5):
+def answer(alarm=False, *, index=0, event="", time_s=0.0, level=0.5, reason=""):
     """An answer of an alarm that saw nothing, changed."""
-    said = replace(UNDEFINED, mp=1.0, mp_abs=level, alarm=alarm)
-    return Answer(LiveFrame(index, time_s, 0.0, np.zeros((9, 9))), said, False, event, 1.5)
+    found = replace(UNDEFINED, mp=1.0, mp_abs=level, alarm=alarm)
+    frame = Frame(index, time_s, np.zeros((9, 9)))
+    return Answer(frame, found, event=event, latency_ms=1.5, reason=reason)
 
 
 def test_events_are_the_onsets_of_a_result():
@@ -380,25 +473,17 @@ def test_events_are_the_onsets_of_a_result():
 
 def test_answers_are_those_of_the_alarm():
     frames = looming_frames(n_frames=30, width=64, height=48)
-
-    def shots(tell):
-        for number, frame in enumerate(frames):
-            until(lambda: source._newest is None)
-            yield Shot(frame, None, 50.0 + number / 30)
-
-    source = source_of(shots)
-    alarm, expected = Alarm(load_set(3)), Alarm(load_set(3))
-    with source:
-        found = [one for one in answers(source, alarm) if one is not None]
-    assert len(found) == 31 and found[-2].said.alarm
+    expected = Alarm(load_set(3))
+    found, _ = answered(played(frames), Alarm(load_set(3)))
+    assert len(found) == 31 and found[-2].detection.alarm
     for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
-        said = expected.step(frame, number / 30)
+        wanted = expected.step(frame, number / 30)
         assert one.frame.index == number and one.frame.time_s == pytest.approx(number / 30)
-        assert (one.said.mp == said.mp or math.isnan(said.mp)) and one.said.alarm == said.alarm
+        np.testing.assert_equal(vars(one.detection), vars(wanted))
     *found, last = found
     assert [one.event for one in found if one.event] == ["begin"]
     # The alarm is on when the source is over: its end is told.
-    assert (last.event, last.said.alarm, last.is_repeat) == ("end", False, True)
+    assert (last.event, last.detection.alarm, last.is_of_frame) == ("end", False, False)
     facts = json.loads(found[-1].to_json())
     assert facts.pop("event") == "begin"
     assert list(facts) == [
@@ -408,24 +493,80 @@ def test_answers_are_those_of_the_alarm():
     assert json.loads(found[0].to_json())["mp"] is None  # and not NaN
 
 
-def test_an_alarm_ends_when_its_source_is_silent(monkeypatch):
-    monkeypatch.setattr(watch, "_SILENT_S", 0.2)
+NOISE = np.random.default_rng(3).integers(0, 255, (90, 30, 40), np.uint8)
+BLACK, STILL = np.zeros((90, 30, 40), np.uint8), np.repeat(NOISE[:1], 90, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "reason", "events"),
+    [
+        ([*NOISE, *BLACK, *NOISE], "black", ["blind", "sees"]),
+        ([*NOISE, *STILL, *NOISE], "frozen", ["blind", "sees"]),
+        ([*NOISE, *BLACK[:15], *NOISE, *STILL[:15], *NOISE], "", []),
+        (BLACK, "black", ["blind"]),
+    ],
+)
+def test_black_and_frozen_pictures_are_events(pictures, reason, events, caplog):
+    found, sight = answered(played(pictures))
+    told = [one for one in found if one.event in ("blind", "sees")]
+    assert [one.event for one in told] == events and len(caplog.messages) == len(events)
+    if events:
+        begin = 0 if len(pictures) == 90 else 90
+        assert (told[0].reason, told[0].to_dict()["reason"]) == (reason, reason)
+        assert 0.0 < told[0].frame.time_s - begin / 30 < 1.0
+        assert reason in caplog.text and "latency_ms" in told[0].to_dict()
+        reasons = [one.reason for one in found if one.is_of_frame]
+        assert reasons[begin + 30] == reason and reasons[begin] == ""
+        assert len(events) == 1 or reasons[-1] == ""
+        (line,) = sight.warnings()
+        assert line.startswith("blind 1 time, ") and reason in line
+
+
+def test_a_silent_source_is_lost_within_a_second(caplog):
+    """An alarm that is on ends; both are told once, and that the source is back."""
     frames, go_on = looming_frames(n_frames=30, width=64, height=48), threading.Event()
 
-    def shots(tell):
-        for number, frame in enumerate(frames):
+    def shots():
+        for frame in frames:
             until(lambda: source._newest is None)
-            yield Shot(frame, None, 50.0 + number / 30)
+            yield Shot(frame, None, time.monotonic())
         assert go_on.wait(SOON_S)
+        yield Shot(frames[0], None, time.monotonic())
 
     source, events = source_of(shots), []
     with source:
-        for one in answers(source, Alarm(load_set(3))):
+        for one in answers(source, Alarm(load_set(3)), Sight(source)):
             if one is not None and one.event:
-                events.append(one.event)
-            if len(events) == 2:
-                go_on.set()  # and it is not told again at the end
-    assert events == ["begin", "end"]
+                events.append((one.event, one.reason, time.monotonic() - source.heard_s))
+            if len(events) == 3:
+                go_on.set()
+    assert [event for event, *_ in events] == ["begin", "end", "blind", "sees"]
+    assert events[2][1] == "lost" and 0.85 < events[2][2] < 1.2 and events[3][1] == ""
+    assert "blind, no frame for" in caplog.messages[0] and "sees again" in caplog.messages[1]
+
+
+def test_a_source_that_cannot_be_opened_yet_is_blind():
+    n_opened = []
+
+    def shots():
+        n_opened.append(1)
+        if len(n_opened) == 1:
+            raise Unreadable("the stream cannot be opened")
+        while not source.is_over:
+            yield shot(7)
+            time.sleep(0.01)
+
+    events, source = [], source_of(shots, tries_again=True, waits=False)
+    sight = Sight(source)
+    with source:
+        for one in answers(source, Alarm(), sight):
+            if one is not None:
+                events.append((one.event, one.reason, one.to_dict()["frame"]))
+                if one.event == "sees":
+                    break
+    assert events == [("blind", "lost", None), ("sees", "", None)]
+    (line,) = sight.warnings()
+    assert line.startswith("blind 1 time, 0.") and "lost" in line
 
 
 def test_the_alarm_ignores_what_the_mask_hides():
@@ -450,54 +591,54 @@ def test_statistics():
     assert statistics.latency_ms(lately=True) == pytest.approx((850.5, 997.01))
 
 
-# Hooks.
+# Outputs.
 
 
-def test_a_hook_that_hangs_delays_nothing(monkeypatch):
-    release, got, told = threading.Event(), [], []
+def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
+    release, got = threading.Event(), []
 
     def deliver(one):
         release.wait(SOON_S)
         got.append(one.frame.index)
 
-    hook = hooks.Hook("--udp", deliver, told.append)
+    output = outputs.Output("--udp", deliver)
     begin = time.monotonic()
     for number in range(500):
-        hook.put(answer(index=number))
+        output.put(answer(index=number))
     assert time.monotonic() - begin < 1.0
-    monkeypatch.setattr(hooks, "_PATIENCE_S", 0.05)
-    hooks.join([hook])
-    assert told == [
+    monkeypatch.setattr(outputs, "_PATIENCE_S", 0.05)
+    outputs.finish([output])
+    assert caplog.messages == [
         "--udp: the receiver is too slow; answers are dropped",
         "--udp: the receiver did not take everything in time",
     ]
     release.set()
-    hook._thread.join(SOON_S)
-    assert got[-1] == 499 and len(got) <= hooks._MAX_WAITING + 1
+    output._thread.join(SOON_S)
+    assert got[-1] == 499 and len(got) <= outputs._MAX_WAITING + 1
 
 
-def test_a_hook_that_fails_is_told_of_once_and_tried_again():
-    got, told = [], []
+def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
+    got = []
 
     def deliver(one):
         got.append(one.frame.index)
         raise OSError("the cable is out")
 
-    hook = hooks.Hook("--mavlink", deliver, told.append)
+    output = outputs.Output("--mavlink", deliver)
     for number in range(5):
-        hook.put(answer(index=number))
+        output.put(answer(index=number))
     until(lambda: len(got) == 5)
-    hook.close()
-    assert told == ["--mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
+    output.close()
+    assert caplog.messages == ["--mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
 
 
 def test_only_events():
     got = []
-    hook = hooks.Hook("--exec", got.append, print, only_events=True)
+    output = outputs.Output("--exec", got.append, only_events=True)
     for event in ("", "begin", "", "end"):
-        hook.put(answer(event=event))
+        output.put(answer(event=event))
     until(lambda: len(got) == 2)
-    hook.close()
+    output.close()
     assert [one.event for one in got] == ["begin", "end"]
 
 
@@ -512,26 +653,41 @@ def test_datagrams(family, host):
             pytest.skip("this machine has no such address")
         receiver.settimeout(SOON_S)
         address = f"[{host}]:{receiver.getsockname()[1]}"
-        hooks.datagrams(address)(answer(True, index=7, event="begin"))
-        facts = json.loads(receiver.recv(4096))
+        send, places = outputs.Datagrams(address), set()
+        for _ in range(3):
+            send(answer(True, index=7, event="begin"))
+            data, place = receiver.recvfrom(4096)
+            places.add(place)
+        send.close()
+    facts = json.loads(data)
+    assert len(places) == 1  # from one socket
     assert facts["frame"] == 7 and facts["event"] == "begin" and facts["alarm"] is True
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", ":5", "host:0", "host:70000", "host:x"])
 def test_addresses_that_are_none(text):
     with pytest.raises(ParameterError, match="is not HOST:PORT"):
-        hooks.split_address(text, "--udp")
+        outputs.split_address(text, "--udp")
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b"])
 def test_hosts_that_are_not_there(host):
     with pytest.raises(ParameterError, match="cannot be found"):
-        hooks.datagrams(f"{host}:5005")
+        outputs.Datagrams(f"{host}:5005")
 
 
-def test_an_address_may_be_a_port_alone():
-    assert hooks.split_address("8000", "--serve", "127.0.0.1") == ("127.0.0.1", 8000)
-    assert hooks.split_address("0.0.0.0:80", "--serve", "127.0.0.1") == ("0.0.0.0", 80)
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("8000", ("127.0.0.1", 8000)),
+        ("0.0.0.0:80", ("0.0.0.0", 80)),
+        ("::1", ("::1", 0)),
+        ("[::1]", ("::1", 0)),
+        ("[::1]:8123", ("::1", 8123)),
+    ],
+)
+def test_addresses_to_listen_at(text, address):
+    assert outputs.split_address(text, "--serve", "127.0.0.1") == address
 
 
 def wait_for(*started):
@@ -541,110 +697,111 @@ def wait_for(*started):
             process.wait()
 
 
-def test_a_program_gets_the_event_in_its_environment(tmp_path):
+def test_a_program_gets_the_event_in_its_environment(tmp_path, caplog):
     script = "import os, sys; open(sys.argv[1], 'w').write(repr(sorted(os.environ.items())))"
     command = f"{sys.executable} -c \"{script}\" '{tmp_path}/$HOME; x'"
-    told = []
-    start = hooks.Programs(command, told.append)
+    start = outputs.Programs(command)
     start(answer(True, index=7, event="begin"))
     file = tmp_path / "$HOME; x"  # no shell has looked at it
     until(lambda: file.exists() and file.read_text())
     found = dict(eval(file.read_text()))
     assert (found["DLGMD_EVENT"], found["DLGMD_FRAME"]) == ("begin", "7")
     wait_for(start)
-    assert found["DLGMD_ALARM"] == "True" and found["DLGMD_G_X"] == "" and not told
+    assert found["DLGMD_ALARM"] == "True" and found["DLGMD_G_X"] == "" and not caplog.messages
 
 
-def test_programs_that_hang_or_fail():
-    told = []
-    start = hooks.Programs(f"{sys.executable} -c 'raise SystemExit(3)'", told.append)
+def test_programs_that_hang_or_fail(caplog):
+    start = outputs.Programs(f"{sys.executable} -c 'raise SystemExit(3)'")
     start(answer())
     start._running[0].wait()
     start(answer())
-    assert told[0] == "--exec: the program ended with exit code 3"
-    hanging = hooks.Programs("sleep 30", told.append)
-    for _ in range(hooks._MAX_RUNNING):
+    assert caplog.messages[0] == "--exec: the program ended with exit code 3"
+    hanging = outputs.Programs("sleep 30")
+    for _ in range(outputs._MAX_RUNNING):
         hanging(answer())
     with pytest.raises(RuntimeError, match="no more are started"):
         hanging(answer())
     wait_for(start, hanging)
 
 
-@pytest.mark.parametrize(("command", "why"), [("no-such-program x", "no program"), ("'a", "quot")])
+@pytest.mark.parametrize(
+    ("command", "why"), [("no-such-program x", "no program"), ("'a", "quot"), ("", "no program")]
+)
 def test_programs_that_are_not_there(command, why):
     with pytest.raises(ParameterError, match=why):
-        hooks.Programs(command, print)
+        outputs.Programs(command)
 
 
 def test_mavlink_arrives_at_a_receiver():
     mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
     receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
     port = receiver.port.getsockname()[1]
-    send = hooks.Mavlink(f"udp://127.0.0.1:{port}")
-    spike = replace(answer(), said=replace(answer().said, spike=True))
+    send = outputs.Mavlink(f"udp://127.0.0.1:{port}")
+    spike = replace(answer(), detection=replace(answer().detection, spike=True))
+    blind, sees = answer(event="blind", reason="black"), answer(event="sees")
     for one in (answer(), spike, answer(True, event="begin"), answer(), answer(event="end")):
         send(one)
+    send(blind)
+    send(sees)
     found = []
-    while len(found) < 6:
+    while len(found) < 8:
         message = receiver.recv_match(blocking=True, timeout=SOON_S)
         assert message is not None, found
         found.append(message)
     kinds = [message.get_type() for message in found]
-    assert kinds == ["HEARTBEAT", *["COLLISION"] * 2, "STATUSTEXT", "COLLISION", "STATUSTEXT"]
+    assert kinds == [
+        *("HEARTBEAT", "COLLISION", "COLLISION", "STATUSTEXT", "COLLISION", *["STATUSTEXT"] * 3)
+    ]
     assert [one.threat_level for one in found if one.get_type() == "COLLISION"] == [1, 2, 0]
     texts = [(one.severity, one.text) for one in found if one.get_type() == "STATUSTEXT"]
-    assert texts == [(2, "dlgmd: collision alarm"), (5, "dlgmd: collision alarm over")]
+    assert texts == [
+        *((2, "dlgmd: collision alarm"), (5, "dlgmd: collision alarm over")),
+        *((3, "dlgmd: blind (black)"), (5, "dlgmd: sees again")),
+    ]
     assert found[0].get_srcComponent() == 196  # obstacle avoidance
     receiver.close()
-    send._link.close()
+    send.close()
 
 
 def test_mavlink_addresses():
-    assert hooks._connection("udp://a:5") == {"device": "udpout:a:5"}
+    assert outputs._connection("udp://a:5") == {"device": "udpout:a:5"}
     with pytest.raises(ValueError, match="only udp:// and serial://"):
-        hooks._connection("tcp://a:5")
+        outputs._connection("tcp://a:5")
     serial = {"device": "/dev/ttyACM0", "baud": 115200}
-    assert hooks._connection("serial:///dev/ttyACM0:115200") == serial
-    assert hooks._connection("serial:///dev/ttyS1") == {"device": "/dev/ttyS1", "baud": 57600}
+    assert outputs._connection("serial:///dev/ttyACM0:115200") == serial
+    assert outputs._connection("serial:///dev/ttyS1") == {"device": "/dev/ttyS1", "baud": 57600}
 
 
 def test_mavlink_needs_its_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dlgmd\[live\]'"):
-        hooks.Mavlink("udp://127.0.0.1:1")
+        outputs.Mavlink("udp://127.0.0.1:1")
 
 
 # Recordings.
 
 
-def watched(frames, folder, told):
-    """Every answer to frames, recorded; yields the recording after each."""
-
-    def shots(tell):
-        for number, frame in enumerate(frames):
-            until(lambda: source._newest is None)
-            yield Shot(frame, None, 50.0 + number / 30)
-
-    source, setup = source_of(shots), choose(set=3)
-    alarm = Alarm(setup.params)
-    recording = Recording(folder, source, setup, InputOptions(), alarm, told.append)
-    with source:
-        for one in answers(source, alarm):
+def recorded(frames, folder):
+    """Record every answer to frames; yields the recording after each."""
+    setup = choose(set=3)
+    alarm, source = Alarm(setup.params), played(frames)
+    sight = Sight(source)
+    with Recording(folder, source, setup, InputOptions(), alarm, sight) as recording, source:
+        for one in answers(source, alarm, sight):
             if one is not None:
                 recording.put(one)
-                if one.event != "end":  # of no frame
+                if one.is_of_frame:
                     yield recording
-    recording.close()
 
 
 def test_a_recording_is_a_result_at_every_moment(tmp_path):
     frames = looming_frames(n_frames=40, width=64, height=48)
     frames[10:10] = [frames[9]]  # a repeat, which the model does not see
-    for number, _ in enumerate(watched(frames, tmp_path / "r", [])):
+    for number, _ in enumerate(recorded(frames, tmp_path / "r")):
         result = read_result(tmp_path / "r")
         assert len(result) == number + (number < 10) and not result.record["complete"]
     result = read_result(tmp_path / "r")
-    assert result.record["complete"] and 10 not in result.frame
+    assert result.record["complete"] and 10 not in result.frame and not result.warnings
     alarm, expected = Alarm(load_set(3)), []
     for number, frame in enumerate(frames):
         expected.append(alarm.step(frame, number / 30))
@@ -660,15 +817,40 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
     spikes = np.genfromtxt(tmp_path / "r/spikes.csv", delimiter=",", names=True)
     assert np.array_equal(spikes["spike"], result.spikes)
     assert np.array_equal(spikes["alarm"], result.alarms)
-    assert set(os.listdir(tmp_path / "r")) == {
-        *("mp.csv", "attenuation.csv", "spikes.csv", "run.yaml")
-    }
+    assert set(os.listdir(tmp_path / "r")) == {*csv.TABLES, "run.yaml"}
 
 
-def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch):
-    told, n_answers = [], 0
+def test_a_new_column_of_the_tables_is_recorded(tmp_path, monkeypatch):
+    monkeypatch.setitem(csv.TABLES, "mp.csv", ("frame", "time_s", "ffi", "mp", "mp_seq"))
     frames = looming_frames(n_frames=20, width=64, height=48)
-    for recording in watched(frames, tmp_path / "r", told):
+    assert len(list(recorded(frames, tmp_path / "r"))) == 20
+    columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
+    alarm = Alarm(load_set(3))
+    ffi = [alarm.step(frame, number / 30).ffi for number, frame in enumerate(frames)]
+    np.testing.assert_allclose(columns["ffi"], ffi, rtol=1e-8)
+    assert np.nanmax(columns["mp_seq"]) == pytest.approx(1.0)
+
+
+def test_the_record_says_how_long_a_recording_was_blind(tmp_path):
+    for _ in recorded([*NOISE[:30], *BLACK[:60]], tmp_path / "r"):
+        pass
+    (warning,) = read_result(tmp_path / "r").warnings
+    assert warning.startswith("blind 1 time, ") and "black" in warning
+
+
+def test_a_recording_that_ends_by_an_exception_is_not_complete(tmp_path):
+    answered = recorded(looming_frames(n_frames=10, width=64, height=48), tmp_path / "r")
+    for _ in range(5):
+        next(answered)
+    with pytest.raises(ZeroDivisionError):
+        answered.throw(ZeroDivisionError)
+    result = read_result(tmp_path / "r")
+    assert len(result) == 5 and not result.record["complete"]
+
+
+def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, caplog):
+    n_answers = 0
+    for recording in recorded(looming_frames(20, 64, 48), tmp_path / "r"):
         n_answers += 1
         if n_answers == 10:
 
@@ -679,9 +861,18 @@ def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch):
     assert n_answers == 20 and recording.has_failed
     with open(tmp_path / "r/mp.csv", "a", encoding="ascii") as file:
         file.write("10,1,0,0,,,\n")  # as of a process that is killed between two files
-    assert len(told) == 1 and "No space left on device" in told[0]
+    assert len(caplog.messages) == 1 and "No space left on device" in caplog.text
     result = read_result(tmp_path / "r")
     assert len(result) == 10 and not result.record["complete"]
+
+
+def test_a_recording_without_rows_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Recording, "_write_rows", full)
+    assert len(list(recorded(looming_frames(5, 64, 48), tmp_path / "r"))) == 5
+    assert os.listdir(tmp_path / "r") == []
 
 
 # The command.
@@ -734,6 +925,10 @@ def test_a_file_at_its_own_pace_gives_what_run_gives(dlgmd, tmp_path):
         (("9999",), 1, "the camera cannot be opened"),
         (("/dev/video9999",), 1, "there is no such camera"),
         (("0", "--set", "77"), 2, "77"),
+        (("0", "--exec", ""), 2, "no program ''"),
+        (("0", "--udp", ""), 2, "--udp"),
+        (("0", "--serve", ""), 2, "--serve"),
+        (("nothing.mp4", "--realtime"), 1, "nothing.mp4"),
     ],
 )
 def test_errors(arguments, code, why):

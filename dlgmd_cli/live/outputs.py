@@ -1,5 +1,7 @@
-"""Who hears the alarm: lines of JSON, UDP, MAVLink, and programs. None of them delays a frame."""
+"""Receivers of alarms and events: lines of JSON, UDP, MAVLink and programs, each in a thread."""
 
+import ipaddress
+import logging
 import os
 import re
 import shlex
@@ -15,101 +17,98 @@ from typing import Any
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError, ParameterError
-from dlgmd_cli.live.watch import BEGIN, Answer
+from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
 
-Tell = Callable[[str], None]
 Deliver = Callable[[Answer], None]
+_log = logging.getLogger(__name__)
 
 # Answers that wait for a receiver; the oldest are dropped.
 _MAX_WAITING = 64
 # Programs that may run at once.
 _MAX_RUNNING = 8
 _HEARTBEAT_S = 1.0
-# How long what waits at the end may take, at Ctrl-C and without it.
+# How long the last deliveries may take at the end, after Ctrl-C and without it.
 _INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
 
-class Hook:
-    """Hands answers to a receiver on a thread of its own.
+class Output:
+    """Delivers answers to a receiver in a thread of its own, so that it never delays a frame.
 
-    What a receiver raises is told once; it is tried again with the next answer. If it is slow, the
-    oldest answers are dropped.
+    A failure is logged once for each reason; the next answer is delivered all the same. If the
+    receiver is slow, the oldest answers are dropped.
 
     Parameters
     ----------
     name : str
-        The option that asked for it, for messages.
+        Option that asked for it, for messages.
     deliver : callable
-        Called with one answer after the other; may block or raise.
-    tell : callable
-        Called with what goes wrong.
+        Called with one answer after the other; may block or raise. Its method `close`, if it has
+        one, is called at the end.
     only_events : bool
-        Hand on only where an alarm begins or ends.
+        Deliver only answers with an event.
     """
 
-    def __init__(
-        self, name: str, deliver: Deliver, tell: Tell, *, only_events: bool = False
-    ) -> None:
-        self._name, self._deliver, self._tell = name, deliver, tell
-        self._only_events = only_events
+    def __init__(self, name: str, deliver: Deliver, *, only_events: bool = False) -> None:
+        self._name, self._deliver, self._only_events = name, deliver, only_events
         self._waiting: deque[Answer] = deque()
         self._changed, self._is_closed = threading.Condition(), False
-        self._told: set[str] = set()
+        self._logged: set[str] = set()
         self._thread = threading.Thread(target=self._work, name=f"dlgmd-{name}", daemon=True)
         self._thread.start()
 
     def put(self, answer: Answer) -> None:
-        """Leave an answer for the receiver; returns at once."""
+        """Queue an answer; returns at once."""
         if self._only_events and not answer.event:
             return
         with self._changed:
             if len(self._waiting) == _MAX_WAITING:
                 self._waiting.popleft()
-                self._tell_once("the receiver is too slow; answers are dropped")
+                self._log_once("the receiver is too slow; answers are dropped")
             self._waiting.append(answer)
             self._changed.notify()
 
     def close(self) -> None:
-        """Take no more; what waits is still delivered."""
+        """Accept no more answers; those that wait are still delivered."""
         with self._changed:
             self._is_closed = True
             self._changed.notify()
 
     def wait(self, until_s: float) -> None:
-        """Wait for that, up to a time of `time.monotonic`; tell if something still waits."""
+        """Wait for that, up to a time of `time.monotonic`; logs what is left."""
         self._thread.join(max(0.0, until_s - time.monotonic()))
         if self._thread.is_alive():
-            self._tell_once("the receiver did not take everything in time")
+            self._log_once("the receiver did not take everything in time")
 
     def _work(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._is_closed)
                 if not self._waiting:
-                    return
+                    break
                 answer = self._waiting.popleft()
             try:
                 self._deliver(answer)
             except Exception as error:
-                self._tell_once(str(error) or type(error).__name__)
+                self._log_once(str(error) or type(error).__name__)
+        getattr(self._deliver, "close", lambda: None)()
 
-    def _tell_once(self, why: str) -> None:
-        if why not in self._told:
-            self._told.add(why)
-            self._tell(f"{self._name}: {why}")
+    def _log_once(self, why: str) -> None:
+        if why not in self._logged:
+            self._logged.add(why)
+            _log.warning("%s: %s", self._name, why)
 
 
-def join(hooks: Sequence[Hook]) -> None:
-    """Let hooks deliver what waits, as far as they can in a moment; less of one after Ctrl-C."""
-    for hook in hooks:
-        hook.close()
+def finish(outputs: Sequence[Output]) -> None:
+    """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C."""
+    for output in outputs:
+        output.close()
     until_s = time.monotonic() + (_INTERRUPTED_S if cancel.requested() else _PATIENCE_S)
-    for hook in hooks:
-        hook.wait(until_s)
+    for output in outputs:
+        output.wait(until_s)
 
 
 def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
-    """Writes each answer as a line of JSON; calls `give_up` when nobody reads them any more.
+    """Writes each answer as a line of JSON; calls `give_up` when stdout was closed by its reader.
 
     The lines bypass Python's buffer, which would have to be emptied at the end, reader or not.
     """
@@ -130,29 +129,45 @@ def lines_on_stdout(give_up: Callable[[], None]) -> Deliver:
     return deliver
 
 
-def datagrams(address: str) -> Deliver:
-    """Sends each answer as JSON in a datagram to ``HOST:PORT``; raises ParameterError."""
-    host, port = split_address(address, "--udp")
-    try:
-        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError):  # the latter is of names that cannot be
-        why = f"the host {host!r} cannot be found"
-        raise ParameterError("--udp", why, "Give a name or an address that exists.") from None
+class Datagrams:
+    """Sends each answer as JSON in a datagram to ``HOST:PORT``, from one socket.
 
-    def deliver(answer: Answer) -> None:
-        with socket.socket(family, kind, protocol) as sender:
-            sender.sendto(answer.to_json().encode(), place)
+    Raises
+    ------
+    ParameterError
+        If this is not such an address, or the host cannot be found.
+    """
 
-    return deliver
+    def __init__(self, address: str) -> None:
+        host, port = split_address(address, "--udp")
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError):  # the latter for names that are not valid
+            why = f"the host {host!r} cannot be found"
+            raise ParameterError("--udp", why, "Give a name or an address that exists.") from None
+        family, kind, protocol, _, target = found[0]
+        self._target: Any = target
+        self._socket = socket.socket(family, kind, protocol)
+        self.close = self._socket.close
+
+    def __call__(self, answer: Answer) -> None:
+        """Send a datagram."""
+        self._socket.sendto(answer.to_json().encode(), self._target)
 
 
 def split_address(text: str, option: str, host: str | None = None) -> tuple[str, int]:
-    """``HOST:PORT`` as a host and a port.
+    """``HOST:PORT`` as a host and a port, with the brackets of ``[::1]:8000`` removed.
 
-    With `host`, which is the one if none is given, it is where to listen: port 0 is any free one.
+    With a default `host`, this is an address to listen at: ``PORT`` alone, or the number of a host
+    alone, will do, and port 0 is any free one.
     """
+    if host:
+        try:
+            return str(ipaddress.ip_address(text.strip("[]"))), 0
+        except ValueError:
+            pass
     before, colon, port = text.rpartition(":")
-    name = before.strip("[]") if colon else host
+    name = before.removeprefix("[").removesuffix("]") if colon else host
     least = 0 if host else 1
     if not name or not re.fullmatch("[0-9]{1,5}", port) or not least <= int(port) < 65536:
         form = "PORT or HOST:PORT" if host else "HOST:PORT"
@@ -163,8 +178,8 @@ def split_address(text: str, option: str, host: str | None = None) -> tuple[str,
 class Programs:
     """Starts a program with each event, without a shell and without waiting for its end.
 
-    The event is in its environment: DLGMD_EVENT is `begin` or `end`, and DLGMD_FRAME, DLGMD_TIME_S
-    and so on are what a line of JSON has. What it prints goes to stderr.
+    The answer is in its environment: DLGMD_EVENT is `begin`, `end`, `blind` or `sees`, and
+    DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON. Its output goes to stderr.
 
     Raises
     ------
@@ -172,8 +187,7 @@ class Programs:
         If there is no such program.
     """
 
-    def __init__(self, command: str, tell: Tell) -> None:
-        self._tell = tell
+    def __init__(self, command: str) -> None:
         try:
             self._arguments = shlex.split(command)
         except ValueError as error:
@@ -188,7 +202,7 @@ class Programs:
         for ended in [one for one in self._running if one.poll() is not None]:
             self._running.remove(ended)
             if ended.returncode:
-                self._tell(f"--exec: the program ended with exit code {ended.returncode}")
+                _log.warning("--exec: the program ended with exit code %d", ended.returncode)
         if len(self._running) == _MAX_RUNNING:
             raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
         facts = {f"DLGMD_{key.upper()}": value for key, value in answer.to_dict().items()}
@@ -198,7 +212,7 @@ class Programs:
             env={**os.environ, **texts},
             stdin=subprocess.DEVNULL,
             stdout=2,
-            start_new_session=True,  # Ctrl-C is for us, not for what it was told to do
+            start_new_session=True,  # Ctrl-C must not end it
         )
         self._running.append(one)
 
@@ -207,7 +221,7 @@ class Mavlink:
     """Sends MAVLink: COLLISION with a threat level, STATUSTEXT at events, and a heartbeat.
 
     The threat level of a frame is HIGH while the alarm is on, LOW at a spike, else NONE; frames
-    without a threat are sent only after one with it. Times and distances are not known, and NaN.
+    without a threat are sent only after one with it. Times and distances are unknown, and NaN.
 
     Parameters
     ----------
@@ -230,30 +244,38 @@ class Mavlink:
             why = "the package 'pymavlink' is not installed"
             mend = "Install it with: pip install 'dlgmd[live]'."
             raise MissingExtraError("--mavlink", why, mend) from None
-        self._names = mavutil.mavlink
+        self._names = names = mavutil.mavlink
         try:
             self._link = mavutil.mavlink_connection(
                 **_connection(url),
                 source_system=1,
-                source_component=self._names.MAV_COMP_ID_OBSTACLE_AVOIDANCE,
+                source_component=names.MAV_COMP_ID_OBSTACLE_AVOIDANCE,
             )
         except Exception as error:  # of sockets, of serial lines, and pymavlink's own
             why = f"{url!r} cannot be opened ({error})"
             mend = "Write, for example, udp://127.0.0.1:14550."
             raise ParameterError("--mavlink", why, mend) from None
+        self.close = self._link.close
         self._level, self._beat_s = 0, -_HEARTBEAT_S
+        self._texts = {
+            BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
+            END: (names.MAV_SEVERITY_NOTICE, "collision alarm over"),
+            BLIND: (names.MAV_SEVERITY_ERROR, "blind"),
+            SEES: (names.MAV_SEVERITY_NOTICE, "sees again"),
+        }
 
     def __call__(self, answer: Answer) -> None:
-        """Send what an answer says."""
-        names, said, send = self._names, answer.said, self._link.mav
+        """Send an answer."""
+        names, found, send = self._names, answer.detection, self._link.mav
         if (now_s := time.monotonic()) - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
             kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
-            send.heartbeat_send(kind, pilot, 0, 0, names.MAV_STATE_ACTIVE)
+            state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
+            send.heartbeat_send(kind, pilot, 0, 0, state)
         before, self._level = self._level, names.MAV_COLLISION_THREAT_LEVEL_NONE
-        if said.alarm:
+        if found.alarm:
             self._level = names.MAV_COLLISION_THREAT_LEVEL_HIGH
-        elif said.spike:
+        elif found.spike:
             self._level = names.MAV_COLLISION_THREAT_LEVEL_LOW
         if self._level or before:
             unknown = float("nan")
@@ -265,14 +287,13 @@ class Mavlink:
                 *(unknown, unknown, unknown),
             )
         if answer.event:
-            is_begin = answer.event == BEGIN
-            severity = names.MAV_SEVERITY_CRITICAL if is_begin else names.MAV_SEVERITY_NOTICE
-            text = "collision alarm" if is_begin else "collision alarm over"
-            send.statustext_send(severity, f"dlgmd: {text}".encode())
+            severity, text = self._texts[answer.event]
+            detail = f" ({answer.reason})" if answer.event == BLIND else ""
+            send.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
 
 
 def _connection(url: str) -> dict[str, Any]:
-    """What pymavlink takes for a URL; raises ValueError."""
+    """The arguments of pymavlink for a URL; raises ValueError."""
     scheme, _, place = url.partition("://")
     if scheme == "udp":
         return {"device": f"udpout:{place}"}

@@ -1,0 +1,72 @@
+"""Blindness: pictures that show nothing, because they are black or always the same."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+# How long black or equal pictures must last. A cut to black, or a frame sent twice, is shorter.
+BLIND_S = 0.7
+# About so many rows of a picture are compared first.
+_N_ROWS = 90
+
+
+class Blindness:
+    """Detects black and frozen pictures in a stream, in constant memory.
+
+    A picture is black if no sample exceeds the level of black, and frozen if every sample equals
+    that of the picture before. The noise of a camera prevents both, by night as well. Either must
+    last for 0.7 s. Whole pictures are compared only while some 90 of their rows are equal.
+
+    Attributes
+    ----------
+    since_s : float
+        Time of the first of the latest black or equal pictures.
+    """
+
+    def __init__(self) -> None:
+        self._rows: npt.NDArray[Any] | None = None
+        self._whole: npt.NDArray[Any] | None = None
+        self._last_s, self.since_s, self._suspected = math.nan, math.nan, ""
+
+    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> str:
+        """Judge the next picture.
+
+        Parameters
+        ----------
+        picture : ndarray, shape (H, W) or (H, W, 3)
+            Grey or BGR, as it was decoded: reduced pictures may lose their noise. The caller may
+            reuse the array afterwards.
+        time_s : float
+            Time of the picture in seconds.
+        black : int
+            Level of black.
+
+        Returns
+        -------
+        str
+            `black` or `frozen` once that has lasted for 0.7 s, else empty.
+        """
+        rows = picture[:: max(1, len(picture) // _N_ROWS)]
+        is_equal = self._is_equal(picture, rows)
+        is_black = rows.max() <= black and picture.max() <= black
+        suspected = "black" if is_black else "frozen" if is_equal else ""
+        if suspected != self._suspected:
+            # The picture that the first equal one repeats is part of the run.
+            self.since_s = self._last_s if suspected == "frozen" else time_s
+            self._suspected = suspected
+        self._last_s = time_s
+        return suspected if time_s - self.since_s >= BLIND_S else ""
+
+    def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
+        """Whether a picture equals the one before; a change beyond its rows is seen one late."""
+        if self._rows is None or not np.array_equal(rows, self._rows):
+            self._rows, self._whole = rows.copy(), None
+            return False
+        if self._whole is None:
+            self._whole = picture.copy()
+        elif not np.array_equal(picture, self._whole):
+            self._whole = picture.copy()
+            return False
+        return True
