@@ -150,6 +150,8 @@ def live(
         if asked["serve"] is not None:
             page = _page(asked["serve"], frames, statistics, setup.params.t_mp)
             receivers.append(stack.enter_context(page))
+        import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
+
         with _status_line(frames, statistics), frames:
             for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures):
                 if answer is not None:
