@@ -251,7 +251,7 @@ def _status(source: "LiveSource", statistics: "Statistics") -> str:
     """The latest numbers on one line."""
     newest = statistics.newest
     if newest is None or statistics.n_frames < 2:
-        return "waiting for the first frame"
+        return f"{'BLIND  ' if newest else ''}waiting for the first frame"
     median, high = statistics.latency_ms(lately=True)
     found = newest.detection
     level = 0.0 if math.isnan(found.mp_abs) else found.mp_abs

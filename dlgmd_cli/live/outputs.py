@@ -18,6 +18,7 @@ from typing import Any
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
+from dlgmd_cli.video.live import started_thread
 
 Deliver = Callable[[Answer], None]
 _log = logging.getLogger(__name__)
@@ -53,8 +54,7 @@ class Output:
         self._waiting: deque[Answer] = deque()
         self._changed, self._is_closed = threading.Condition(), False
         self._logged: set[str] = set()
-        self._thread = threading.Thread(target=self._work, name=f"dlgmd-{name}", daemon=True)
-        self._thread.start()
+        self._thread = started_thread(self._work, f"dlgmd-{name}")
 
     def put(self, answer: Answer) -> None:
         """Queue an answer; returns at once."""

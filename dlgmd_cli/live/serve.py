@@ -26,7 +26,7 @@ import numpy as np
 from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Statistics
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live import LiveSource, started_thread
 
 try:
     import uvicorn
@@ -161,12 +161,9 @@ class PageServer:
             server_header=False,
         )
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._serve()), name="dlgmd-serve", daemon=True
-        )
 
     def __enter__(self) -> "PageServer":
-        self._thread.start()
+        self._thread = started_thread(lambda: asyncio.run(self._serve()), "dlgmd-serve")
         return self
 
     def __exit__(self, *_: object) -> None:

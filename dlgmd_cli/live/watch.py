@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -279,7 +280,6 @@ class Statistics:
         self.n_frames = self.n_alarms = 0
         self.newest: Answer | None = None
         self._latencies_ms: deque[float] = deque(maxlen=_N_LATENCIES)
-        self._lately_ms: deque[float] = deque(maxlen=_N_LATELY)
         self._lately: deque[float] = deque(maxlen=60)
 
     def put(self, answer: Answer) -> None:
@@ -290,7 +290,6 @@ class Statistics:
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN
         self._latencies_ms.append(answer.latency_ms)
-        self._lately_ms.append(answer.latency_ms)
         self._lately.append(time.monotonic())
 
     @property
@@ -303,7 +302,8 @@ class Statistics:
 
     def latency_ms(self, *, lately: bool = False) -> tuple[float, float]:
         """Median and 99th percentile of the last hour, or of ten seconds; NaN for no frames."""
-        values = list(self._lately_ms if lately else self._latencies_ms)
+        newest_first = reversed(self._latencies_ms)
+        values = list(islice(newest_first, _N_LATELY if lately else None))
         if not values:
             return math.nan, math.nan
         median, high = np.percentile(values, (50, 99))

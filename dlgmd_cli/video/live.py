@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.blindness import Blindness
@@ -140,10 +140,9 @@ class LiveSource:
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._read, name="dlgmd-live", daemon=True)
 
     def __enter__(self) -> "LiveSource":
-        self._thread.start()
+        self._thread = started_thread(self._read, "dlgmd-live")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -335,6 +334,17 @@ class Pace:
             return False
         self._since_taken = 0
         return True
+
+
+def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
+    """A running daemon thread; raises DlgmdError where the system allows no more of them."""
+    thread = threading.Thread(target=target, name=name, daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:
+        why = "the system allows no more threads"
+        raise DlgmdError("", why, "Raise the limit (ulimit -u), or end other programs.") from None
+    return thread
 
 
 def is_camera(source: str) -> bool:

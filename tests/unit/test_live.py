@@ -174,6 +174,15 @@ def test_a_lost_source_is_opened_again_soon(monkeypatch, caplog):
     assert len(caplog.messages) == 3 and "has ended" in caplog.messages[1]
 
 
+def test_a_shortage_of_threads_is_one_line(monkeypatch):
+    def start(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    result = call("-", "--input-size", "8x8", "--jsonl")
+    assert result.exit_code == 1 and "no more threads" in result.stderr
+
+
 @pytest.mark.parametrize("again", [{}, AGAIN])
 def test_a_source_that_cannot_be_opened_is_an_error(again):
     def shots():
