@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -17,7 +18,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import undefined
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, Detection
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
 
 Image = npt.NDArray[Any]
@@ -169,13 +170,20 @@ def answers(
 
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        while (sample := source.sample(_WAIT_S)) is None:
-            if cancel.requested() or source.is_over:
+        ready: Future[None] | None = None
+        while ready is None or not ready.done():
+            if ready is not None:
+                wait([ready], _WAIT_S)
+            elif (sample := source.sample(_WAIT_S)) is not None:
+                alarm.ignore(source.hidden())
+                ready = _warming_up(alarm, sample)
+            elif source.is_over:
+                return
+            if cancel.requested():
                 return
             event = sight.step()
             yield between_frames(event, alarm=False) if event else None
-        alarm.ignore(source.hidden())
-        warm_up(alarm, sample)
+        ready.result()
         source.begin()
         while not cancel.requested():
             frame = source.take(_WAIT_S)
@@ -198,6 +206,21 @@ def answers(
             yield last
     if events.is_on:
         yield between_frames(END, alarm=False)
+
+
+def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":
+    """`warm_up` in a thread that does not delay Ctrl-C, for compiling may take long."""
+    done: Future[None] = Future()
+
+    def work() -> None:
+        try:
+            warm_up(alarm, sample)
+            done.set_result(None)
+        except BaseException as error:
+            done.set_exception(error)
+
+    started_thread(work, "dlgmd-warm-up")
+    return done
 
 
 def warm_up(alarm: Alarm, sample: Image) -> None:
