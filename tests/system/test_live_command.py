@@ -168,9 +168,8 @@ def test_a_slow_model_drops_frames_and_never_falls_behind():
         assert process.wait() == 0
     dropped = int(told.split("dropped: ")[1].split(";")[0])
     assert dropped > 0 and len(found) + dropped == n_frames and found[-1]["frame"] == n_frames - 1
-    # Of a queue of frames, the last would be late by all of the time that was lost.
-    latency_ms = [one["latency_ms"] for one in found]
-    assert np.median(latency_ms[-20:]) < 3 * np.median(latency_ms)
+    # Of a queue of frames, the last would be late by all of the time that was lost: seconds.
+    assert np.median([one["latency_ms"] for one in found[-20:]]) < 500.0
 
 
 def test_memory_does_not_grow(tmp_path):
