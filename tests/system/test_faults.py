@@ -169,6 +169,47 @@ def test_places_that_cannot_be_written(tmp_path, clip):
         assert result.exit_code == 1 and "cannot be written (" in one_line(result)
 
 
+def limited(tmp_path, clip, limit, *prefix):
+    """A run of the command by a shell with a limit on its memory or threads."""
+    words = [*prefix, sys.executable, "-m", "dlgmd_cli", "run", clip, "--out", "out", "--no-plots"]
+    return subprocess.run(
+        ["bash", "-c", f"ulimit {limit} && exec {shlex.join(map(str, words))}"],
+        cwd=tmp_path,
+        capture_output=True,
+        timeout=PATIENCE_S,
+        env=environment(),
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("memory_kb", range(150_000, 800_000, 100_000))
+def test_memory_that_is_short(tmp_path, clip, whole, memory_kb):
+    result = limited(tmp_path, clip, f"-v {memory_kb}")
+    if result.returncode != 0:
+        assert result.returncode == 1 and "not enough memory" in one_line(result)
+        assert result.stderr.count("\n") == 1 and memory_kb < 700_000
+    else:
+        found = files_of(tmp_path / "out")
+        assert len(found) == 4 and found.items() <= whole.items()
+
+
+@pytest.mark.parametrize("n_threads", [2, 4, 8])
+def test_threads_that_are_short(tmp_path, clip, whole, n_threads):
+    """As a user whom limits apply to, but who may read everything."""
+    if shutil.which("setpriv") is None or os.geteuid() != 0:
+        pytest.skip("another user's limits are set as root, by setpriv")
+    tmp_path.chmod(0o777)
+    capabilities = "+dac_override,+dac_read_search"
+    user = [
+        *("setpriv", "--reuid", "65534", "--clear-groups", "--inh-caps", capabilities),
+        *("--ambient-caps", capabilities),
+    ]
+    result = limited(tmp_path, clip, f"-u {n_threads}", *user)
+    assert (result.returncode, result.stderr) == (0, "")
+    found = files_of(tmp_path / "out")
+    assert len(found) == 4 and found.items() <= whole.items()
+
+
 STREAMS = {
     "stdout closed": (">&-", {0}),
     "stderr closed": ("2>&-", {0}),

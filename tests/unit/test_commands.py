@@ -170,13 +170,49 @@ def test_tables_fit_80_columns():
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_a_full_stdout_is_one_line():
+@pytest.mark.parametrize("word", ["sets", "--help", "--version"])
+def test_a_full_stdout_is_one_line(word):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "dlgmd_cli", "sets"], stdout=full, stderr=subprocess.PIPE
+            [sys.executable, "-m", "dlgmd_cli", word], stdout=full, stderr=subprocess.PIPE
         )
     assert done.returncode == 1 and done.stderr.count(b"\n") == 1
     assert b"the output cannot be written" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        ("ImportError('x.so: failed to map segment from shared object')", "not enough memory"),
+        ("ImportError('x.so: cannot allocate memory in static TLS block')", "not enough memory"),
+        ("MemoryError", "not enough memory"),
+        ('RuntimeError("can\'t start new thread")', "no more threads"),
+    ],
+)
+def test_what_runs_short_while_modules_are_loaded(dlgmd, monkeypatch, error, words):
+    def load(name):
+        raise eval(error)
+
+    monkeypatch.setattr("dlgmd_cli.commands.app.import_module", load)
+    result = dlgmd("sets")
+    assert result.exit_code == 1 and result.stderr.startswith("Error: ") and words in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_an_interrupt_before_signals_are_answered_is_quiet():
+    program = """
+import sys
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "dlgmd_cli.cancel":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+from dlgmd_cli.__main__ import main
+assert not {"logging", "typing", "signal", "dlgmd_cli.errors"} & set(sys.modules)
+main()
+"""
+    done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True)
+    assert (done.returncode, done.stderr) == (130, b"")
 
 
 def test_sets_show_of_no_set(dlgmd):
