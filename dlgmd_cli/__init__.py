@@ -4,12 +4,12 @@
 >>> result = dlgmd_cli.run("flight.mp4", set=9)  # doctest: +SKIP
 """
 
-import logging
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
+# Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.keys import Parameters as Parameters
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.result import read_result as read_result
     from dlgmd_cli.runs.run import run as run
     from dlgmd_cli.video.opening import open_video as open_video
-
-# Programs that do not configure logging see nothing of ours.
-logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _HOMES = {

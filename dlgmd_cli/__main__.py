@@ -2,15 +2,19 @@
 
 import os
 import sys
-import threading
-from contextlib import suppress
-
-from dlgmd_cli import cancel
 
 
 def main() -> None:
     """Entry point of the `dlgmd` command."""
-    cancel.listen()
+    try:  # before anything else is imported: until then, Ctrl-C prints a traceback
+        from dlgmd_cli import cancel
+
+        cancel.listen()
+    except KeyboardInterrupt:
+        os._exit(130)
+    import threading
+    from contextlib import suppress
+
     from dlgmd_cli.commands.app import main as run
 
     try:

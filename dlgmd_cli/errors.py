@@ -1,5 +1,10 @@
 """Errors that fit on one line: what is at fault, why, and how to fix it."""
 
+import logging
+
+# Programs that do not configure logging see nothing of ours.
+logging.getLogger("dlgmd_cli").addHandler(logging.NullHandler())
+
 
 def printable(text: str) -> str:
     """`text` on one line, with control characters escaped."""

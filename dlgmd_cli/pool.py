@@ -120,7 +120,9 @@ def run_tasks(
             if is_broken or not pool.active:  # a process ended before it began a task
                 n_broken += 1
                 if n_broken > _MAX_BROKEN:
-                    raise WorkerError("", "worker processes end before they start working")
+                    why = "worker processes end before they start working"
+                    mend = "If memory or threads run short, end other programs or lower --jobs."
+                    raise WorkerError("", why, mend)
                 _end(pool)
                 waiting = chain(running.values(), chosen, waiting)
                 pool, running = _new_pool(function, jobs), {}

@@ -13,7 +13,6 @@ from dlgmd_cli.commands.console import (
     Settings,
     errors_as_one_line,
     show_traceback,
-    usage_errors_escaped,
 )
 
 COMMANDS = (
@@ -71,8 +70,8 @@ class LazyGroup(Group):
         parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:
-        """Parse the arguments; errors show control characters of the arguments as escapes."""
-        with usage_errors_escaped():
+        """Parse the arguments, and print the help; an exception becomes one line."""
+        with errors_as_one_line():
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -100,6 +99,9 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
+    # as they are loaded, and crash where the system refuses. Here, matrices are small.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
     # For models of one's own; last, so that no file here replaces a library.

@@ -41,6 +41,15 @@ SECTIONS = {
 # The range that click adds to the help of numbers, such as [0<x<=1]. It is removed: errors name it.
 _BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
 _RANGE = re.compile(rf"; {_BOUNDS}(?=\]$)|\s*\[{_BOUNDS}\]$")
+_NO_MEMORY = "not enough memory. Process smaller frames with --scale, or end other programs."
+# What Python, the system's loader of modules and OpenCV say when memory or threads run short.
+_SHORTAGES = {
+    "failed to map segment": _NO_MEMORY,
+    "annot allocate memory": _NO_MEMORY,
+    "nsufficient memory": _NO_MEMORY,
+    "can't start new thread": "the system lets this program start no more threads. "
+    "End other programs, or raise the limit (ulimit -u, or pids of a container).",
+}
 # Number of extra arguments that an error lists.
 _MAX_LISTED = 3
 
@@ -78,8 +87,8 @@ class Failed(click.ClickException):
 
 def settings() -> Settings:
     """The settings of the command line being run."""
-    found = click.get_current_context().find_object(Settings)
-    return found or Settings()
+    ctx = click.get_current_context(silent=True)
+    return (ctx and ctx.find_object(Settings)) or Settings()
 
 
 def note(message: str) -> None:
@@ -210,19 +219,20 @@ def errors_as_one_line() -> Iterator[None]:
             raise
         message = printable(str(error))
         if isinstance(error, ParameterError):
-            raise click.UsageError(message, click.get_current_context()) from None
+            raise click.UsageError(message, click.get_current_context(silent=True)) from None
         code = EXIT_USAGE if isinstance(error, OutputExistsError) else EXIT_FAILED
         raise Failed(message, code) from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise Failed(f"the output cannot be written ({reason}).", EXIT_FAILED) from None
     except MemoryError:
-        raise Failed(
-            "not enough memory. Process smaller frames with --scale.", EXIT_FAILED
-        ) from None
+        raise Failed(_NO_MEMORY, EXIT_FAILED) from None
     except Exception as error:
         if settings().debug:
             raise
+        shortages = [line for sign, line in _SHORTAGES.items() if sign in str(error)]
+        if shortages:
+            raise Failed(shortages[0], EXIT_FAILED) from None
         raise Failed(
             f"internal error ({type(error).__name__}). "
             "Rerun with --debug and report the traceback.",

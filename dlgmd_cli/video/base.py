@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.threads import n_processors, thread_limit
+from dlgmd_cli.threads import can_start, n_processors, thread_limit
 
 DECODERS = ("opencv", "pyav")
 DEFAULT_DECODER = "opencv"
@@ -39,6 +39,7 @@ PIXEL_FORMATS = {
 FALLBACK_FPS = 30.0
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16
+_LITTLE_MEMORY = 64 << 20  # bytes
 
 # The only formats FFmpeg may open are files that contain video themselves. Playlists and the like
 # (concat, hls, dash, sdp, vobsub, image2) could make it read other files or the network.
@@ -88,9 +89,16 @@ class Unreadable(Exception):  # noqa: N818
 def decoder_threads() -> int:
     """Number of threads for a decoder: two more than processors, unless a limit is set.
 
-    The two keep the processors busy while the latest frame is converted.
+    The two keep the processors busy while the latest frame is converted. One where the system
+    refuses more: FFmpeg starts as many again for the conversion of a picture.
     """
-    return thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
+    count = thread_limit() or min(n_processors() + 2, _MAX_DECODER_THREADS)
+    return count if count == 1 or can_start(2 * count + 1) else 1
+
+
+def require_memory() -> None:
+    """Raise MemoryError if little memory is left, which FFmpeg takes for a damaged file."""
+    bytearray(_LITTLE_MEMORY)
 
 
 def parse_size(text: str) -> tuple[int, int]:

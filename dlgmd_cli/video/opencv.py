@@ -16,6 +16,7 @@ from dlgmd_cli.video.base import (
     decoder_threads,
     openable,
     plausible_fps,
+    require_memory,
 )
 from dlgmd_cli.video.luma import Image
 
@@ -69,6 +70,7 @@ class OpenCVDecoder:
                     return self.picture()[0]
                 except Unreadable:
                     continue
+        require_memory()
         raise Unreadable
 
     def stamps(self) -> Iterator[float]:

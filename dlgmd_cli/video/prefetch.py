@@ -16,13 +16,18 @@ def read_ahead(items: Iterable[ItemT], depth: int = 3) -> Iterator[Iterator[Item
     """A context that yields the items in order while a thread fetches up to `depth` in advance.
 
     An exception from the iterable is raised after the items before it. Leaving the context waits
-    for the item being fetched and fetches no more.
+    for the item being fetched and fetches no more. Where the system refuses another thread, the
+    items are fetched in this one.
     """
     iterator, end = iter(items), object()
     pool = ThreadPoolExecutor(1, thread_name_prefix="dlgmd-decode")
 
     def in_order() -> Iterator[ItemT]:
-        waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
+        try:
+            waiting: deque[Any] = deque(pool.submit(next, iterator, end) for _ in range(depth))
+        except RuntimeError:  # it cannot start a thread, and has fetched nothing
+            yield from iterator
+            return
         while (item := waiting.popleft().result()) is not end:
             waiting.append(pool.submit(next, iterator, end))
             yield item

@@ -16,6 +16,7 @@ from dlgmd_cli.video.base import (
     Unreadable,
     decoder_threads,
     plausible_fps,
+    require_memory,
 )
 from dlgmd_cli.video.luma import Image, Levels, luma_plane
 
@@ -77,6 +78,7 @@ class PyAVDecoder:
                 f"file:{name}", container_options=dict(FFMPEG_OPTIONS), **lenient
             )
         except (av.FFmpegError, ValueError):
+            require_memory()
             raise Unreadable from None
         stream = self._stream = _video_stream(self._container)
         # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
@@ -87,6 +89,7 @@ class PyAVDecoder:
         first = next(self._frames, None)
         if first is None:
             self.close()
+            require_memory()
             raise Unreadable
         self.is_damaged = False  # undecodable packets at the start of a stream are normal
         self._frame = first

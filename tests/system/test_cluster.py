@@ -142,12 +142,9 @@ def test_what_is_no_address(dlgmd, folder, address):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (None, "cannot be read (No such file or directory)"),
-        ("", "it is not a scheduler file"),
-        ("[1]", "it is not a scheduler file"),
-        ('{"x": 1}', "it is not a scheduler file"),
-        ('{"address": 3}', "it holds no address"),
-        ('{"address": "x"}', "it holds no address"),
+        (None, "cannot be read"),
+        *((content, "it is not a scheduler file") for content in ("", "[1]", '{"x": 1}')),
+        *((content, "it holds no address") for content in ('{"address": 3}', '{"address": "x"}')),
     ],
 )
 def test_what_is_no_scheduler_file(dlgmd, folder, tmp_path, content, why):
@@ -155,8 +152,7 @@ def test_what_is_no_scheduler_file(dlgmd, folder, tmp_path, content, why):
     if content is not None:
         (tmp_path / "s.json").write_text(content)
     result = dlgmd("batch", "in", "--scheduler", "s.json")
-    mend = "Write it with: dask scheduler --scheduler-file FILE."
-    assert (result.exit_code, result.stderr) == (1, f"Error: s.json: {why}. {mend}\n")
+    assert result.exit_code == 1 and f"Error: s.json: {why}" in result.stderr
 
 
 def test_nobody_answers_and_dask_is_missing(dlgmd, folder, monkeypatch):
@@ -164,17 +160,10 @@ def test_nobody_answers_and_dask_is_missing(dlgmd, folder, monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     command = ("batch", "in", "--scheduler", "tcp://127.0.0.1:1")
     result = dlgmd(*command)
-    assert (result.exit_code, result.stderr) == (
-        1,
-        "Error: tcp://127.0.0.1:1: no Dask scheduler answered within 0.5 s. "
-        "Start one with 'dask scheduler', or check --scheduler.\n",
-    )
+    assert result.exit_code == 1 and "no Dask scheduler answered within 0.5 s" in result.stderr
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = dlgmd(*command)
-    assert (result.exit_code, result.stderr) == (
-        1,
-        "Error: --scheduler: Dask is not installed. Run: pip install 'dlgmd[cluster]'.\n",
-    )
+    assert result.exit_code == 1 and "pip install 'dlgmd[cluster]'" in result.stderr
 
 
 @contextmanager
@@ -231,15 +220,8 @@ def test_an_end_while_it_waits(folder, tmp_path, scheduler_file, what):
             signal.SIGKILL if "goes" in what else signal.SIGINT
         )
         _, said = process.communicate(timeout=60)
-    if "goes" in what:
-        assert process.returncode == 1 and said == (
-            f"Error: {file}: the scheduler was lost, or dropped the work. "
-            "Start it again, then the same command, which continues from there.\n"
-        )
-    else:
-        assert process.returncode == 130 and said == (
-            "Interrupted. 0 of 1 videos are done; the same command continues from there.\n"
-        )
+    code, words = (1, "scheduler was lost") if "goes" in what else (130, "0 of 1 videos are done")
+    assert process.returncode == code and words in said and said.count("\n") == 1
     assert hidden_in(tmp_path) == []
 
 

@@ -25,6 +25,7 @@ from disturbed import (
     small_disk,
     small_files,
     started,
+    wait_until,
 )
 
 from dlgmd_cli.commands.app import cli
@@ -169,6 +170,44 @@ def test_places_that_cannot_be_written(tmp_path, clip):
         assert result.exit_code == 1 and "cannot be written (" in one_line(result)
 
 
+def by_shell(tmp_path, script, *words):
+    """What a shell makes of a script, in which {} stands for the command over a clip."""
+    words = [sys.executable, "-m", "dlgmd_cli", *words, "--out", "out", "--no-plots"]
+    return subprocess.run(
+        ["bash", "-c", script.replace("{}", shlex.join(map(str, words)))],
+        cwd=tmp_path,
+        capture_output=True,
+        timeout=PATIENCE_S,
+        env=environment(),
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("memory_kb", range(150_000, 800_000, 100_000))
+def test_memory_that_is_short(tmp_path, clip, whole, memory_kb):
+    result = by_shell(tmp_path, f"ulimit -v {memory_kb} && {{}}", "run", clip)
+    if result.returncode != 0:
+        assert result.returncode == 1 and "not enough memory" in one_line(result)
+        assert result.stderr.count("\n") == 1 and memory_kb < 700_000
+    else:
+        found = files_of(tmp_path / "out")
+        assert len(found) == 4 and found.items() <= whole.items()
+
+
+@pytest.mark.parametrize("n_threads", [2, 4, 8])
+def test_threads_that_are_short(tmp_path, clip, whole, n_threads):
+    """As a user whom limits apply to, but who may read everything."""
+    if shutil.which("setpriv") is None or os.geteuid() != 0:
+        pytest.skip("another user's limits are set as root, by setpriv")
+    tmp_path.chmod(0o777)
+    may = "+dac_override,+dac_read_search"
+    user = f"setpriv --reuid 65534 --clear-groups --inh-caps {may} --ambient-caps {may}"
+    result = by_shell(tmp_path, f"ulimit -u {n_threads} && exec {user} {{}}", "run", clip)
+    assert (result.returncode, result.stderr) == (0, "")
+    found = files_of(tmp_path / "out")
+    assert len(found) == 4 and found.items() <= whole.items()
+
+
 STREAMS = {
     "stdout closed": (">&-", {0}),
     "stderr closed": ("2>&-", {0}),
@@ -183,15 +222,8 @@ STREAMS = {
 @pytest.mark.parametrize("name", STREAMS)
 def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
     redirection, codes = STREAMS[name]
-    words = [sys.executable, "-m", "dlgmd_cli", command, str(clip), "--out", "out", "--no-plots"]
-    done = subprocess.run(
-        ["sh", "-c", f"{{ {shlex.join(words)}; echo $? >code; }} {redirection}"],
-        cwd=tmp_path,
-        capture_output=True,
-        timeout=PATIENCE_S,
-        env=environment(),
-        text=True,
-    )
+    # (The inner braces stand for the command.)
+    done = by_shell(tmp_path, f"{{ {{}}; echo $? >code; }} {redirection}", command, clip)
     assert int((tmp_path / "code").read_text()) in codes
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
     # The result is whole before anything is printed.
@@ -201,23 +233,15 @@ def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_real_signal_in_a_real_process(tmp_path, name):
-    frames = looming_frames(20, 320, 240)
-    write_video(tmp_path / "long.avi", frames * 150)
-    command = [sys.executable, "-m", "dlgmd_cli", "run", "long.avi", "--no-plots"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    )
-    # The lock is taken just before the first frame.
-    while process.poll() is None and not list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")):
-        time.sleep(0.01)
-    time.sleep(0.3)
-    process.send_signal(getattr(signal, name))
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert b"Traceback" not in errors
+def test_a_signal_in_the_middle(tmp_path, name):
+    write_video(tmp_path / "long.avi", looming_frames(20, 320, 240) * 150)
+    with started("run", "long.avi", "--no-plots", cwd=tmp_path) as process:
+        # The lock is taken just before the first frame.
+        wait_until(lambda: list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")), PATIENCE_S)
+        time.sleep(0.3)
+        process.send_signal(getattr(signal, name))
+        _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130 and "Traceback" not in said, said
     record = read_record(tmp_path / "dlgmd-out/long/run.yaml")
-    assert record["complete"] is False
-    assert 0 < record["processed"]["frames"] < 3000
+    assert record["complete"] is False and 0 < record["processed"]["frames"] < 3000
     assert set(os.listdir(tmp_path / "dlgmd-out/long")) == {store.RUN, *csv.TABLES}

@@ -100,8 +100,7 @@ def test_what_a_file_names_is_not_opened(tmp_path, clips, decoder, listener, nam
 def test_a_list_is_called_one(dlgmd, tmp_path):
     (tmp_path / "x.mp4").write_text("ffconcat version 1.0\nfile victim.mp4\n")
     result = dlgmd("run", "x.mp4")
-    why = "is a list of other files, not a video. Give one of the videos it names."
-    assert result.exit_code == 1 and result.stderr == f"Error: x.mp4: {why}\n"
+    assert result.exit_code == 1 and "Error: x.mp4: is a list of other files" in result.stderr
 
 
 def test_ffmpeg_itself_refuses_lists(tmp_path, clips, monkeypatch, decoder):

@@ -116,18 +116,12 @@ def parameters(draw):
 
 
 @pytest.mark.usefixtures("each_engine")
+@pytest.mark.parametrize("on_off", [False, True])
 @thoroughly
 @given(params=parameters(), seed=st.integers(0, 1000))
-def test_any_parameters_agree_with_the_equations(params, seed):
+def test_any_parameters_agree_with_the_equations(on_off, params, seed):
     # A cell on the edge of the threshold is not wrong on either side; such draws say nothing.
-    check_dlgmd(clips.drifting(4, 5, 10, seed), params, assume)
-
-
-@pytest.mark.usefixtures("each_engine")
-@thoroughly
-@given(params=parameters(), seed=st.integers(0, 1000))
-def test_any_parameters_of_on_off(params, seed):
-    check_dlgmd(clips.drifting(4, 5, 10, seed), params, assume, on_off=True)
+    check_dlgmd(clips.drifting(4, 5, 10, seed), params, assume, on_off=on_off)
 
 
 @pytest.mark.usefixtures("each_engine")
@@ -146,30 +140,18 @@ def test_any_parameters_of_contrast(params, seed, **thresholds):
     check_contrast(clips.drifting(4, 5, 10, seed), assume, **params, **thresholds)
 
 
-@thoroughly
-@given(
-    p1=st.floats(-0.4, 0.4),
-    p2=st.floats(-0.4, 0.4),
-    w_i=st.floats(0.0, 3.0),
-    delta_c=st.floats(0.001, 20.0),
-    c_omega=st.floats(0.1, 20.0),
-    c_de=st.floats(0.01, 2.0),
-    t_de=st.floats(0.0, 30.0),
-    t_ffi=st.floats(0.0, 60.0),
-    seed=st.integers(0, 1000),
-)
-def test_any_parameters_of_the_lgmd(seed, **params):
-    check_lgmd(clips.drifting(4, 5, 7, seed), assume, **params)
+# Of models whose parameters are plain numbers: the check, the size of its clip, and ranges.
+LGMD = {"p1": (-0.4, 0.4), "p2": (-0.4, 0.4), "w_i": (0.0, 3.0), "delta_c": (0.001, 20.0)}
+LGMD |= {"c_omega": (0.1, 20.0), "c_de": (0.01, 2.0), "t_de": (0.0, 30.0), "t_ffi": (0.0, 60.0)}
+EMD = {"tau_high": (0.01, 100.0), "tau_low": (0.01, 100.0)}
+EMD |= {"delta": (0.0, 1.0), "f_active": (0.0, 0.5), "c": (0.0, 10.0)}
 
 
-@thoroughly
-@given(
-    tau_high=st.floats(0.01, 100.0),
-    tau_low=st.floats(0.01, 100.0),
-    delta=st.floats(0.0, 1.0),
-    f_active=st.floats(0.0, 0.5),
-    c=st.floats(0.0, 10.0),
-    seed=st.integers(0, 1000),
+@pytest.mark.parametrize(
+    ("check", "shape", "ranges"), [(check_lgmd, (4, 5), LGMD), (check_emd, (5, 4), EMD)]
 )
-def test_any_parameters_of_the_emd(seed, **params):
-    check_emd(clips.drifting(5, 4, 7, seed), assume, **params)
+@thoroughly
+@given(data=st.data(), seed=st.integers(0, 1000))
+def test_any_parameters_of_the_others(check, shape, ranges, data, seed):
+    params = {key: data.draw(st.floats(*ends), label=key) for key, ends in ranges.items()}
+    check(clips.drifting(*shape, 7, seed), assume, **params)

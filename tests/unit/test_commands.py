@@ -14,6 +14,12 @@ from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.parameters import MODELS, load_config, load_preset, parameters_of
 
 
+def python(*words, **options):
+    """What a process of Python says; `words` follow its name."""
+    options = {"capture_output": True, "encoding": "utf-8"} | options
+    return subprocess.run([sys.executable, *words], **options)
+
+
 def test_every_command_has_help_with_an_example(dlgmd):
     names = [[], *([name] for name in COMMANDS), ["sets", "show"]]
     for name in names:
@@ -92,15 +98,12 @@ for arguments in {lines}:
     heavy = {{"av", "cv2", "matplotlib", "numba", "numpy", "yaml", "distributed", "pebble"}}
     assert not heavy & set(sys.modules), (arguments, heavy & set(sys.modules))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = python("-c", program)
     assert done.returncode == 0, done.stderr
 
 
 def test_python_minus_m():
-    done = subprocess.run(
-        [sys.executable, "-m", "dlgmd_cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert __version__ in done.stdout
+    assert __version__ in python("-m", "dlgmd_cli", "--version").stdout
 
 
 def test_a_closed_stdout_is_no_traceback():
@@ -148,35 +151,61 @@ def test_sets_show_is_a_config(dlgmd, tmp_path, name):
 
 @pytest.mark.parametrize("arguments", [["sets"], ["sets", "show", "9"], ["--help"]])
 def test_an_encoding_without_greek_is_no_error(arguments):
-    done = subprocess.run(
-        [sys.executable, "-m", "dlgmd_cli", *arguments],
-        capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "cp1252"},
-    )
-    assert done.returncode == 0 and done.stderr == b""
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
+    done = python("-m", "dlgmd_cli", *arguments, env=environment, encoding="cp1252")
+    assert done.returncode == 0 and done.stderr == ""
 
 
 def test_tables_fit_80_columns():
-    done = subprocess.run(
-        [sys.executable, "-m", "dlgmd_cli", "sets"],
-        capture_output=True,
-        encoding="utf-8",
-        env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-        check=True,
-    )
+    done = python("-m", "dlgmd_cli", "sets", env={**os.environ, "PYTHONIOENCODING": "utf-8"})
     table = [line for line in done.stdout.splitlines() if not line.startswith("Keys")]
     assert "flight" in table[-1]
     assert max(map(len, table)) <= 80
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_a_full_stdout_is_one_line():
+@pytest.mark.parametrize("word", ["sets", "--help", "--version"])
+def test_a_full_stdout_is_one_line(word):
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "dlgmd_cli", "sets"], stdout=full, stderr=subprocess.PIPE
-        )
-    assert done.returncode == 1 and done.stderr.count(b"\n") == 1
-    assert b"the output cannot be written" in done.stderr
+        streams = {"capture_output": False, "stdout": full, "stderr": subprocess.PIPE}
+        done = python("-m", "dlgmd_cli", word, **streams)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "the output cannot be written" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        ("ImportError('x.so: failed to map segment from shared object')", "not enough memory"),
+        ("ImportError('x.so: cannot allocate memory in static TLS block')", "not enough memory"),
+        ("MemoryError", "not enough memory"),
+        ('RuntimeError("can\'t start new thread")', "no more threads"),
+    ],
+)
+def test_what_runs_short_while_modules_are_loaded(dlgmd, monkeypatch, error, words):
+    def load(name):
+        raise eval(error)
+
+    monkeypatch.setattr("dlgmd_cli.commands.app.import_module", load)
+    result = dlgmd("sets")
+    assert result.exit_code == 1 and result.stderr.startswith("Error: ") and words in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_an_interrupt_before_signals_are_answered_is_quiet():
+    program = """
+import sys
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "dlgmd_cli.cancel":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+from dlgmd_cli.__main__ import main
+assert not {"logging", "typing", "signal", "dlgmd_cli.errors"} & set(sys.modules)
+main()
+"""
+    done = python("-S", "-c", program)
+    assert (done.returncode, done.stderr) == (130, "")
 
 
 def test_sets_show_of_no_set(dlgmd):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from model_checks import check_dlgmd, undecided
+from model_checks import answers_of, check_dlgmd, undecided
 from reference import clips, slow
 
 from dlgmd_cli.models.dlgmd import DLGMD
@@ -63,7 +63,7 @@ def test_unusual_parameters(unusual, formulation):
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 def test_without_a_threshold_g_still_saturates(formulation):
     params = slow.table_2(2, formulation=formulation, ffi_gd=False)
-    answers = slow.run(CLIPS["looming 10x13"], **params)
+    answers = answers_of(slow.run, CLIPS["looming 10x13"], **params)
     assert any(one.g is not None and one.g_raw.max() > 1.0 for one in answers)
     check_dlgmd(CLIPS["looming 10x13"], params)
 
@@ -74,7 +74,9 @@ def test_the_clips_reach_every_branch(formulation):
     below = above = saturated = capped = uncapped = rectified = False
     for frames in CLIPS.values():
         for number in SETS:
-            for answer in slow.run(frames, **slow.table_2(number, formulation=formulation)):
+            for answer in answers_of(
+                slow.run, frames, **slow.table_2(number, formulation=formulation)
+            ):
                 if answer.g is None:
                     continue
                 raw, t_de = answer.g_raw, answer.t_de
@@ -93,7 +95,7 @@ def test_the_released_threshold_is_capped():
     # Luminance far beyond 1 stands in for the hundreds of thousands of cells that it takes.
     frames = [frame * np.float32(2e5) for frame in clips.drifting(3, 4, 6, seed=5)]
     params = slow.table_2(1, formulation="released", k=1e-10)
-    answers = slow.run(frames, **params)
+    answers = answers_of(slow.run, frames, **params)
     assert answers[-1].t_de == 0.3 and 0 < answers[-1].mp < answers[-1].g_raw.sum()
     model = DLGMD(DlgmdParameters(**params))
     responses = [model.step(frame) for frame in frames]

@@ -118,12 +118,8 @@ def test_numba_is_chosen_for_large_frames_where_it_is_there(loops, monkeypatch):
     assert engines.choose_engine("numba", 1) == "numba"
     monkeypatch.setitem(sys.modules, "numba", None)
     assert engines.choose_engine("auto", least) == "opencv"
-    with pytest.raises(MissingExtraError) as caught:
+    with pytest.raises(MissingExtraError, match=r"numba.*not installed.*pip install"):
         DLGMD(engine="numba")
-    assert str(caught.value) == (
-        "--engine numba: the package 'numba' is not installed. "
-        "Install it with: pip install 'dlgmd[fast]', or use --engine opencv."
-    )
 
 
 def test_a_numba_that_cannot_be_loaded_is_not_chosen(loops, monkeypatch, caplog):
@@ -159,13 +155,7 @@ def test_compilation_is_announced_once(loops, caplog):
 
 
 @pytest.mark.parametrize(
-    "error",
-    [
-        OSError("disk full"),
-        EOFError(),
-        UnpicklingError("cut off"),
-        RuntimeError("cannot cache function: no locator available"),  # no place to write to
-    ],
+    "error", [OSError(), EOFError(), UnpicklingError(), RuntimeError("no locator available")]
 )
 def test_a_cache_that_fails_costs_only_time(loops, monkeypatch, error):
     expected, compiled = answers("numba", scene(20, 30)), loops._compiled(True)

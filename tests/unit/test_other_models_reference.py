@@ -19,29 +19,35 @@ CLIPS = {
 }
 
 
+LGMD_CHANGES = [
+    *({"p1": 0.4, "p2": -0.3}, {"p2": 0.5}, {"w_i": 0.0}, {"w_i": 2.5}, {"t_ffi": 4.0}),
+    *({"delta_c": 9.0, "c_omega": 0.5}, {"c_de": 1.0, "t_de": 1.0}, {"t_de": 0.0}),
+]
+EMD_CHANGES = [
+    *({"tau_high": 0.3}, {"tau_low": 50.0}, {"delta": 0.0}, {"delta": 1.0}),
+    *({"delta": 0.3, "c": 0.0}, {"f_active": 0.2, "c": 9.0}),
+]
+
+
 @pytest.mark.parametrize("clip", CLIPS)
-def test_lgmd_agrees_with_its_equations(clip):
-    check_lgmd(CLIPS[clip])
-    check_lgmd(CLIPS[clip], t_ffi=25.0)
-
-
 @pytest.mark.parametrize(
-    "changes",
+    ("check", "changes"), [(check_lgmd, {}), (check_lgmd, {"t_ffi": 25.0}), (check_emd, {})]
+)
+def test_models_agree_with_their_equations(clip, check, changes):
+    check(CLIPS[clip], **changes)
+
+
+@pytest.mark.parametrize("clip", ["drifting 9x12", "looming 11x14"])
+@pytest.mark.parametrize(
+    ("check", "changes"),
     [
-        {"p1": 0.4, "p2": -0.3},
-        {"p2": 0.5},
-        {"w_i": 0.0},
-        {"w_i": 2.5},
-        {"delta_c": 9.0, "c_omega": 0.5},
-        {"c_de": 1.0, "t_de": 1.0},
-        {"t_de": 0.0},
-        {"t_ffi": 4.0},
+        *((check_lgmd, changes) for changes in LGMD_CHANGES),
+        *((check_emd, changes) for changes in EMD_CHANGES),
     ],
     ids=str,
 )
-def test_lgmd_with_other_parameters(changes):
-    check_lgmd(CLIPS["drifting 9x12"], **changes)
-    check_lgmd(CLIPS["looming 11x14"], **changes)
+def test_other_parameters(clip, check, changes):
+    check(CLIPS[clip], **changes)
 
 
 def test_the_clips_reach_every_branch_of_the_lgmd():
@@ -84,28 +90,6 @@ def test_a_cell_exactly_at_the_threshold_passes_the_lgmd():
     g = last(t_de=0.0)
     passed = [last(t_de=g * factor) for factor in (1 - 1e-6, 1 - 1e-12, 1, 1 + 1e-12, 1 + 1e-6)]
     assert g > 100.0 and passed == [g, g, g, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("clip", CLIPS)
-def test_emd_agrees_with_its_equations(clip):
-    check_emd(CLIPS[clip])
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"tau_high": 0.3},
-        {"tau_low": 50.0},
-        {"delta": 0.0},
-        {"delta": 1.0},
-        {"delta": 0.3, "c": 0.0},
-        {"f_active": 0.2, "c": 9.0},
-    ],
-    ids=str,
-)
-def test_emd_with_other_parameters(changes):
-    check_emd(CLIPS["drifting 9x12"], **changes)
-    check_emd(CLIPS["looming 11x14"], **changes)
 
 
 def test_emd_tells_expansion_from_contraction():

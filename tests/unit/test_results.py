@@ -157,7 +157,8 @@ def damage(folder, name, change):
         ("mp.csv", lambda text: text + "0,9,1,1,1,0,0\n", "its rows are not frames in order"),
         ("mp.csv", lambda text: text + "7,1\n", "does not have 7 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
-        ("attenuation.csv", lambda text: "\x00" + text, "its columns are not"),
+        # Python 3.10 reads no NUL.
+        ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),
         ("attenuation.csv", lambda text: text.rsplit("\n", 2)[0], "not those of mp.csv"),
         ("run.yaml", lambda text: text.replace("dlgmd\n", "other\n", 1), "model 'other'"),
         ("run.yaml", lambda text: text.replace("width: 10", "width: a"), "processed.width"),

@@ -416,7 +416,7 @@ def test_too_short(dlgmd, clips):
         f"Error: {clips / 'short.avi'}: 3 frames, but set9 needs at least 4. Use a longer clip.\n"
     )
     assert os.listdir(".") == []
-    assert dlgmd("run", clips / "short.avi", "--set", 3).exit_code == 0
+    assert dlgmd("run", clips / "short.avi", "--set", 3, "--no-plots").exit_code == 0
 
 
 def test_a_span_without_frames(dlgmd, clips):
@@ -533,7 +533,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch)
 
 def test_other_models(dlgmd, clips, tmp_path):
     for name in ("lgmd", "emd-lgmd"):
-        result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name)
+        result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name, "--no-plots")
         assert result.exit_code == 0, result.output
         folder = tmp_path / name / "loom"
         record = yaml.safe_load((folder / "run.yaml").read_text(encoding="utf-8"))
@@ -550,7 +550,7 @@ def test_other_models(dlgmd, clips, tmp_path):
         assert record["summary"]["mp_max"] > 0.0
         again = dlgmd(
             *["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"],
-            *["--overwrite"],
+            *["--overwrite", "--no-plots"],
         )
         assert again.exit_code == 0, again.output
         assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.threads import n_threads
+from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import resized, to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -496,6 +498,28 @@ def test_an_error_comes_after_what_was_before_it():
     with pytest.raises(ZeroDivisionError), read_ahead(1 // (5 - i) for i in range(9)) as items:
         seen.extend(items)
     assert len(seen) == 5
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_without_more_threads_one_decodes_and_fetches(clips, decoder, monkeypatch):
+    with open_video(clips / "loom.avi", decoder=decoder) as source:
+        plain = [frame.grey for frame in source]
+
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    assert (decoder_threads(), n_threads()) == (1, 1)
+    opened = open_video(clips / "loom.avi", decoder=decoder)
+    with opened as source, read_ahead(source) as frames:
+        assert np.array_equal(plain, [frame.grey for frame in frames])
+
+
+def test_without_memory_a_file_is_not_called_damaged(tmp_path, decoder, monkeypatch):
+    (tmp_path / "x.mp4").write_bytes(b"no video")
+    monkeypatch.setattr("dlgmd_cli.video.base._LITTLE_MEMORY", 1 << 62)
+    with pytest.raises(MemoryError):
+        open_video(tmp_path / "x.mp4", decoder=decoder)
 
 
 def test_the_host_s_threads_are_restored():
