@@ -44,7 +44,7 @@ def test_models_agree_with_their_equations(clip, check, changes):
         *((check_lgmd, changes) for changes in LGMD_CHANGES),
         *((check_emd, changes) for changes in EMD_CHANGES),
     ],
-    ids=str,
+    ids=lambda one: getattr(one, "__name__", str(one)),
 )
 def test_other_parameters(clip, check, changes):
     check(CLIPS[clip], **changes)
