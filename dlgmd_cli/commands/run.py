@@ -42,8 +42,8 @@ def run(
 ) -> None:
     """Run a model over a video.
 
-    INPUT is a video file, a folder of pictures, or a quoted pattern such as 'frames/%04d.png' or
-    'frames/*.png'.
+    INPUT is a video file, a folder of pictures, a quoted pattern such as 'frames/%04d.png' or
+    'frames/*.png', or a .npy array of shape (n, H, W) or (n, H, W, 3).
 
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
     and alarms), a figure of each, and run.yaml, which repeats the run with --config.
