@@ -184,5 +184,5 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     assert not (tmp_path / "dlgmd-out").exists()
     with pytest.raises(SourceError, match="reaches outside"):
         InputOptions(crop="32x24+0+1").open(clip)
-    with pytest.raises(ParameterError, match="--mask 5 is not a picture's file"):
+    with pytest.raises(ParameterError, match="--mask = 5 is not a picture's file"):
         InputOptions(mask=5)
