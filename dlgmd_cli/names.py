@@ -9,6 +9,9 @@ from typing import Any
 
 # The number in a pattern of pictures, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
+# What user names and passwords look like in a URL: before the host, or as a value with such a name.
+_USER = re.compile(r"(?<=://)[^/?#]*@")
+_SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
 
 
 def is_pattern(text: str) -> bool:
@@ -35,6 +38,11 @@ def recorded_name(known: Mapping[str, Any]) -> str:
     """Name of the input that the item `input` of a record describes; it need not exist any more."""
     path = str(known.get("path", ""))
     return str(known.get("name") or input_name(path, are_pictures="pictures" in known))
+
+
+def without_password(source: str) -> str:
+    """A URL without the user and password, and with ``***`` for other values that look secret."""
+    return _SECRET.sub(r"\1***", _USER.sub("", source))
 
 
 def numbered(names: Sequence[str]) -> list[str]:

@@ -32,6 +32,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import is_lively
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.names import without_password
 from dlgmd_cli.video.base import PIXEL_FORMATS
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ def _source(
         file = partial(live.shots_at_their_pace, partial(plain.open, source, **design))
         return live.LiveSource(os.path.abspath(source), file, options, **design)
     return live.LiveSource(
-        live.without_password(source),
+        without_password(source),
         partial(live.shots_of_capture, source, size),
         options,
         **design,

@@ -4,14 +4,17 @@ import logging
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from dlgmd_cli.errors import OutputError
-from dlgmd_cli.live.watch import BEGIN, BLIND, SEES, Answer, Sight
-from dlgmd_cli.models.detection import LEAST_PEAK, Alarm
+from dlgmd_cli.errors import OutputError, ResultError
+from dlgmd_cli.live.watch import BLIND, SEES, Answer, Sight
+from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import rows_of
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource
@@ -19,8 +22,8 @@ from dlgmd_cli.video.options import InputOptions
 
 _log = logging.getLogger(__name__)
 
-# Some three hours; these take a third of a second.
-_MAX_NORMALISED = 300_000
+# Some three hours; these take two seconds.
+_MAX_READ = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
 
 
@@ -29,8 +32,8 @@ class Recording:
 
     The record, run.yaml, is there from the first frame on and says ``complete: false`` until the
     context ends without an exception: the rows of a killed process can be read. (After a power
-    failure, the last seconds may be missing.) `mp_seq` needs the whole sequence: in the file it is
-    empty until then, and stays so in very long ones, which would take too long to write again.
+    failure, the last seconds may be missing.) `mp_seq` and the summary need the whole sequence:
+    they are empty until then, and stay so after some three hours, which take too long to read.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -63,15 +66,8 @@ class Recording:
         self._folder, self._source, self._setup = folder, source, setup
         self._options, self._alarm, self._sight = options, alarm, sight
         self.has_failed = False
-        self._summary: dict[str, Any] = {
-            **dict.fromkeys(("mp_max", "mp_max_frame", "mp_max_time_s")),
-            "spikes": 0,
-            "first_spike_time_s": None,
-            "alarms": 0,
-            **dict.fromkeys(("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db")),
-        }
-        self._least, self._n_rows, self._last = math.inf, 0, (-1, 0.0)
-        self._db_sum, self._n_db = 0.0, 0
+        self._summary: dict[str, Any] = {}
+        self._n_rows, self._last = 0, (-1, 0.0)
         self._files: dict[str, TextIO] = {}
 
     @property
@@ -88,7 +84,6 @@ class Recording:
                 if not self._files:
                     self._begin()
                 self._write_rows(answer)
-                self._count(answer)
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record(complete=False)
 
@@ -101,8 +96,8 @@ class Recording:
         with self._failing():
             for file in self._files.values():
                 file.close()
-            if self._n_rows <= _MAX_NORMALISED:
-                store.write_files(self._folder, {"mp.csv": self._write_normalised})
+            if self._n_rows <= _MAX_READ:
+                self._write_whole()
             self._write_record(complete=kind is None)
 
     @contextmanager
@@ -111,7 +106,7 @@ class Recording:
         try:
             with store.writing(self._folder):
                 yield
-        except OutputError as error:
+        except (OutputError, ResultError) as error:
             self.has_failed = True
             _log.warning("the recording has ended: %s %s", error.what, error.why)
             for file in self._files.values():
@@ -146,59 +141,32 @@ class Recording:
             values = (others[key] if key in others else getattr(found, key) for key in header)
             self._files[name].write(",".join(map(csv.cell, values)) + "\n")
             self._files[name].flush()
+        self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
 
-    def _count(self, answer: Answer) -> None:
-        """Take an answer into the summary, as `Result.summary` has it."""
-        assert answer.frame is not None
-        frame, found, summary = answer.frame, answer.detection, self._summary
-        self._n_rows, self._last = self._n_rows + 1, (frame.index, frame.time_s)
-        if found.is_valid:
-            self._least = min(self._least, found.mp)
-            if summary["mp_max"] is None or found.mp > summary["mp_max"]:
-                summary |= {
-                    "mp_max": found.mp,
-                    "mp_max_frame": frame.index,
-                    "mp_max_time_s": frame.time_s,
-                }
-        if found.spike:
-            summary["spikes"] += 1
-            if summary["first_spike_time_s"] is None:
-                summary["first_spike_time_s"] = frame.time_s
-        if answer.event == BEGIN:
-            summary["alarms"] += 1
-            if summary["first_alarm_frame"] is None:
-                summary["first_alarm_frame"] = frame.index
-                summary["first_alarm_time_s"] = frame.time_s
-        if math.isfinite(found.attenuation_db):
-            self._db_sum, self._n_db = self._db_sum + found.attenuation_db, self._n_db + 1
-            summary["mean_attenuation_db"] = self._db_sum / self._n_db
-
-    def _write_normalised(self, path: Path) -> None:
-        """Copy mp.csv, line by line, with its column `mp_seq`."""
-        header = csv.TABLES["mp.csv"]
-        from_mp, to_seq = header.index("mp"), header.index("mp_seq")
-        least, most = self._least, self._summary["mp_max"]
-        is_defined = most is not None and most > least and most >= LEAST_PEAK
-        with (
-            (self._folder / "mp.csv").open(encoding="utf-8", newline="") as before,
-            path.open("w", encoding="utf-8", newline="") as after,
-        ):
-            after.write(next(before))
-            for line in before:
-                cells = line.rstrip("\n").split(",")
-                if is_defined and cells[from_mp]:
-                    cells[to_seq] = csv.cell((float(cells[from_mp]) - least) / (most - least))
-                after.write(",".join(cells) + "\n")
+    def _write_whole(self) -> None:
+        """Read the rows again for the summary, and write mp.csv with its column `mp_seq`."""
+        paths = {name: self._folder / name for name in ("mp.csv", "attenuation.csv")}
+        mp, others = (csv.read_columns(path, csv.TABLES[name]) for name, path in paths.items())
+        result = Result(rows_of({**others, **mp}), self._setup.params, self._record())
+        self._summary = result.summary
+        write = partial(csv.write_columns, columns={**mp, "mp_seq": result.mp_seq})
+        store.write_files(self._folder, {"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:
         """Write run.yaml."""
+        record = {**self._record(), "complete": complete, "summary": self._summary}
+        text = record_text(record, [str(record["engine"])], _HEADER)
+        store.write_text(self._folder / store.RUN, text)
+
+    def _record(self) -> dict[str, Any]:
+        """What run.yaml says about the input, the model and the warnings so far."""
         (index, time_s), source, alarm = self._last, self._source, self._alarm
         (width, height), size_wh = source.picture_wh, source.size_wh
         fps = source.fps if source.fps > 0.0 else FALLBACK_FPS
         processed = {"width": size_wh[0], "height": size_wh[1], "frames": self._n_rows}
         if (hidden := source.hidden()) is not None:
             processed["cells"] = int((~hidden).sum())
-        record = {
+        return {
             "input": {
                 "path": source.name,
                 "width": width,
@@ -216,8 +184,4 @@ class Recording:
             "engine": alarm.model.engine_name,
             "options": self._options.to_record(),
             "warnings": self._sight.warnings(),
-            "complete": complete,
-            "summary": self._summary,
         }
-        text = record_text(record, [str(record["engine"])], _HEADER)
-        store.write_text(self._folder / store.RUN, text)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.names import without_password
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.blindness import Blindness
 from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
@@ -31,9 +32,6 @@ Found = TypeVar("Found")
 _log = logging.getLogger(__name__)
 
 SCHEMES = ("rtsp", "rtsps", "udp", "rtp", "tcp", "http", "https")
-# What user names and passwords look like in a URL: before the host, or as a value with such a name.
-_USER = re.compile(r"(?<=://)[^/?#]*@")
-_SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
 _EVEN = ("yuv420p", "nv12", "yuyv422")
 _LIMITED = 16, 235
 # FFmpeg is to hand on what has arrived, and to decode without frames in flight.
@@ -356,11 +354,6 @@ def scheme_of(source: str) -> str:
     """The scheme of a URL, in lower case; empty for none."""
     match = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", source)
     return match[1].lower() if match else ""
-
-
-def without_password(source: str) -> str:
-    """A URL without the user and password, and with ``***`` for other values that look secret."""
-    return _SECRET.sub(r"\1***", _USER.sub("", source))
 
 
 def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[Shot, None, None]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.names import without_password
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
 from dlgmd_cli.video.base import (
@@ -199,7 +200,7 @@ def _refuse_streams(name: str) -> None:
     if name == "-" and not Path(name).exists():
         raise ParameterError("-", "standard input is not read; only files are", _RECORD)
     if _URL.match(name) and not Path(name.partition("/")[0]).exists():
-        scheme = name.partition(":")[0].lower()
+        scheme, name = name.partition(":")[0].lower(), without_password(name)
         if scheme in ("http", "https", "s3", "gs", "az", "abfs", "ftp", "sftp", "file"):
             mend = "Download the file first, or use 'dlgmd batch', which reads files from URLs."
             raise ParameterError(name, "URLs are not read here", mend)

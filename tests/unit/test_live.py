@@ -27,11 +27,13 @@ from dlgmd_cli.live import outputs
 from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import Answer, Events, Sight, Statistics, answers
 from dlgmd_cli.models.detection import onsets
+from dlgmd_cli.names import without_password
 from dlgmd_cli.results import csv
 from dlgmd_cli.runs.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
+from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 
@@ -450,7 +452,10 @@ def test_what_is_no_source(source, more, why):
     ],
 )
 def test_passwords_are_not_shown(source, shown):
-    assert live.without_password(source) == shown
+    assert without_password(source) == shown
+    with pytest.raises(ParameterError) as caught:
+        open_video(source)
+    assert "secret" not in str(caught.value)
     for wrong in (source.replace("rtsp", "gopher"), source.replace("://", ":/")):
         with pytest.raises(ParameterError) as caught:
             live.check_source(wrong, is_realtime=False, has_size=True)
