@@ -13,7 +13,6 @@ import click
 
 from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
     Command,
     Failed,
     note,
@@ -440,16 +439,12 @@ def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out:
         rest = f"; the other {n_done} results are in {printable(out)}"
         raise Failed(
             f"{n_failed} of {n_total} videos failed{rest if n_done else ''}. Fix or remove "
-            f"{'that one' if n_failed == 1 < n_total else those}, then run again.",
-            EXIT_FAILED,
+            f"{'that one' if n_failed == 1 < n_total else those}, then run again."
         )
     if found.faults:
         raise Failed(
             f"some folders could not be read; the results of the others are in {printable(out)}. "
-            "Check their access rights, then run again.",
-            EXIT_FAILED,
+            "Check their access rights, then run again."
         )
     if any(row.lacks_figures for summary in plan.summaries for row in summary.rows.values()):
-        raise Failed(
-            f"some figures could not be drawn; all tables are in {printable(out)}.", EXIT_FAILED
-        )
+        raise Failed(f"some figures could not be drawn; all tables are in {printable(out)}.")

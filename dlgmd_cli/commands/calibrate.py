@@ -10,7 +10,6 @@ import click
 
 from dlgmd_cli import __version__, cancel
 from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
     Command,
     Failed,
     print_json,
@@ -175,7 +174,7 @@ def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[
         raise
     trials = search.trials()
     if not trials:
-        raise Failed("no trial had a valid combination of parameters.", EXIT_FAILED)
+        raise Failed("no trial had a valid combination of parameters.")
     return trials
 
 
@@ -185,8 +184,7 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
     if n_with < 2:
         raise Failed(
             f"{labels_path}: {n_with or 'no'} video{'s' * (n_with != 1)} with a collision; "
-            "calibration needs at least 2.",
-            EXIT_FAILED,
+            "calibration needs at least 2."
         )
     if n_with < 20:
         warn(f"only {n_with} videos have a collision; the calibration may not generalise")

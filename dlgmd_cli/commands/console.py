@@ -12,15 +12,12 @@ from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from dlgmd_cli import __version__, cancel
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
-
-if TYPE_CHECKING:
-    from dlgmd_cli.video.source import Video
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # Entry in the context of a command: figures could not be drawn.
@@ -80,7 +77,7 @@ def _general() -> None:
 class Failed(click.ClickException):
     """A failure that click prints as one line on stderr."""
 
-    def __init__(self, message: str, exit_code: int) -> None:
+    def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
         super().__init__(message)
         self.exit_code = exit_code  # type: ignore[misc]
 
@@ -101,12 +98,6 @@ def detail(message: str) -> None:
     """Print a detail on stderr if --verbose is given."""
     if settings().verbose:
         say(f"{message}.")
-
-
-def note_sampling(input_path: str, video: "Video", fps: float | str | None) -> None:
-    """Note which frames of a video were processed, unless the user chose a frame rate `fps`."""
-    if fps in (None, "all") and (sampling := video.sampling()):
-        note(f"{input_path}: {sampling}")
 
 
 class _WithSections(click.Command):
@@ -224,19 +215,17 @@ def errors_as_one_line() -> Iterator[None]:
         raise Failed(message, code) from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise Failed(f"the output cannot be written ({reason}).", EXIT_FAILED) from None
+        raise Failed(f"the output cannot be written ({reason}).") from None
     except MemoryError:
-        raise Failed(_NO_MEMORY, EXIT_FAILED) from None
+        raise Failed(_NO_MEMORY) from None
     except Exception as error:
         if settings().debug:
             raise
         shortages = [line for sign, line in _SHORTAGES.items() if sign in str(error)]
         if shortages:
-            raise Failed(shortages[0], EXIT_FAILED) from None
+            raise Failed(shortages[0]) from None
         raise Failed(
-            f"internal error ({type(error).__name__}). "
-            "Rerun with --debug and report the traceback.",
-            EXIT_FAILED,
+            f"internal error ({type(error).__name__}). Rerun with --debug and report the traceback."
         ) from None
 
 

@@ -10,7 +10,6 @@ import click
 
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
     Command,
     Failed,
     print_json,
@@ -227,13 +226,12 @@ def scored(
     for name, why in evaluation.failed.items():
         warn(f"{name}: {why}")
     if not evaluation.cases:
-        raise Failed(f"{labels_path}: no video could be scored.", EXIT_FAILED)
+        raise Failed(f"{labels_path}: no video could be scored.")
     yield evaluation
     if evaluation.failed:
         raise Failed(
             f"{len(evaluation.failed)} of {len(cases)} videos could not be scored and are left "
-            "out. Fix or remove them, then run again.",
-            EXIT_FAILED,
+            "out. Fix or remove them, then run again."
         )
 
 

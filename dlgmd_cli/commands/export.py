@@ -9,7 +9,6 @@ from dlgmd_cli.commands.console import Command, Group, print_json, print_path, p
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     SIZE,
-    complete_folder,
     json_option,
     overwrite_option,
     parameter_options,
@@ -47,7 +46,6 @@ def export() -> None:
     default=Path("dlgmd-c"),
     show_default=True,
     metavar="DIR",
-    shell_complete=complete_folder,
     help="Folder for the sources.",
 )
 @overwrite_option

@@ -1,12 +1,13 @@
 """What commands share: open the input, check and lock the folder, run, warn, write, end."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.commands.console import note_sampling, warn, warn_undrawn
+from dlgmd_cli.commands.console import note, warn, warn_undrawn
 from dlgmd_cli.commands.progress import progress
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """An open input, and the folder of its result, which is locked.
+    """An open input, and the folder of its result, which is locked if there is a `record`.
 
     `is_new_input` says whether `commit` replaces results of another input.
     """
@@ -28,23 +29,26 @@ class Job:
     video: "Video"
     options: "InputOptions"
     folder: Path
-    record: str
+    record: str | None
     is_new_input: bool
 
-    def progress(self) -> AbstractContextManager[Any]:
-        """A progress bar over the frames of the input."""
-        return progress(self.video.info.name, self.options.n_expected(self.video.info))
+    def progress(self, n_wanted: float = math.inf) -> AbstractContextManager[Any]:
+        """A progress bar over the frames of the input, or the first that are wanted."""
+        n_frames = min(self.options.n_expected(self.video.info) or math.inf, n_wanted)
+        return progress(self.video.info.name, None if math.isinf(n_frames) else int(n_frames))
 
     def warn(self, warnings: Sequence[str]) -> None:
         """Print warnings about the input, and note which of its frames were processed."""
         for warning in warnings:
             warn(f"{self.input_path}: {warning}")
-        note_sampling(self.input_path, self.video, self.options.fps)
+        if self.options.fps in (None, "all") and (sampling := self.video.sampling()):
+            note(f"{self.input_path}: {sampling}")
 
     def commit(self, files: "Mapping[str, Write]") -> None:
         """Write the result; `files` has the function that writes each file, by name."""
         from dlgmd_cli.results import store
 
+        assert self.record is not None
         undrawn = store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
         warn_undrawn(self.folder, undrawn)
 
@@ -55,9 +59,9 @@ def job(
     setups: "Sequence[Setup]",
     options: "InputOptions",
     output: "Output",
-    record: str,
+    record: str | None,
 ) -> Iterator[Job]:
-    """Open an input, and check and lock the folder of its result; `record` is the result's.
+    """Open an input, and check and lock the folder of its result, if it has a `record`.
 
     Raises
     ------
@@ -71,8 +75,10 @@ def job(
 
     with open_input(input_path, setups, options) as video:
         folder = store.result_folder(output.out, video.info.name)
-        is_new = store.check(folder, record, video.info.identity, overwrite=output.overwrite)
-        with store.locked(folder):
+        is_new = False
+        if record is not None:
+            is_new = store.check(folder, record, video.info.identity, overwrite=output.overwrite)
+        with store.locked(folder) if record else nullcontext():
             yield Job(input_path, video, options, folder, record, is_new)
 
 

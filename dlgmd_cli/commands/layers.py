@@ -1,7 +1,7 @@
 """`dlgmd layers`: show a model's layers as a contact sheet, as arrays, or as a film."""
 
+import math
 import re
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, note_sampling, print_path, say, warn, warn_undrawn
+from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
     file_ending,
@@ -114,44 +115,32 @@ def layers(
     from dlgmd_cli.runs.setup import input_options as recorded
 
     options = recorded(setup, given)
-    with runs.open_input(input_path, [setup], options) as video:
-        makes_sheet = bool(wanted) or film_path is None
-        folder = store.result_folder(output.out, video.info.name) if makes_sheet else None
+    makes_sheet = bool(wanted) or film_path is None
+    record = store.LAYERS if makes_sheet else None
+    with job(input_path, [setup], options, output, record) as one:
+        video, folder = one.video, one.folder
         if film_path is not None:
-            _check_film(film_path, folder, video.info.path, overwrite=output.overwrite)
-        is_new = False
-        if folder is not None:
-            identity = video.info.identity
-            is_new = store.check(folder, store.LAYERS, identity, overwrite=output.overwrite)
-        with store.locked(folder) if folder else nullcontext():
-            n_expected = options.n_expected(video.info)
-            frames = wanted or ()
-            if makes_sheet and not frames:
-                frames = _strongest(input_path, setup, options)
-            if film_path is None:
-                n_expected = min(max(frames) + 1, n_expected or max(frames) + 1)
-            with progress(video.info.name, n_expected) as on_frame:
-                ran = run_layers(
-                    *(video, setup, options, frames),
-                    whole=film_path is not None,
-                    on_frame=on_frame,
-                )
-            result, sheet = ran.result, ran.sheet
-            if not cancel.requested():
-                why_not = absent(sorted({*frames} - {*result.record["frames"]}), video, options.end)
-                if frames and sheet is None:
-                    raise SourceError(input_path, why_not, "Choose other frames.")
-                result.warnings.extend([why_not] if why_not else [])
-                result.warnings.extend(result.doubts() if film_path else [])
-            for warning in result.warnings:
-                warn(f"{input_path}: {warning}")
-            note_sampling(input_path, video, options.fps)
-            if folder is not None and sheet is not None:
-                files = _files(result, sheet, output, npz)
-                undrawn = store.commit(folder, store.LAYERS, files, is_new_input=is_new)
-                warn_undrawn(folder, undrawn)
-                print_path(folder)
-    if folder is not None and cancel.requested():
+            sheet_folder = folder if makes_sheet else None
+            _check_film(film_path, sheet_folder, video.info.path, overwrite=output.overwrite)
+        frames = wanted or ()
+        if makes_sheet and not frames:
+            frames = _strongest(input_path, setup, options)
+        n_wanted = math.inf if film_path else max(frames) + 1
+        with one.progress(n_wanted) as on_frame:
+            whole = film_path is not None
+            ran = run_layers(video, setup, options, frames, whole=whole, on_frame=on_frame)
+        result, sheet = ran.result, ran.sheet
+        if not cancel.requested():
+            why_not = absent(sorted({*frames} - {*result.record["frames"]}), video, options.end)
+            if frames and sheet is None:
+                raise SourceError(input_path, why_not, "Choose other frames.")
+            result.warnings.extend([why_not] if why_not else [])
+            result.warnings.extend(result.doubts() if film_path else [])
+        one.warn(result.warnings)
+        if sheet is not None:
+            one.commit(_files(result, sheet, output, npz))
+            print_path(folder)
+    if makes_sheet and cancel.requested():
         n_kept = f"{len(result.record['frames'])} of {len(frames)} frames"
         unmade = f", no frame of {film_path} was rendered" if film_path else ""
         say(f"Interrupted. {folder} holds {n_kept}{unmade}.")

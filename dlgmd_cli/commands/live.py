@@ -24,8 +24,8 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     SIZE,
+    SectionOption,
     complete_file,
-    complete_folder,
     live_input_options,
     model_options,
     overwrite_option,
@@ -46,15 +46,7 @@ if TYPE_CHECKING:
 _BAR = 12
 
 
-def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
-    """An option in the section of the help about the receivers of alarms."""
-
-    def decorate(command: Any) -> Any:
-        command = click.option(*args, **kwargs)(command)
-        command.__click_params__[-1].section = "Alarm"
-        return command
-
-    return decorate
+alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 
 
 @click.command(cls=Command, epilog="Example: dlgmd live rtsp://10.0.0.2/video --udp 127.0.0.1:5005")
@@ -101,7 +93,6 @@ def alarm_option(*args: Any, **kwargs: Any) -> Callable[[Any], Any]:
     "--record",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    shell_complete=complete_folder,
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
 @overwrite_option

@@ -118,6 +118,14 @@ def file_ending(example: str) -> Callable[[str], Path]:
 Option = Callable[[Any], Any]
 
 
+class SectionOption(click.Option):
+    """An option in a given section of the help."""
+
+    def __init__(self, *args: Any, section: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.section = section
+
+
 def option_group(argument: str, collect: Callable[..., Any], *options: Option) -> Option:
     """One decorator for several options, which the command receives as one argument.
 
@@ -155,12 +163,8 @@ def option_group(argument: str, collect: Callable[..., Any], *options: Option) -
 # Completion in the shell.
 
 
-def _complete_paths(kind: str) -> Callable[..., list[CompletionItem]]:
-    """Completion of paths by the shell."""
-    return lambda ctx, param, incomplete: [CompletionItem(incomplete, type=kind)]
-
-
-complete_file, complete_folder = _complete_paths("file"), _complete_paths("dir")
+complete_file = click.Path().shell_complete
+complete_folder = click.Path(file_okay=False).shell_complete
 
 
 def complete_key(
@@ -283,12 +287,12 @@ model_options = option_group("setup", _setup, *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", _setup, *ONE_MODEL)
 
 
-def setup_options(collect: Callable[..., Any], *more: Option, argument: str = "setups") -> Option:
+def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
     """Options for several models: --set, --config and --model are repeatable.
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group(argument, collect, *_naming_options(many=True), *more)
+    return option_group("setups", collect, *_naming_options(many=True), *more)
 
 
 # How the input is read.

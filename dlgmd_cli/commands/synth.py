@@ -9,7 +9,6 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
 from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
     Command,
     Failed,
     print_path,
@@ -17,7 +16,14 @@ from dlgmd_cli.commands.console import (
     say,
     settings,
 )
-from dlgmd_cli.commands.options import SIZE, complete_folder, dpi_option, numeric, overwrite_option
+from dlgmd_cli.commands.options import (
+    SIZE,
+    SectionOption,
+    complete_folder,
+    dpi_option,
+    numeric,
+    overwrite_option,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.threads import n_processors
 
@@ -68,15 +74,7 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
 }  # fmt: skip
 
 
-class _SectionOption(click.Option):
-    """An option in a given section of the help."""
-
-    def __init__(self, *args: Any, section: str, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.section = section
-
-
-_flight_option = partial(click.option, cls=_SectionOption, section=_FLIGHTS)
+_flight_option = partial(click.option, cls=SectionOption, section=_FLIGHTS)
 
 
 def _complete_scene(
@@ -94,9 +92,8 @@ def _scene_options(command: Any) -> Any:
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
             facts = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
-            command = click.option(f"--{name}", cls=_SectionOption, section=section, **facts)(
-                command
-            )
+            option = click.option(f"--{name}", cls=SectionOption, section=section, **facts)
+            command = option(command)
     return command
 
 
@@ -264,8 +261,7 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
     if n_present < flights.count:
         raise Failed(
             f"{flights.count - n_present} of {flights.count} flights failed; the other {n_present} "
-            f"are in {flights.folder}. Fix what is named above, then run the same command again.",
-            EXIT_FAILED,
+            f"are in {flights.folder}. Fix what is named above, then run the same command again."
         )
 
 
