@@ -235,7 +235,6 @@ def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
 
 
 def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
-    """The output folder of each model."""
     from dlgmd_cli.results.store import place
 
     if len(setups) == 1:
@@ -260,7 +259,6 @@ def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Foun
 
 
 def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
-    """Plan the tasks, and tell the user how many videos are done already."""
     from dlgmd_cli.runs.batch import plan
 
     made = plan(found.videos, job, force=force)
@@ -409,7 +407,6 @@ def _show_plan(
 
 
 def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
-    """Print a table with the status and the numbers of every video."""
     shown = sorted(rows.items())
     if len(shown) > _MAX_ROWS:
         shown = [(name, row) for name, row in shown if row.status != DONE]
@@ -419,7 +416,6 @@ def _print_rows(rows: "Mapping[str, Row]", title: str) -> None:
 
 
 def _cells(row: "Row") -> tuple[str, ...]:
-    """The numbers of one video; a dash where there is none."""
     summary: dict[str, Any] = row.record.get("summary", {})
     if not summary:
         return ("–",) * 5

@@ -161,7 +161,6 @@ def calibrate(
 
 
 def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[Trial]":
-    """Run the missing trials of a search; returns all."""
     n_done = len(search)
     if n_done:
         say(f"{n_done} trials are done already.")
@@ -228,7 +227,6 @@ def _sentence(scores: "Scores") -> str:
 
 
 def _facts(found: "Calibration") -> dict[str, Any]:
-    """The facts that --json prints."""
     from dlgmd_cli.lab.evaluation.report import scores_json
 
     return {
@@ -239,7 +237,6 @@ def _facts(found: "Calibration") -> dict[str, Any]:
 
 
 def _show(found: "Calibration", experiment: "Experiment") -> None:
-    """Print the table of measures, and the parameters found."""
     from dlgmd_cli.lab.evaluation.report import interval_text
 
     names = {

@@ -188,7 +188,6 @@ def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> lis
 def _record(
     results: "Mapping[str, Result]", warnings: list[str], annotations: "Annotations"
 ) -> dict[str, Any]:
-    """The content of compare.yaml, without the versions."""
     first = next(iter(results.values())).record
     models = []
     for label, result in results.items():
@@ -219,7 +218,6 @@ def _record(
 
 
 def _defined(value: float) -> float | None:
-    """The value, or None if it is NaN."""
     return None if math.isnan(value) else value
 
 
@@ -245,7 +243,6 @@ def _files(
 
 
 def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
-    """Print the summaries, as a table or as JSON."""
     infinite = [
         one for one in record["models"] if one["summary"].get("distinguishability") == math.inf
     ]

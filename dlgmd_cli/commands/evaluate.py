@@ -236,7 +236,6 @@ def scored(
 
 
 def _described(one: "Candidate") -> dict[str, Any]:
-    """The entry of a candidate in the record."""
     processed = one.record["processed"]
     size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
     if one.params is None:
@@ -247,7 +246,6 @@ def _described(one: "Candidate") -> dict[str, Any]:
 def _figures(
     report: "Report", rules: dict[str, float], output: Output, width: Any
 ) -> "Mapping[str, Write]":
-    """The function that writes each figure, by file name."""
     from dlgmd_cli.lab.evaluation.report import DEFAULT
     from dlgmd_cli.lab.plots.evaluation import leads, trade_off
     from dlgmd_cli.plots.style import figure_files

@@ -129,7 +129,6 @@ def _show(facts: "Survey", advice: Sequence[str]) -> None:
 
 
 def _rows(facts: "Survey") -> list[tuple[str, str]]:
-    """The table's rows."""
     codec = facts.codec or "unknown"
     if facts.pixel_format:
         codec += f", {facts.pixel_format}, {facts.bits} bits"
@@ -170,7 +169,6 @@ def _rate(facts: "Survey") -> str:
 
 
 def _facts(facts: "Survey") -> dict[str, Any]:
-    """All properties of an input and the advice, for JSON."""
     values = {name: value for name, value in vars(facts).items() if name != "still"}
     crop = None if facts.crop is None else str(facts.crop)
     return {**values, "crop": crop, "still_share": facts.still_share, "advice": _advice(facts)}
@@ -207,7 +205,6 @@ def _advice(facts: "Survey") -> list[str]:
 
 
 def _rate_advice(facts: "Survey") -> list[str]:
-    """Advice about the frame rate."""
     from dlgmd_cli.video.opening import RATE_TOLERANCE
     from dlgmd_cli.video.source import sampling_step
 

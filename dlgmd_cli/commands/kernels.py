@@ -54,7 +54,6 @@ def kernels(setup: "Setup", output: Output) -> None:
 
 
 def _write_csv(connections: "Connections", path: Path) -> None:
-    """Write offset, latency and strengths of every tap."""
     import numpy as np
 
     from dlgmd_cli.results.csv import write_columns

@@ -164,7 +164,6 @@ def live(
 def _source(
     source: str, setup: "Setup", options: "InputOptions", asked: dict[str, Any]
 ) -> "LiveSource":
-    """The source, not yet open."""
     from dlgmd_cli.video import live
 
     size = asked["input_size"]
@@ -209,7 +208,6 @@ def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Output]":
 def _page(
     address: str, frames: "LiveSource", statistics: "Statistics", threshold: float
 ) -> "PageServer":
-    """The server of the page."""
     from dlgmd_cli.live.outputs import split_address
     from dlgmd_cli.live.serve import PageServer
 
@@ -240,7 +238,6 @@ def _status_line(source: "LiveSource", statistics: "Statistics") -> Iterator[Non
 
 
 def _status(source: "LiveSource", statistics: "Statistics") -> str:
-    """The latest numbers on one line."""
     newest = statistics.newest
     if newest is None or statistics.n_frames < 2:
         return f"{'BLIND  ' if newest else ''}waiting for the first frame"

@@ -84,7 +84,6 @@ def _time(text: str) -> float:
 
 
 def _model_names() -> tuple[str, ...]:
-    """Our models and the installed ones."""
     return (*MODELS, *installed_models())
 
 
@@ -277,7 +276,6 @@ def _setup(
     formulation: str | None,
     engine: str | None = None,
 ) -> "Setup":
-    """The model that the options ask for."""
     from dlgmd_cli.runs.setup import choose  # brings in NumPy
 
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
@@ -379,7 +377,6 @@ class Output:
 def _output(
     out: str, formats: tuple[str, ...], dpi: int, no_plots: bool, overwrite: bool
 ) -> Output:
-    """The output that the options ask for, with each format once."""
     return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), dpi, overwrite)
 
 

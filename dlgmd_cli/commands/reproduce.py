@@ -90,7 +90,6 @@ def reproduce(
 
 
 def _command(only: tuple[str, ...], quick: bool, reference: Path | None) -> str:
-    """The command line that repeats this report."""
     words = ["dlgmd", "reproduce"]
     words += ["--only", ",".join(only)] if only else []
     words += ["--quick"] if quick else []

@@ -79,7 +79,6 @@ def details(result: "Result") -> list[str]:
 
 
 def _show(result: "Result", folder: Path, as_json: bool) -> None:
-    """Print the summary."""
     summary, processed = result.summary, result.record["processed"]
     if as_json:
         facts = {"result": str(folder), "complete": result.record["complete"]}

@@ -59,7 +59,6 @@ def sets(ctx: click.Context) -> None:
 def _complete_name(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The names of sets, models and presets."""
     names = [*preset_names(), *MODELS, *PRESETS]
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 

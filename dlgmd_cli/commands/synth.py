@@ -80,7 +80,6 @@ _flight_option = partial(click.option, cls=SectionOption, section=_FLIGHTS)
 def _complete_scene(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """The names of the scenes."""
     from dlgmd_cli.lab.flights.scenes import SCENES
 
     scenes = [scene for name, scene in SCENES.items() if name.startswith(incomplete)]
@@ -88,7 +87,6 @@ def _complete_scene(
 
 
 def _scene_options(command: Any) -> Any:
-    """The options of scenes, in the order of the help."""
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
             facts = {"type": kind, "metavar": metavar, "help": text, "multiple": name == "speed"}
@@ -202,7 +200,6 @@ def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _list() -> None:
-    """Print the scenes by kind."""
     from dlgmd_cli.lab.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
@@ -219,7 +216,6 @@ def _render_one(
     overwrite: bool,
     draw: "DrawSheet | None",
 ) -> None:
-    """Render a clip and print the paths of its files."""
     from dlgmd_cli.lab.stimuli.clip import write_clip
     from dlgmd_cli.results.store import locked
 
@@ -291,7 +287,6 @@ def _label(flights: "FlightSet", overwrite: bool) -> int:
 
 
 def _kept(flights: "FlightSet", n_present: int) -> str:
-    """The message about the flights that exist after an early end."""
     return (
         f"{flights.folder} holds {n_present} of {flights.count} flights; "
         "run the same command again for the others."

@@ -125,8 +125,6 @@ def view(
 
 @dataclass(frozen=True)
 class _Request:
-    """The options that all pages share."""
-
     frames: tuple[int, ...]
     labels: dict[str, list[int]]
     input_path: str | None

@@ -153,7 +153,6 @@ class Recording:
         store.write_files(self._folder, {"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:
-        """Write run.yaml."""
         record = {**self._record(), "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
         store.write_text(self._folder / store.RUN, text)

@@ -299,7 +299,6 @@ class PageServer:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens there."""
     try:
         family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):  # the latter is of names that cannot be
@@ -334,7 +333,6 @@ def _reachable(address: str, family: int) -> str:
 
 
 def _in_url(host: str) -> str:
-    """A host as a URL has it."""
     return f"[{host}]" if ":" in host else host
 
 

@@ -147,7 +147,6 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
 
 
 def _setup(result: Result) -> Setup:
-    """The model of a result."""
     made_for = {
         key: result.record[key] for key in ("width_px", "model_fps") if key in result.record
     }
@@ -161,7 +160,6 @@ def _film_size(width: int, height: int, width_px: int) -> tuple[int, int]:
 
 
 def _jpeg(picture: BgrImage) -> bytes:
-    """A thumbnail of a picture, as JPEG."""
     height, width = picture.shape[:2]
     scale = min(1.0, _THUMBNAIL_PX / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))

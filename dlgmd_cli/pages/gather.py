@@ -118,7 +118,6 @@ def _below(folder: Path) -> list[Path]:
 
 
 def _read(folder: Path) -> list[LabelledResult]:
-    """Read every result in a folder."""
     found = []
     if (folder / store.RUN).exists() or not (folder / store.COMPARISON).exists():
         result = read_result(folder)
@@ -155,7 +154,6 @@ def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
 
 
 def _place(result: Result) -> Path:
-    """The file of a result's input, or the folder of its pictures."""
     known = result.record["input"]
     return picture_folder(known["path"]) if "pictures" in known else Path(known["path"])
 

@@ -137,14 +137,12 @@ def _rendered(template: str, **values: Any) -> str:
 
 @cache
 def _plotly() -> str:
-    """The source of the library that draws the curves."""
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
 
 
 def _page_data(one: Input, parts: Sequence[Part], collisions: Sequence[int]) -> dict[str, Any]:
-    """The data for the page's script."""
     results = [part.result for part in parts]
     found = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
     foot_db = (min(found) if found else -10.0) - 2.0

@@ -104,7 +104,6 @@ class Film:
         return picture
 
     def _show_present(self, picture: BgrImage, row: int) -> None:
-        """Draw the trace up to the present, with a line and a dot at its end."""
         rows, columns = self.trace
         x, y = (int(place) for place in self._places[row])
         # A little wider than the axes, because of the dots at their ends.
@@ -121,7 +120,6 @@ class Film:
             cv2.circle(picture, (x, y), _DOT_PX, _NOW, 1, cv2.LINE_AA)
 
     def _write_header(self, picture: BgrImage, row: int) -> None:
-        """Write frame and time, and ALARM during an alarm."""
         result, middle = self._result, WIDTH // 2
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
@@ -192,7 +190,6 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 
 def _draw_trace(axes: Axes, result: Result) -> None:
-    """Draw potential, spikes and alarms of all frames."""
     axes.broken_barh(
         stretches(result.time_s, result.alarms),
         (_LEVELS[0], _LEVELS[1] - _LEVELS[0]),

@@ -61,7 +61,6 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
 
 
 def _draw(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) -> AxesImage:
-    """One kernel, coloured from 0 to `greatest`."""
     radius, edge = kernel.shape[0] // 2, kernel.shape[0] / 2
     axes.set_facecolor(LIGHT_GREY)
     axes.spines["right"].set_visible(True)

@@ -92,7 +92,6 @@ def _arranged(n_frames: int, aspect: float) -> tuple[int, int, float]:
 
 
 def _height_in(n_blocks: int, row_in: float) -> float:
-    """Height of a figure, in inches."""
     return n_blocks * (4 * (row_in + 0.06) + _TITLES_IN) + _ABOVE_IN
 
 
@@ -124,7 +123,6 @@ def _draw_row(axes: Axes, images: FloatImage, scale: Scale | None, n_columns: in
 
 
 def _write_titles(axes: Axes, sheet: LayerSheet, part: slice, n_columns: int) -> None:
-    """Write the number and the time of each frame above its column."""
     texts = [
         f"frame {frame}\n{time_s:.3f} s"
         for frame, time_s in zip(sheet.frame[part], sheet.time_s[part], strict=True)

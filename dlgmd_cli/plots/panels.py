@@ -89,14 +89,12 @@ def plot_panels(
 
 
 def _look(place: int, *, dots: bool) -> dict[str, Any]:
-    """Colour, dashes and marker of curve number `place`."""
     color, dashes = LOOKS[place % len(LOOKS)]
     marker = _MARKERS[place % len(_MARKERS)] if dots or place >= len(LOOKS) else ""
     return {"color": color, "linestyle": dashes, "marker": marker, "markersize": 3}
 
 
 def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entries:
-    """Draw one panel; returns the entries of the legend."""
     axes.spines["top"].set_visible(False)
     axes.set_title(panel.title, loc="left", pad=11 if panel.spans else 4)
     for row, (start, end, text) in enumerate(panel.spans):

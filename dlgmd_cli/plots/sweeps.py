@@ -120,7 +120,6 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
 
 
 def _panels(result: SweepResult) -> list[tuple[str, Measure, Series]]:
-    """Title, measure and values, (n_y, n_x), of each map."""
     if result.speeds_px:
         passing = result.columns["attenuation_db"]
         passing = np.where(passing < FLOOR_DB, -np.inf, passing)

@@ -215,7 +215,6 @@ def _share(
 
 
 def _hide_spines(panels: list[Axes]) -> None:
-    """Leave no lines between panels: only the lowest keeps its time axis."""
     for axes in panels:
         axes.spines["top"].set_visible(False)
     for axes in panels[:-1]:
@@ -243,7 +242,6 @@ def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> Non
 
 
 def _entries(found: list[Entries]) -> Entries:
-    """The entries of all panels, each once."""
     return list({label: (handle, label) for some in found for handle, label in some}.values())
 
 
@@ -274,7 +272,6 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
 
 
 def _traces(results: Mapping[str, Result]) -> list[_Trace]:
-    """Up to four results in order, each with its look."""
     return [
         _Trace(label, result, {"color": color, "linestyle": dashes}, alone=len(results) == 1)
         for (label, result), (color, dashes) in zip(results.items(), LOOKS, strict=False)
