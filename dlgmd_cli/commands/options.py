@@ -383,7 +383,7 @@ def _output(
 def _not_empty(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """The name of a folder."""
     if not value.strip():
-        raise ParameterError("--out", "must not be empty", "Give the name of a folder.")
+        raise click.UsageError("--out: must not be empty. Give the name of a folder.", ctx)
     return value
 
 

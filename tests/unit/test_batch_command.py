@@ -351,39 +351,6 @@ def test_warnings_and_a_folder_of_pictures(dlgmd, clips, pictures, tmp_path):
     assert facts["warnings"] == {"cut.avi": [rows["cut.avi"]["warnings"]]}
 
 
-USAGE = [
-    ([], "Missing argument 'FOLDER...'"),
-    (["flights", "--jobs", 0], "Invalid value for '--jobs'"),
-    (["flights", "--timeout", 0], "Invalid value for '--timeout'"),
-    (["flights", "--timeout", "nan"], "Invalid value for '--timeout'"),
-    (["flights", "--set", 12], "there is no set 12"),
-    (["flights", "--jobs", 2, "--scheduler", "tcp://x:1"], "--jobs does not work with --sche"),
-    (["flights", "--timeout", 2, "--scheduler", "tcp://x:1"], "--timeout does not work with"),
-    (["flights", "--scheduler", "x y"], "'x y' is neither an address nor a scheduler file"),
-    (["flights", "--out", ""], "--out: must not be empty"),
-    (["flights", "--out", "nope://b/x"], "there is no kind of URL called nope://"),
-    (["nope://b/x"], "there is no kind of URL called nope://"),
-    (["flights", "--scale", 1, "--size", "9x9"], "--scale and --size exclude each other"),
-    (["flights", "--param", "sigma_x=1"], "unknown parameter 'sigma_x'"),
-    (["flights", "--model", "lgmd", "--formulation", "released"], "--formulation works only with"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), USAGE)
-def test_usage_errors(dlgmd, flights, arguments, message):
-    result = dlgmd("batch", *arguments)
-    assert result.exit_code == 2 and message in result.stderr
-    assert not Path("dlgmd-out").exists()
-
-
-def test_nothing_to_do(dlgmd, tmp_path):
-    (tmp_path / "bare").mkdir()
-    for name, why in (("bare", "there is no video"), ("none", "cannot be read (No such file")):
-        result = dlgmd("batch", name)
-        assert result.exit_code == 1 and result.stderr.startswith(f"Error: {name}: {why}")
-    assert sorted(os.listdir()) == ["bare"]
-
-
 def test_an_unusable_out(dlgmd, flights):
     Path("file").touch()
     for out in ("file", "file/below"):

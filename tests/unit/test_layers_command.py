@@ -159,42 +159,6 @@ def test_frames_that_are_not_there_are_named(dlgmd, clips, options, warning, sho
     assert any(line in result.stderr for line in record()["warnings"])
 
 
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        (["--frames", "20,30"], "frames 20, 30 are not in it; its last one is frame 19."),
-        (["--frames", "2", "--start", "0.4"], "frame 2 is left out by --start, --end or --fps, or"),
-        (["--video", "x.mp4", "--end", "0.05"], "--start, --end and --fps leave fewer than"),
-        (["--video", "x.mp4", "--start", "99"], "--start, --end and --fps leave fewer than"),
-    ],
-)
-def test_nothing_to_show(dlgmd, clips, options, why):
-    result = dlgmd("layers", clips / "loom.avi", *options)
-    assert result.exit_code == 1 and result.stdout == ""
-    assert f"Error: {clips / 'loom.avi'}: {why}" in result.stderr
-    assert result.stderr.splitlines()[-1].startswith("Error: ") and os.listdir(".") == []
-
-
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        (["--overlay"], "--overlay works only with --video. Add --video film.mp4."),
-        (["--npz", "--video", "x.mp4"], "--npz writes the layers of --frames."),
-        (["--frames", "1,,2"], "'' is not a frame number. Write 1,50,65."),
-        (["--frames", "1.5"], "'1.5' is not a frame number."),
-        (["--frames", "٣"], "is not a frame number."),
-        (["--frames", ",".join(map(str, range(13)))], "13 frames are too many for one sheet."),
-        (["--video", "x.avi"], "'x.avi' does not end in .mp4. Write film.mp4."),
-        (["--frames", "1", "--set", "12"], "there is no set 12"),
-    ],
-)
-def test_wrong_usage(dlgmd, clips, options, why):
-    result = dlgmd("layers", clips / "loom.avi", *options)
-    assert result.exit_code == 2 and result.stdout == ""
-    assert why in " ".join(result.stderr.split())
-    assert len(result.stderr) < 1000 and os.listdir(".") == []
-
-
 def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
     """Its pictures are those of the frames and layers, in order, on scales that hold them all."""
     seen, scales, picture = [], [], Film.picture

@@ -9,43 +9,16 @@ import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError
 
 
-@pytest.mark.parametrize(
-    ("name", "words", "code"),
-    [
-        ("rtsp://drone.local/stream", "live streams are not read", 2),
-        ("udp://0.0.0.0:5600", "live streams are not read", 2),
-        ("https://example.org/flight.mp4", "URLs are not read here", 2),
-        ("-", "standard input is not read", 2),
-        ("pipe", "is a pipe", 1),
-        ("/dev/null", "is a device", 1),
-    ],
-)
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_live_sources_are_refused_in_words(dlgmd, name, words, code):
-    os.mkfifo("pipe")
-    result = dlgmd("run", name)
-    assert result.exit_code == code and f"Error: {name}: " in result.stderr
-    assert words in result.stderr and ("dlgmd live" in result.stderr or "batch" in result.stderr)
-
-
 def test_a_folder_that_looks_like_a_url_is_a_folder(dlgmd, clips):
     os.makedirs("rtsp:/x")
     os.link(clips / "loom.avi", "rtsp:/x/loom.avi")
     assert dlgmd("run", "rtsp://x/loom.avi", "--no-plots").exit_code == 0
 
 
-def test_figures_in_other_formats_are_refused(dlgmd, clips):
-    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "out")
-    result = dlgmd("plot", "mp", "out/loom", "--out", "a.jpg")
-    assert result.exit_code == 2 and "png, pdf, svg, not as jpg. Give a.png" in result.stderr
-    assert not os.path.exists("a.jpg")
-
-
 def test_plotting_what_was_not_run_names_the_command(dlgmd, clips):
     dlgmd("layers", clips / "loom.avi", "--frames", 9, "--out", "out")
-    for given in (clips / "loom.avi", "out/loom", "out/none"):
-        result = dlgmd("plot", "mp", given)
-        assert result.exit_code == 1 and "Run 'dlgmd run" in result.stderr
+    result = dlgmd("plot", "mp", "out/loom")
+    assert result.exit_code == 1 and "Run 'dlgmd run" in result.stderr
 
 
 def test_nothing_passes(dlgmd, clips):

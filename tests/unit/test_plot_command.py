@@ -116,26 +116,6 @@ def test_long_names_are_cut(dlgmd):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["mp"], "Missing argument 'RESULT...'."),
-        (["x", "one"], "'x' is not one of 'mp', 'attenuation', 'spikes', 'overview'."),
-        (["mp", "one", "--mark", "x"], "'x' is not FRAME:TEXT"),
-        (["mp", "one", "one", "--label", "a"], "--label is given 1 time, for 2 results"),
-        (["mp", "one", "--label", " "], "--label: a label may not be empty"),
-        (["mp", "one", "one", "--label", "a", "--label", "a"], "may not have the same label"),
-        (["mp", "one", "--out", "a.pdf", "--format", "png"], "--out ends in .pdf"),
-        (["spikes", "one", "--normalise", "sequence"], "--normalise is for mp and overview"),
-    ],
-)
-def test_wrong_usage(dlgmd, arguments, message):
-    make_run("one")
-    result = dlgmd("plot", *arguments)
-    assert result.exit_code == 2 and message in result.stderr.splitlines()[-1]
-    assert os.listdir(".") == ["one"]
-
-
-@pytest.mark.parametrize(
     ("damage", "message"),
     [
         (lambda folder: None, "there is no such folder"),
@@ -154,13 +134,6 @@ def test_a_damaged_result_is_one_line(dlgmd, damage, message):
         assert result.exit_code == 1 and result.stdout == ""
         assert result.stderr.startswith("Error: bad") and message in result.stderr
         assert result.stderr.count("\n") == 1 and not os.path.exists("dlgmd-out")
-
-
-def test_a_file_of_a_result_is_refused(dlgmd):
-    make_run("good")
-    result = dlgmd("plot", "mp", "good/mp.csv")
-    assert result.exit_code == 1
-    assert "is one file of a result. Give the folder that holds it." in result.stderr
 
 
 @pytest.mark.usefixtures("drawn")

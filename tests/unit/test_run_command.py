@@ -296,44 +296,6 @@ def test_what_a_killed_run_left_is_no_result(dlgmd, clips, tmp_path):
     assert set(os.listdir(folder)) == FILES
 
 
-USAGE = [
-    (["--set", 12], "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
-    (["--set", "1", "--config", "x.yaml"], "--set and --config exclude each other"),
-    (["--config", "none.yaml"], "none.yaml: there is no such file"),
-    (["--param", "sigma_e=-1"], "Invalid value for '--param': sigma_e = -1 is not above 0."),
-    (["--param", "sigma_x=1"], "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
-    (["--param", "nonsense"], "'nonsense' is not KEY=VALUE"),
-    (["--model", "lgmx"], "there is no model 'lgmx'"),
-    (["--formulation", "printed"], "'printed' is not one of"),
-    (["--scale", 1.5], "--scale"),
-    (["--scale", "nan"], "--scale"),
-    (["--size", "0x5"], "size 0x5"),
-    (["--size", "wide"], "'wide' is not WIDTHxHEIGHT"),
-    (["--set", "1", "--param", "lam=0.7"], "make the latency longer than 64 frames"),
-    (["--scale", 0.5, "--size", "4x4"], "--scale and --size exclude each other"),
-    (["--fps", -1], "--fps"),
-    (["--start", "soon"], "'soon' is not a time"),
-    (["--start", "1:75"], "is not a time"),
-    (["--start", 2, "--end", 1], "--end 1 is not after --start 2"),
-    (["--normalise", "both"], "--normalise"),
-    (["--decoder", "vlc"], "--decoder"),
-]
-
-
-@pytest.mark.parametrize(("options", "why"), USAGE, ids=[" ".join(map(str, u[0])) for u in USAGE])
-def test_wrong_usage_is_exit_2(dlgmd, clips, options, why):
-    result = dlgmd("run", clips / "loom.avi", *options)
-    assert result.exit_code == 2 and result.stdout == ""
-    error = result.stderr.splitlines()[-1]
-    assert error.startswith("Error: ") and why in error
-    assert os.listdir(".") == []
-
-
-def test_usage_names_the_command(dlgmd, clips):
-    result = dlgmd("run", clips / "loom.avi", "--set", 12)
-    assert result.stderr.startswith("Usage: dlgmd run ")
-
-
 @pytest.mark.parametrize(
     ("options", "why"),
     [
@@ -350,24 +312,6 @@ def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):
     (tmp_path / "my.yaml").write_text(yaml.safe_dump({"options": options}))
     result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
     assert result.exit_code == 2 and why in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "why"),
-    [
-        ("none.mp4", None, "there is no such file or folder"),
-        ("empty.mp4", b"", "the file is empty"),
-        ("text.mp4", b"hello", "no frame could be decoded, damaged file or missing codec"),
-    ],
-)
-def test_bad_input_is_exit_1(dlgmd, tmp_path, name, content, why):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    before = os.listdir(".")
-    result = dlgmd("run", name)
-    assert result.exit_code == 1 and result.stdout == ""
-    assert result.stderr.startswith(f"Error: {name}: {why}")
-    assert result.stderr.count("\n") == 1 and os.listdir(".") == before
 
 
 def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
@@ -417,22 +361,6 @@ def test_too_short(dlgmd, clips):
     )
     assert os.listdir(".") == []
     assert dlgmd("run", clips / "short.avi", "--set", 3, "--no-plots").exit_code == 0
-
-
-def test_a_span_without_frames(dlgmd, clips):
-    result = dlgmd("run", clips / "loom.avi", "--set", 9, "--start", 100)
-    assert result.exit_code == 1
-    assert (
-        "--start, --end and --fps leave fewer than the 4 frames that set9 needs. "
-        "Its last frame read is at 0.760 s." in result.stderr
-    )
-
-
-@pytest.mark.parametrize("options", [["--start", 0.7], ["--end", 0.05], ["--fps", 2]])
-def test_a_span_with_few_frames(dlgmd, clips, options):
-    result = dlgmd("run", clips / "loom.avi", "--set", 9, *options)
-    assert result.exit_code == 1
-    assert "leave fewer than the 4 frames" in result.stderr and os.listdir(".") == []
 
 
 def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
@@ -554,21 +482,6 @@ def test_other_models(dlgmd, clips, tmp_path):
         )
         assert again.exit_code == 0, again.output
         assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--set", 3], "--set works only with the D-LGMD model"),
-        (["--formulation", "released"], "--formulation works only with the D-LGMD model"),
-        (["--param", "r=3"], "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
-        (["--engine", "numba"], "the model lgmd has no engine 'numba'"),
-        (["--param", "p1=0.9", "--param", "p2=0.2"], "makes every change grow for ever"),
-    ],
-)
-def test_options_that_another_model_does_not_have(dlgmd, clips, options, message):
-    result = dlgmd("run", clips / "loom.avi", "--model", "lgmd", *options)
-    assert result.exit_code == 2 and message in result.stderr
 
 
 def test_the_default_is_the_preset_which_a_record_repeats(dlgmd, tmp_path):

@@ -4,7 +4,6 @@ import csv
 import json
 import math
 import os
-import shlex
 import shutil
 from pathlib import Path
 
@@ -212,56 +211,6 @@ def test_interrupted_before_the_first_point(dlgmd, stop):
     result = dlgmd("sweep", *TINY)
     assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
     assert os.listdir(".") == []
-
-
-USAGE = [
-    ("--x a=1 --y r", "Invalid value for '--y': 'r' is not an axis"),
-    ("--x q=1 --y r=4", "Invalid value for '--x': unknown parameter 'q'"),
-    ("--x a=1 --y a=2", "--x and --y are both a"),
-    ("--x a=-2:-1:0.5 --y r=4", "--x and --y: a = -2.0 is not at least 0"),
-    ("--x a=1 --y r=4 --model lgmd", "unknown parameter 'a'. See 'dlgmd sets show lgmd'"),
-    ("--x a=1 --y r=4 --param a=2", "--param sets a, which is an axis"),
-    (
-        "--x formulation=default,released --y r=4 --formulation default",
-        "--formulation is an axis of the sweep",
-    ),
-    ("--x a=1 --y r=4 --scale 0.5", "--scale works only with an INPUT"),
-    ("--x a=1 --y r=4 --false-positive-frame 5", "--false-positive-frame works only with an INPUT"),
-    ("--x a=1 --y r=4 --speed 0", "Invalid value for '--speed'"),
-    ("--x a=1 --y r=4 --frames 2", "--frames: 2 frames of each cube, but fig11 needs at least 3"),
-    ("--x a=1 --y r=4 --frames 99 --speed 9", "leaves the picture after 18 frames"),
-    ("--x a=1 --y r=4 --cube-size 151", "cannot fit into a picture of 200x150"),
-    ("--x a=1 --y r=4 --size 9x9", "Invalid value for '--size'"),
-    ("--x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
-    ("loom.avi --x a=1 --y r=4 --speed 1", "--speed works only without INPUT"),
-]
-
-
-@pytest.mark.parametrize(("line", "why"), USAGE, ids=[line for line, _ in USAGE])
-def test_wrong_usage_is_exit_2(dlgmd, line, why):
-    result = dlgmd("sweep", *shlex.split(line))
-    assert result.exit_code == 2 and result.stdout == ""
-    error = result.stderr.splitlines()[-1]
-    assert error.startswith("Error: ") and why in error
-    assert os.listdir(".") == []
-
-
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("none.mp4", "none.mp4: there is no such file or folder"),
-        ("text.mp4", "text.mp4: no frame could be decoded"),
-        ("short.avi", "short.avi: 3 frames, but set9 needs at least 4. Use a longer clip."),
-    ],
-)
-def test_bad_input_is_exit_1(dlgmd, tmp_path, name, why):
-    (tmp_path / "text.mp4").write_bytes(b"hello")
-    write_video(tmp_path / "short.avi", looming_frames(3))
-    before = sorted(os.listdir("."))
-    result = dlgmd("sweep", name, "--set", 9, "--x", "sigma_e=1,2", "--y", "a=1,2")
-    assert result.exit_code == 1 and result.stdout == ""
-    assert why in result.stderr and result.stderr.count("\n") == 1
-    assert sorted(os.listdir(".")) == before
 
 
 def test_warnings_of_the_input_are_kept(dlgmd, tmp_path):

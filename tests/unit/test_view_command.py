@@ -136,21 +136,6 @@ def test_index_of_a_batch(dlgmd, clips, tmp_path):
     assert again.exit_code == 2 and "--overwrite" in again.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["view", "empty"], 1, "contains no result (no run.yaml or compare.yaml)"),
-        (["view", "missing"], 1, "there is no such folder"),
-        (["view", "empty", "--out", "page.pdf"], 2, "does not end in .html"),
-        (["view", "empty", "--labels", "missing.csv"], 1, "missing.csv"),
-    ],
-)
-def test_errors(dlgmd, tmp_path, arguments, code, words):
-    (tmp_path / "empty").mkdir()
-    made = dlgmd(*arguments)
-    assert made.exit_code == code and words in made.stderr
-
-
 def test_without_the_packages(dlgmd, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
     made = dlgmd("view", "anything")

@@ -1,0 +1,180 @@
+"""What commands refuse: one line that says why, the exit code, and nothing is written."""
+
+import os
+import shlex
+import shutil
+
+import pytest
+from figures import make_result
+
+# Command lines in a folder with videos and a result, and words of the error.
+WRONG_USAGE = [
+    ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
+    ("run loom.avi --set 1 --config x.yaml", "--set and --config exclude each other"),
+    ("run loom.avi --config none.yaml", "none.yaml: there is no such file"),
+    ("run loom.avi --param sigma_e=-1", "for '--param': sigma_e = -1 is not above 0."),
+    ("run loom.avi --param sigma_x=1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
+    ("run loom.avi --param nonsense", "'nonsense' is not KEY=VALUE"),
+    ("run loom.avi --set 1 --param lam=0.7", "make the latency longer than 64 frames"),
+    ("run loom.avi --model lgmx", "there is no model 'lgmx'"),
+    ("run loom.avi --model lgmd --set 3", "--set works only with the D-LGMD model"),
+    ("run loom.avi --model lgmd --formulation released", "--formulation works only with the D-L"),
+    ("run loom.avi --model lgmd --param r=3", "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
+    ("run loom.avi --model lgmd --engine numba", "the model lgmd has no engine 'numba'"),
+    ("run loom.avi --model lgmd --param p1=0.9 --param p2=0.2", "makes every change grow for ever"),
+    ("run loom.avi --formulation printed", "'printed' is not one of"),
+    ("run loom.avi --scale 1.5", "--scale"),
+    ("run loom.avi --scale nan", "--scale"),
+    ("run loom.avi --size 0x5", "size 0x5"),
+    ("run loom.avi --size wide", "'wide' is not WIDTHxHEIGHT"),
+    ("run loom.avi --scale 0.5 --size 4x4", "--scale and --size exclude each other"),
+    ("run loom.avi --fps -1", "--fps"),
+    ("run loom.avi --start soon", "'soon' is not a time"),
+    ("run loom.avi --start 1:75", "is not a time"),
+    ("run loom.avi --start 2 --end 1", "--end 1 is not after --start 2"),
+    ("run loom.avi --normalise both", "--normalise"),
+    ("run loom.avi --decoder vlc", "--decoder"),
+    ("run rtsp://drone.local/stream", "live streams are not read"),
+    ("run rtsp://me:secret@drone.local/stream", "rtsp://drone.local/stream: live streams are not"),
+    ("run udp://0.0.0.0:5600", "live streams are not read; only files are"),
+    ("run https://example.org/flight.mp4", "URLs are not read here"),
+    ("run -", "standard input is not read"),
+    ("compare loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
+    ("compare loom.avi --model lgdm", "Invalid value for '--model': there is no model 'lgdm'"),
+    ("compare loom.avi --model lgmd --no-ffi-gd", "--no-ffi-gd works only with the D-LGMD model"),
+    ("compare loom.avi --model lgmd --engine opencv", "--engine works only with the D-LGMD model"),
+    ("compare loom.avi --mark pitching", "Invalid value for '--mark'"),
+    ("layers loom.avi --overlay", "--overlay works only with --video. Add --video film.mp4."),
+    ("layers loom.avi --npz --video x.mp4", "--npz writes the layers of --frames."),
+    ("layers loom.avi --frames 1,,2", "'' is not a frame number. Write 1,50,65."),
+    ("layers loom.avi --frames 1.5", "'1.5' is not a frame number."),
+    ("layers loom.avi --frames ٣", "is not a frame number."),
+    ("layers loom.avi --frames 0,1,2,3,4,5,6,7,8,9,10,11,12", "13 frames are too many for one"),
+    ("layers loom.avi --video x.avi", "'x.avi' does not end in .mp4. Write film.mp4."),
+    ("sweep --x a=1 --y r", "Invalid value for '--y': 'r' is not an axis"),
+    ("sweep --x q=1 --y r=4", "Invalid value for '--x': unknown parameter 'q'"),
+    ("sweep --x a=1 --y a=2", "--x and --y are both a"),
+    ("sweep --x a=-2:-1:0.5 --y r=4", "--x and --y: a = -2.0 is not at least 0"),
+    ("sweep --x a=1 --y r=4 --model lgmd", "unknown parameter 'a'. See 'dlgmd sets show lgmd'"),
+    ("sweep --x a=1 --y r=4 --param a=2", "--param sets a, which is an axis"),
+    (
+        "sweep --x formulation=default,released --y r=4 --formulation default",
+        "--formulation is an axis of the sweep",
+    ),
+    ("sweep --x a=1 --y r=4 --scale 0.5", "--scale works only with an INPUT"),
+    ("sweep --x a=1 --y r=4 --false-positive-frame 5", "--false-positive-frame works only with an"),
+    ("sweep --x a=1 --y r=4 --speed 0", "Invalid value for '--speed'"),
+    ("sweep --x a=1 --y r=4 --frames 2", "--frames: 2 frames of each cube, but fig11 needs at"),
+    ("sweep --x a=1 --y r=4 --frames 99 --speed 9", "leaves the picture after 18 frames"),
+    ("sweep --x a=1 --y r=4 --cube-size 151", "cannot fit into a picture of 200x150"),
+    ("sweep --x a=1 --y r=4 --size 9x9", "Invalid value for '--size'"),
+    ("sweep --x w_i=1 --y delta_c=1 --model lgmd --engine numba", "has no engine 'numba'"),
+    ("sweep loom.avi --x a=1 --y r=4 --speed 1", "--speed works only without INPUT"),
+    ("plot mp", "Missing argument 'RESULT...'."),
+    ("plot x one", "'x' is not one of 'mp', 'attenuation', 'spikes', 'overview'."),
+    ("plot mp one --mark x", "'x' is not FRAME:TEXT"),
+    ("plot mp one one --label a", "--label is given 1 time, for 2 results"),
+    ("plot mp one --label ' '", "--label: a label may not be empty"),
+    ("plot mp one one --label a --label a", "may not have the same label"),
+    ("plot mp one --out a.pdf --format png", "--out ends in .pdf"),
+    ("plot mp one --out a.jpg", "png, pdf, svg, not as jpg. Give a.png"),
+    ("plot spikes one --normalise sequence", "--normalise is for mp and overview"),
+    ("view bare --out page.pdf", "does not end in .html"),
+    ("info loom.avi short.avi --write-mask mask.png", "one INPUT"),
+    ("info loom.avi --write-mask mask.jpg", "does not end in .png"),
+    ("sets show 10", "there is no set 10. Choose 1 to 9"),
+    ("batch", "Missing argument 'FOLDER...'"),
+    ("batch . --jobs 0", "Invalid value for '--jobs'"),
+    ("batch . --timeout 0", "Invalid value for '--timeout'"),
+    ("batch . --timeout nan", "Invalid value for '--timeout'"),
+    ("batch . --set 12", "there is no set 12"),
+    ("batch . --jobs 2 --scheduler tcp://x:1", "--jobs does not work with --scheduler"),
+    ("batch . --timeout 2 --scheduler tcp://x:1", "--timeout does not work with --scheduler"),
+    ("batch . --scheduler 'x y'", "'x y' is neither an address nor a scheduler file"),
+    ("batch . --out ''", "--out: must not be empty"),
+    ("batch . --out nope://b/x", "there is no kind of URL called nope://"),
+    ("batch nope://b/x", "there is no kind of URL called nope://"),
+    ("batch . --param sigma_x=1", "unknown parameter 'sigma_x'"),
+]
+FAILURES = [
+    ("run none.mp4", "none.mp4: there is no such file or folder"),
+    ("run empty.mp4", "empty.mp4: the file is empty"),
+    ("run text.mp4", "text.mp4: no frame could be decoded, damaged file or missing codec"),
+    ("run pipe", "pipe: is a pipe; only files are read"),
+    ("run /dev/null", "/dev/null: is a device"),
+    ("run short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4. Use a longer clip."),
+    (
+        "run loom.avi --set 9 --start 100",
+        "leave fewer than the 4 frames that set9 needs. Its last frame read is at 0.760 s.",
+    ),
+    ("run loom.avi --set 9 --start 0.7", "leave fewer than the 4 frames"),
+    ("run loom.avi --set 9 --end 0.05", "leave fewer than the 4 frames"),
+    ("run loom.avi --set 9 --fps 2", "leave fewer than the 4 frames"),
+    ("compare loom.avi --set 9 --start 100", "--fps leave fewer than the 4 frames that set9"),
+    ("compare short.avi --set 9", "short.avi: 3 frames, but set9 needs at least 4"),
+    ("layers loom.avi --frames 20,30", "loom.avi: frames 20, 30 are not in it; its last one is"),
+    ("layers loom.avi --frames 2 --start 0.4", "frame 2 is left out by --start, --end or --fps"),
+    ("layers loom.avi --video x.mp4 --end 0.05", "--start, --end and --fps leave fewer than"),
+    ("layers loom.avi --video x.mp4 --start 99", "--start, --end and --fps leave fewer than"),
+    ("sweep none.mp4 --x r=2,3 --y a=1,2", "none.mp4: there is no such file or folder"),
+    ("sweep text.mp4 --x r=2,3 --y a=1,2", "text.mp4: no frame could be decoded"),
+    ("sweep short.avi --set 9 --x sigma_e=1,2 --y a=1,2", "3 frames, but set9 needs at least 4."),
+    ("plot mp one/mp.csv", "is one file of a result. Give the folder that holds it."),
+    ("plot mp loom.avi", "Run 'dlgmd run"),
+    ("plot mp bare", "Run 'dlgmd run"),
+    ("plot mp none", "Run 'dlgmd run"),
+    ("info text.mp4", "text.mp4: no frame"),
+    ("info loom.avi --write-mask mask.png", "no pixels stay the same"),
+    ("batch bare", "bare: there is no video"),
+    ("batch none", "none: cannot be read (No such file"),
+]
+PAGES = [
+    ("view bare", "contains no result (no run.yaml or compare.yaml)"),
+    ("view none", "there is no such folder"),
+    ("view bare --labels missing.csv", "missing.csv"),
+]
+
+
+@pytest.fixture
+def refused(dlgmd, clips):
+    """Call a command in a folder with a few files: `refused(line)` -> code and error."""
+    for name in ("loom.avi", "short.avi"):
+        shutil.copy(clips / name, name)
+    for name, text in (("empty.mp4", ""), ("text.mp4", "hello")):
+        with open(name, "w") as file:
+            file.write(text)
+    os.mkdir("bare")
+    os.mkfifo("pipe")
+    make_result().save("one")
+
+    def call(line):
+        before = sorted(os.listdir("."))
+        result = dlgmd(*shlex.split(line))
+        assert sorted(os.listdir(".")) == before
+        *rest, error = result.stderr.splitlines()
+        assert error.startswith("Error: ") and "secret" not in result.stderr
+        usage = f"Usage: dlgmd {line.split()[0]} "
+        assert not rest or rest[0].startswith(usage) or line.startswith("info ")
+        return result.exit_code, error
+
+    return call
+
+
+@pytest.mark.parametrize(("line", "why"), WRONG_USAGE, ids=[line for line, _ in WRONG_USAGE])
+def test_wrong_usage_is_exit_2(refused, line, why):
+    code, error = refused(line)
+    assert code == 2 and why in error and len(error) < 1000
+
+
+@pytest.mark.parametrize(("line", "why"), FAILURES, ids=[line for line, _ in FAILURES])
+def test_a_failure_is_exit_1(refused, line, why):
+    code, error = refused(line)
+    assert code == 1 and why in error
+
+
+@pytest.mark.parametrize(("line", "why"), PAGES, ids=[line for line, _ in PAGES])
+def test_what_is_no_page(refused, line, why):
+    for package in ("jinja2", "plotly"):
+        pytest.importorskip(package, reason="pages need it")
+    code, error = refused(line)
+    assert code == 1 and why in error
