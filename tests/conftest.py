@@ -1,5 +1,6 @@
 """Tiny clips that are written once, and a way to call the command."""
 
+import csv
 import os
 import shutil
 import signal
@@ -9,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from dlgmd_cli import cancel
@@ -85,6 +87,17 @@ def result_of_level(level, **options):
     """A result whose `mp_abs` is `level`."""
     level = np.asarray(level, float)
     return make_result(100 * DlgmdParameters().kappa * level / (1.0 - level), **options)
+
+
+def csv_rows(path: Path):
+    """The rows of a CSV as mappings of text."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def yaml_of(path: Path):
+    """The content of a YAML file."""
+    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
 
 
 def read_video(path: Path):

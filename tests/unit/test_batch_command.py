@@ -8,8 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-import yaml
-from conftest import looming_frames, write_video
+from conftest import looming_frames, write_video, yaml_of
 
 from dlgmd_cli import cancel
 from dlgmd_cli.pool import DONE, FAILED, Outcome
@@ -102,10 +101,7 @@ def test_rows_and_files_are_those_of_run(dlgmd, flights, here):
     assert timeless("dlgmd-out/a/loom").keys() == timeless("single/loom").keys()
     for name in ("mp.csv", "attenuation.csv", "spikes.csv"):
         assert Path("dlgmd-out/a/loom", name).read_bytes() == Path("single/loom", name).read_bytes()
-    record, other = (
-        yaml.safe_load(Path(folder, "loom/run.yaml").read_text())
-        for folder in ("dlgmd-out/a", "single")
-    )
+    record, other = (yaml_of(f"{folder}/loom/run.yaml") for folder in ("dlgmd-out/a", "single"))
     assert record.pop("wall_s") > 0.0
     assert record == other
     row = summary()["a/loom.avi"]
@@ -133,7 +129,7 @@ def test_what_is_doubtful_is_said(dlgmd, clips, tmp_path, here):
     (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
     result = dlgmd("batch", "cut.avi", *QUICK, "--set", 1, "--set", 9)
     assert result.exit_code == 0
-    record = yaml.safe_load(Path("dlgmd-out/set9/cut/run.yaml").read_text())
+    record = yaml_of("dlgmd-out/set9/cut/run.yaml")
     (warning,) = record["warnings"]
     assert "frames" in warning and result.stderr == f"Warning: cut.avi: {warning}.\n"
     assert summary("dlgmd-out/set9")["cut.avi"]["error"] == ""
@@ -156,7 +152,7 @@ def test_what_is_done_is_skipped(dlgmd, flights, here):
     result = dlgmd("batch", flights, *QUICK)
     assert result.exit_code == 0 and set(summary()) == {"a/loom.avi", "a/deep/other.mp4"}
     assert dlgmd("batch", flights, *QUICK, "--force", "--set", 3).exit_code == 0
-    assert yaml.safe_load(record.read_text())["set"] == 3
+    assert yaml_of(record)["set"] == 3
 
 
 def test_a_changed_input_is_computed_again(dlgmd, flights, here):
@@ -296,7 +292,7 @@ def test_recorded_options_must_agree(dlgmd, clips, here):
     dlgmd("run", clips / "loom.avi", "--size", "16x12", "--out", "rec", "--no-plots")
     config = ("--config", "rec/loom/run.yaml")
     assert dlgmd("batch", clips / "loom.avi", *QUICK, *config).exit_code == 0
-    assert yaml.safe_load(Path("dlgmd-out/loom/run.yaml").read_text())["processed"]["width"] == 16
+    assert yaml_of("dlgmd-out/loom/run.yaml")["processed"]["width"] == 16
     result = dlgmd("batch", clips / "loom.avi", *QUICK, *config, "--set", 3)
     assert result.exit_code == 2 and "its recorded options differ" in result.stderr
     sized = (*config, "--set", 3, "--size", "8x8")

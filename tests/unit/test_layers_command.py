@@ -6,8 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import yaml
-from conftest import FPS, WIDTH, looming_frames, read_video, result_of_level
+from conftest import FPS, WIDTH, looming_frames, read_video, result_of_level, yaml_of
 
 from dlgmd_cli import DLGMD, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
@@ -18,7 +17,7 @@ FILES = {"layers.yaml", "layers.png"}
 
 
 def record(folder="dlgmd-out/loom"):
-    return yaml.safe_load(Path(folder, "layers.yaml").read_text(encoding="utf-8"))
+    return yaml_of(Path(folder, "layers.yaml"))
 
 
 @pytest.fixture
@@ -119,16 +118,6 @@ def test_the_sheet_joins_what_run_made(dlgmd, clips):
     assert dlgmd("layers", loom, *arguments).exit_code == 0
     assert record()["frames"] == [6] and Path("dlgmd-out/loom/run.yaml").exists()
     assert not Path("dlgmd-out/loom/layers.svg").exists()
-
-
-def test_a_folder_of_another_input_is_refused_or_emptied(dlgmd, clips):
-    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
-    arguments = ("layers", clips / "loom.mp4", "--frames", "5", "--no-plots")
-    result = dlgmd(*arguments)
-    assert result.exit_code == 2
-    assert "it holds the result of another input (run.yaml)" in result.stderr
-    assert dlgmd(*arguments, "--overwrite").exit_code == 0
-    assert os.listdir("dlgmd-out/loom") == ["layers.yaml"]
 
 
 def test_the_record_repeats_parameters_and_options(dlgmd, clips):

@@ -678,16 +678,23 @@ def test_datagrams(family, host):
     assert facts["frame"] == 7 and facts["event"] == "begin" and facts["alarm"] is True
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", ":5", "host:0", "host:70000", "host:x"])
-def test_addresses_that_are_none(text):
-    with pytest.raises(ParameterError, match="is not HOST:PORT"):
-        outputs.split_address(text, "--udp")
-
-
-@pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b"])
-def test_hosts_that_are_not_there(host):
-    with pytest.raises(ParameterError, match="cannot be found"):
-        outputs.Datagrams(f"{host}:5005")
+@pytest.mark.parametrize(
+    ("make", "given", "why"),
+    [
+        *(
+            (outputs.Datagrams, text, "is not HOST:PORT")
+            for text in ("", "host", "host:", ":5", "host:0", "host:70000", "host:x")
+        ),
+        (outputs.Datagrams, "no-such-host.invalid:5005", "cannot be found"),
+        (outputs.Datagrams, "a..b:5005", "cannot be found"),
+        (outputs.Programs, "no-such-program x", "no program"),
+        (outputs.Programs, "'a", "quot"),
+        (outputs.Programs, "", "no program"),
+    ],
+)
+def test_receivers_that_are_not_there(make, given, why):
+    with pytest.raises(ParameterError, match=why):
+        make(given)
 
 
 @pytest.mark.parametrize(
@@ -736,14 +743,6 @@ def test_programs_that_hang_or_fail(caplog):
     with pytest.raises(RuntimeError, match="no more are started"):
         hanging(answer())
     wait_for(start, hanging)
-
-
-@pytest.mark.parametrize(
-    ("command", "why"), [("no-such-program x", "no program"), ("'a", "quot"), ("", "no program")]
-)
-def test_programs_that_are_not_there(command, why):
-    with pytest.raises(ParameterError, match=why):
-        outputs.Programs(command)
 
 
 def test_mavlink_arrives_at_a_receiver():

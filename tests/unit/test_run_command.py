@@ -1,6 +1,5 @@
 """`dlgmd run`: its files, options, errors and exit codes."""
 
-import csv
 import json
 import math
 import os
@@ -10,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from conftest import FPS, N_FRAMES, looming_frames, write_video
+from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
 from dlgmd_cli import DLGMD, load_config, load_set, open_video
 from dlgmd_cli.errors import ParameterError
@@ -19,17 +18,8 @@ FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
 
 
-def read(path):
-    with open(path, newline="", encoding="ascii") as file:
-        return list(csv.DictReader(file))
-
-
-def number(text):
-    return float(text) if text else np.nan
-
-
 def column(path, name):
-    return np.array([number(row[name]) for row in read(path)])
+    return np.genfromtxt(path, delimiter=",", names=True)[name]
 
 
 def test_files_and_columns(dlgmd, clips, tmp_path):
@@ -89,8 +79,8 @@ def test_first_valid_row(dlgmd, clips, tmp_path, options, first):
         ("attenuation.csv", "s_sum"),
         ("spikes.csv", "level"),
     ]:
-        assert [row[name] == "" for row in read(folder / file)] == undefined
-    spikes = read(folder / "spikes.csv")
+        assert [row[name] == "" for row in csv_rows(folder / file)] == undefined
+    spikes = csv_rows(folder / "spikes.csv")
     assert {row["spike"] for row in spikes[:first]} == {"0"}
     assert all(row["threshold"] == "0.4" for row in spikes)
 
@@ -128,7 +118,7 @@ def test_engine(dlgmd, clips):
         result = dlgmd("run", clips / "loom.avi", "--no-plots", "--out", engine, "--engine", engine)
         assert result.exit_code == 0, result.output
         record = f"{engine}/loom/run.yaml"
-        assert yaml.safe_load(open_text(record))["engine"] == engine
+        assert yaml_of(record)["engine"] == engine
         again = ["--config", record, "--no-plots", "--out", "again", "--overwrite"]
         assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
         assert open_text("again/loom/run.yaml") == open_text(record)
@@ -165,7 +155,7 @@ def test_summary_as_json(dlgmd, clips):
     summary = json.loads(result.stdout)
     assert summary["result"] == os.path.join("dlgmd-out", "loom")
     assert summary["complete"] is True and summary["frames"] == N_FRAMES
-    record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
+    record = yaml_of("dlgmd-out/loom/run.yaml")
     assert record["summary"].items() <= summary.items()
 
 
@@ -177,7 +167,7 @@ def open_text(path):
 def test_run_yaml(dlgmd, clips):
     options = ["--set", 9, "--size", "20x16", "--param", "r=3"]
     dlgmd("run", clips / "loom.avi", "--no-plots", *options)
-    record = yaml.safe_load(open_text("dlgmd-out/loom/run.yaml"))
+    record = yaml_of("dlgmd-out/loom/run.yaml")
     assert record["input"] == {
         "path": str(clips / "loom.avi"),
         "name": "loom",
@@ -222,12 +212,12 @@ def test_run_yaml_repeats_the_run(dlgmd, clips, tmp_path):
         assert (tmp_path / "one/loom" / name).read_bytes() == (
             tmp_path / "two/loom" / name
         ).read_bytes()
-    rows = read(tmp_path / "one/loom/mp.csv")
+    rows = csv_rows(tmp_path / "one/loom/mp.csv")
     assert [int(row["frame"]) for row in rows] == list(range(3, 18, 2))
     # What the command line says goes before what the file recorded.
     over = ["--size", "16x12", "--out", "three", "--normalise", "absolute"]
     assert dlgmd("run", clips / "loom.avi", *again, *over).exit_code == 0
-    record = yaml.safe_load(open_text("three/loom/run.yaml"))
+    record = yaml_of("three/loom/run.yaml")
     assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
 
 
@@ -245,7 +235,7 @@ def test_folder_of_pictures(dlgmd, pictures, tmp_path):
     result = dlgmd("run", pictures, "--no-plots")
     assert result.exit_code == 0
     assert "Warning: " in result.stderr and "taken as 30 fps" in result.stderr
-    rows = read(tmp_path / "dlgmd-out" / pictures.name / "mp.csv")
+    rows = csv_rows(tmp_path / "dlgmd-out" / pictures.name / "mp.csv")
     assert [row["time_s"] for row in rows[:3]] == ["0", "0.0333333333", "0.0666666667"]
 
 
@@ -317,7 +307,7 @@ def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):
 def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
     assert dlgmd("run", clips / "loom.mp4", "--decoder", decoder, "--no-plots").exit_code == 0
     folder = tmp_path / "dlgmd-out/loom"
-    record = yaml.safe_load(open_text(folder / "run.yaml"))
+    record = yaml_of(folder / "run.yaml")
     assert record["input"]["decoder"] == record["options"]["decoder"] == decoder
     assert ("av" in record["versions"]) == (decoder == "pyav")
     again = dlgmd(
@@ -333,7 +323,7 @@ def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_pa
     assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
     assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
     for name in ("loom", pictures.name):
-        record = yaml.safe_load(open_text(tmp_path / "dlgmd-out" / name / "run.yaml"))
+        record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
         assert record["input"]["decoder"] == "opencv"
         assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
 
@@ -392,7 +382,7 @@ def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
     result = dlgmd("run", "cut.avi", "--no-plots")
     assert result.exit_code == 0
     assert "Warning: " in result.stderr and f"of about {N_FRAMES} frames" in result.stderr
-    record = yaml.safe_load(open_text("dlgmd-out/cut/run.yaml"))
+    record = yaml_of("dlgmd-out/cut/run.yaml")
     assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
 
 
@@ -402,7 +392,7 @@ def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
     assert result.exit_code == 0
     assert ("read it with --decoder pyav" in result.stderr) == (decoder == "opencv")
     assert "Warning: still.avi: no frame differs from the one before it" in result.stderr
-    rows = read(tmp_path / "dlgmd-out/still/attenuation.csv")
+    rows = csv_rows(tmp_path / "dlgmd-out/still/attenuation.csv")
     assert {row["attenuation_db"] for row in rows} == {""}  # undefined where nothing changes
     assert {row["s_sum"] for row in rows[3:]} == {"0"}
 
@@ -423,9 +413,9 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
     assert "holds the 8 frames processed before the interruption." in result.stderr
     folder = tmp_path / "dlgmd-out/loom"
     assert set(os.listdir(folder)) == FILES | PLOTS
-    record = yaml.safe_load(open_text(folder / "run.yaml"))
+    record = yaml_of(folder / "run.yaml")
     assert record["complete"] is False and record["input"]["frames"] == 8
-    assert len(read(folder / "mp.csv")) == 8
+    assert len(csv_rows(folder / "mp.csv")) == 8
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
@@ -464,10 +454,9 @@ def test_other_models(dlgmd, clips, tmp_path):
         result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name, "--no-plots")
         assert result.exit_code == 0, result.output
         folder = tmp_path / name / "loom"
-        record = yaml.safe_load((folder / "run.yaml").read_text(encoding="utf-8"))
+        record = yaml_of(folder / "run.yaml")
         assert record["model"] == name and record["engine"] == "opencv"
-        with (folder / "mp.csv").open(newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["mp"]]
+        rows = [row for row in csv_rows(folder / "mp.csv") if row["mp"]]
         for row in rows:
             mean = float(row["mp"]) / (32 * 24)
             if name == "lgmd":
@@ -488,25 +477,25 @@ def test_the_default_is_the_preset_which_a_record_repeats(dlgmd, tmp_path):
     write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
     for out, options in (("a", []), ("b", ["--config", "flight"]), ("s", ["--set", 3])):
         assert dlgmd("run", "wide.avi", *options, "--no-plots", "--out", out).exit_code == 0
-    record = yaml.safe_load(open_text("a/wide/run.yaml"))
+    record = yaml_of("a/wide/run.yaml")
     assert (record["preset"], record["width_px"], record["model_fps"]) == ("flight", 240, 30.0)
     assert record["processed"] == {"width": 240, "height": 135, "frames": 12}
     assert open_text("a/wide/run.yaml") == open_text("b/wide/run.yaml")
-    other = yaml.safe_load(open_text("s/wide/run.yaml"))
+    other = yaml_of("s/wide/run.yaml")
     assert other["processed"]["width"] == other["width_px"] == 480 and "preset" not in other
     again = ["--config", "a/wide/run.yaml", "--no-plots", "--out", "again"]
     assert dlgmd("run", "wide.avi", *again).exit_code == 0
     for name in FILES:
         assert open_text(f"again/wide/{name}") == open_text(f"a/wide/{name}")
     assert dlgmd("run", "wide.avi", *again, "--size", "64x36", "--overwrite").exit_code == 0
-    assert yaml.safe_load(open_text("again/wide/run.yaml"))["processed"]["width"] == 64
+    assert yaml_of("again/wide/run.yaml")["processed"]["width"] == 64
 
 
 def test_models_of_several_widths_share_a_decoding(dlgmd, tmp_path):
     write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
     result = dlgmd("compare", "wide.avi", "--config", "flight", "--set", 3, "--no-plots")
     assert result.exit_code == 0, result.output
-    models = yaml.safe_load(open_text("dlgmd-out/wide/compare.yaml"))["models"]
+    models = yaml_of("dlgmd-out/wide/compare.yaml")["models"]
     assert [(one["label"], one["width"]) for one in models] == [("set3", 480), ("flight", 240)]
 
 

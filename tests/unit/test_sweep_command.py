@@ -1,6 +1,5 @@
 """`dlgmd sweep`: its numbers are those of `run`, and it says what it does."""
 
-import csv
 import json
 import math
 import os
@@ -9,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from conftest import N_FRAMES, looming_frames, write_video
+from conftest import N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
 from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.runs import sweep as sweeps
@@ -21,13 +19,8 @@ SMALL = ["--size", "40x30", "--cube-size", 8, "--jobs", 1]
 TINY = [*SMALL, "--x", "sigma_e=0.5,1", "--y", "sigma_i=1.5:2.5:0.5"]
 
 
-def rows(path):
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def record(folder):
-    return yaml.safe_load(Path(folder, "sweep.yaml").read_text(encoding="utf-8"))
+    return yaml_of(Path(folder, "sweep.yaml"))
 
 
 def succeed(dlgmd, *arguments):
@@ -46,7 +39,7 @@ def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(dlgmd, monk
     assert set(os.listdir(CUBES)) == FILES | {"sweep.svg"}
     assert os.listdir("dlgmd-out") == ["sweep-translating-cubes"]
     assert result.stdout.splitlines()[-1] == CUBES
-    before, found = Path(CUBES, "sweep.csv").read_bytes(), rows(f"{CUBES}/sweep.csv")
+    before, found = Path(CUBES, "sweep.csv").read_bytes(), csv_rows(f"{CUBES}/sweep.csv")
     assert list(found[0]) == ["sigma_e", "sigma_i", "speed_px", "attenuation_db"]
     assert len(found) == 2 * 3 * 4
     keys = [(row["speed_px"], row["sigma_i"], row["sigma_e"]) for row in found]
@@ -61,7 +54,7 @@ def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(dlgmd, monk
 def test_attenuation_is_that_of_the_paper_s_fig_11(dlgmd):
     grid = ["--x", "sigma_e=1.1", "--y", "sigma_i=1.5"]
     succeed(dlgmd, "sweep", *grid, "--no-plots")
-    found = [round(float(row["attenuation_db"]), 1) for row in rows(f"{CUBES}/sweep.csv")]
+    found = [round(float(row["attenuation_db"]), 1) for row in csv_rows(f"{CUBES}/sweep.csv")]
     assert found == [-12.8, -0.8, 1.4, 2.3]
     cubes = {"speeds_px": [1.0, 2.0, 3.0, 4.0], "side_px": 40.0, "frames": 41}
     assert record(CUBES)["sweep"]["cubes"] == {**cubes, "width": 200, "height": 150}
@@ -70,7 +63,7 @@ def test_attenuation_is_that_of_the_paper_s_fig_11(dlgmd):
 def test_cubes_are_what_run_says_of_their_clip(dlgmd):
     grid = ["--x", "sigma_e=1.1", "--y", "r=4,9", "--speed", 3, "--param", "sigma_i=1.5"]
     succeed(dlgmd, "sweep", *grid, "--no-plots", "--jobs", 1)
-    found = {int(r["r"]): r["attenuation_db"] for r in rows(f"{CUBES}/sweep.csv")}
+    found = {int(r["r"]): r["attenuation_db"] for r in csv_rows(f"{CUBES}/sweep.csv")}
     clip = "synth translating-cubes --speed 3 --size 200x150 --contrast -1 --background 1"
     succeed(dlgmd, *clip.split(), "--object-size", 40, "--frames", 53, "--lossless")
     changed = {"alpha": 0, "beta": 0, "lam": 0, "sigma_e": 1.1, "sigma_i": 1.5, "r": 4}
@@ -87,7 +80,7 @@ SEQUENCE += ["--param", "kappa=100", "--param", "n_sp=1"]
 def test_a_video_is_what_run_says(dlgmd, clips, options):
     grid = ["--x", "r=2:6:2", "--y", "sigma_i=1,5", "--param", "a=0.8", "--jobs", 1]
     succeed(dlgmd, "sweep", clips / "loom.avi", *grid, *options, "--no-plots")
-    found = {(r["r"], r["sigma_i"]): r for r in rows("dlgmd-out/sweep-loom/sweep.csv")}
+    found = {(r["r"], r["sigma_i"]): r for r in csv_rows("dlgmd-out/sweep-loom/sweep.csv")}
     assert list(found) == [(r, s) for s in ("1", "5") for r in ("2", "4", "6")]
     columns = list(found["2", "1"])
     assert columns == ["r", "sigma_i", *sweeps.RESPONSE_COLUMNS]
@@ -98,7 +91,7 @@ def test_a_video_is_what_run_says(dlgmd, clips, options):
         value = summary[column]
         assert row[column] == ("" if value is None else f"{value:.9g}"), column
     assert row["first_alarm_frame"] != "" or not options
-    mp = [float(line["mp"]) for line in rows("dlgmd-out/loom/mp.csv")[3:] if line["mp"]]
+    mp = [float(line["mp"]) for line in csv_rows("dlgmd-out/loom/mp.csv")[3:] if line["mp"]]
     assert float(row["sharpness"]) == pytest.approx(np.mean(mp) / max(mp), rel=1e-6)
     assert row["distinguishability"] == ""
 
@@ -109,7 +102,7 @@ def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
     grid = ["--set", 9, "--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
     result = succeed(dlgmd, "sweep", "late.avi", *grid, "--no-plots", "--false-positive-frame", 5)
     assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
-    found = [row["distinguishability"] for row in rows("dlgmd-out/sweep-late/sweep.csv")]
+    found = [row["distinguishability"] for row in csv_rows("dlgmd-out/sweep-late/sweep.csv")]
     assert found == ["inf", "inf", "", ""]
 
 
@@ -118,7 +111,9 @@ def test_points_that_are_not_possible_are_cells_without_a_value(dlgmd):
     result = succeed(dlgmd, "sweep", *SMALL, *grid, "--no-plots")
     warnings = [line for line in result.stderr.splitlines() if line.startswith("Warning")]
     assert warnings == ["Warning: 2 of 4 points cannot be computed: sigma_e = 0.0 is not above 0."]
-    found = {(r["alpha"], r["sigma_e"]): r["attenuation_db"] for r in rows(f"{CUBES}/sweep.csv")}
+    found = {
+        (r["alpha"], r["sigma_e"]): r["attenuation_db"] for r in csv_rows(f"{CUBES}/sweep.csv")
+    }
     assert [bool(value) for value in found.values()] == [False, False, True, True]
     assert record(CUBES)["summary"] == {"points": 4, "computed": 2, "impossible": 2}
 
@@ -126,7 +121,7 @@ def test_points_that_are_not_possible_are_cells_without_a_value(dlgmd):
 def test_nothing_passes_is_minus_infinity(dlgmd):
     grid = ["--x", "sigma_e=0.2,1.4", "--y", "sigma_i=5", "--speed", 1, "--set", 9]
     succeed(dlgmd, "sweep", *grid, "--no-plots", "--jobs", 1)
-    first, second = (row["attenuation_db"] for row in rows(f"{CUBES}/sweep.csv"))
+    first, second = (row["attenuation_db"] for row in csv_rows(f"{CUBES}/sweep.csv"))
     assert math.isfinite(float(first)) and second == "-inf"
 
 
@@ -220,7 +215,7 @@ def test_warnings_of_the_input_are_kept(dlgmd, tmp_path):
         result = succeed(dlgmd, "sweep", *options)
         assert "Warning: still.avi: no frame differs from the one before it" in result.stderr
     assert len(record("dlgmd-out/sweep-still")["warnings"]) == 1
-    found = rows("dlgmd-out/sweep-still/sweep.csv")
+    found = csv_rows("dlgmd-out/sweep-still/sweep.csv")
     assert {(r["mp_max"], r["sharpness"], r["mean_attenuation_db"]) for r in found} == {
         ("0", "", "")
     }
