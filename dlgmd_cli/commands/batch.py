@@ -195,11 +195,11 @@ def batch(
     from dlgmd_cli.runs.batch import Job
 
     _check_scheduler(scheduler, jobs, timeout_s)
-    options, places = _options(setups, given), _places(setups, out)
+    options, labels = _options(setups, given), [one.label for one in setups]
+    places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
     found = _find(folders, out, exclude)
-    labels = [one.label for one in setups]
     formats = () if no_plots else tuple(dict.fromkeys(formats))
-    job = Job(tuple(setups), places, options, formats, dpi, overwrite or force)
+    job = Job(tuple(setups), tuple(places), options, formats, dpi, overwrite or force)
     if dry_run:
         _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
         return
@@ -232,14 +232,6 @@ def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
                 "Give them on the command line, or run this model alone.",
             )
     return every[0]
-
-
-def _places(setups: "list[Setup]", out: str) -> tuple[str, ...]:
-    from dlgmd_cli.results.store import place
-
-    if len(setups) == 1:
-        return (out,)
-    return tuple(str(place(out) / one.label) for one in setups)
 
 
 def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Found":

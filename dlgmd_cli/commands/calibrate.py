@@ -119,6 +119,7 @@ def calibrate(
     """
     from dlgmd_cli.lab.evaluation import calibration
     from dlgmd_cli.lab.evaluation.cases import read_cases, run_cases
+    from dlgmd_cli.lab.evaluation.report import scores_json
     from dlgmd_cli.lab.evaluation.search import Search, parse_range
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.setup import input_options as recorded
@@ -154,7 +155,13 @@ def calibrate(
         result = calibration.calibrate(experiment, evaluation.signals(setup.label), trials)
         store.write_text(path, _preset(result, experiment, labels_path.name, ranges, n_trials))
         if as_json:
-            print_json({"preset": str(path), **_facts(result), "failed": evaluation.failed})
+            choices = [{"n_sp": one.n_sp, "excitation": one.threshold} for one in result.choices]
+            found_out = {
+                "parameters": result.setup.settings(),
+                **{key: scores_json(one) for key, one in result.scores.items()},
+                "folds": choices,
+            }
+            print_json({"preset": str(path), **found_out, "failed": evaluation.failed})
         else:
             _show(result, experiment)
             print_path(path)
@@ -224,16 +231,6 @@ def _sentence(scores: "Scores") -> str:
 
     recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
     return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
-
-
-def _facts(found: "Calibration") -> dict[str, Any]:
-    from dlgmd_cli.lab.evaluation.report import scores_json
-
-    return {
-        "parameters": found.setup.settings(),
-        **{name: scores_json(one) for name, one in found.scores.items()},
-        "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in found.choices],
-    }
 
 
 def _show(found: "Calibration", experiment: "Experiment") -> None:

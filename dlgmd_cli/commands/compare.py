@@ -23,10 +23,8 @@ from dlgmd_cli.commands.options import (
     engine_option,
     input_argument,
     input_options,
-    json_option,
-    output_options,
+    report_options,
     setup_options,
-    width_option,
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.names import distinct_names, numbered
@@ -121,17 +119,13 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
 )
 @input_options
 @annotation_options
-@width_option
-@output_options
-@json_option
+@report_options
 def compare(
     input_path: str,
     setups: "list[Setup]",
     given: dict[str, Any],
     annotations: "Annotations",
-    width: Any,
     output: Output,
-    as_json: bool,
 ) -> None:
     """Run several models over one video.
 
@@ -158,9 +152,9 @@ def compare(
         one.warn(warnings)
         record = _record(results, warnings, annotations)
         column = "mp_abs" if options.normalise == "absolute" else "mp_seq"
-        look = {"annotations": annotations, "column": column, "width": width}
+        look = {"annotations": annotations, "column": column, "width": output.width}
         one.commit(_files(results, record, output, look))
-    _show(record, one.folder, as_json)
+    _show(record, one.folder, output.as_json)
     end_if_interrupted(one.folder, len(found[0]), complete=record["complete"])
 
 

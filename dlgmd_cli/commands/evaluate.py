@@ -24,13 +24,11 @@ from dlgmd_cli.commands.options import (
     formulation_option,
     input_options,
     jobs_option,
-    json_option,
     numeric,
     option_group,
-    output_options,
     param_option,
+    report_options,
     setup_options,
-    width_option,
 )
 from dlgmd_cli.commands.progress import progress
 
@@ -95,9 +93,7 @@ rule_options = option_group(
     help="Also score two baselines: the sum of P, and the divergence of optical flow.",
 )
 @jobs_option
-@width_option
-@output_options
-@json_option
+@report_options
 def evaluate(
     labels_path: Path,
     setups: "list[Setup]",
@@ -106,9 +102,7 @@ def evaluate(
     rules: dict[str, float],
     baselines: bool,
     jobs: int | None,
-    width: Any,
     output: Output,
-    as_json: bool,
 ) -> None:
     """Score how well alarms announce labelled collisions.
 
@@ -158,11 +152,11 @@ def evaluate(
         }
         files = report.tables()
         if output.formats:
-            files |= _figures(report, rules, output, width)
+            files |= _figures(report, rules, output)
         files[RECORD] = store.file_of(record_text(record, []))
         undrawn = store.write_files(output.out, files, record=RECORD)
         warn_undrawn(output.out, undrawn)
-        if as_json:
+        if output.as_json:
             facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
             print_json(facts)
         else:
@@ -243,9 +237,7 @@ def _described(one: "Candidate") -> dict[str, Any]:
     return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}
 
 
-def _figures(
-    report: "Report", rules: dict[str, float], output: Output, width: Any
-) -> "Mapping[str, Write]":
+def _figures(report: "Report", rules: dict[str, float], output: Output) -> "Mapping[str, Write]":
     from dlgmd_cli.lab.evaluation.report import DEFAULT
     from dlgmd_cli.lab.plots.evaluation import leads, trade_off
     from dlgmd_cli.plots.style import figure_files
@@ -256,9 +248,10 @@ def _figures(
         row = report.row(label, DEFAULT)
         if row is not None:
             points[label] = row["false_alarms_per_min"], row["recall"]
+    most, horizon_s, width = rules["max_false_per_min"], rules["horizon_s"], output.width
     figures = {
-        "evaluate-trade-off": partial(trade_off, curves, points, rules["max_false_per_min"], width),
-        "evaluate-leads": partial(leads, report.leads_s, rules["horizon_s"], width),
+        "evaluate-trade-off": partial(trade_off, curves, points, most, width),
+        "evaluate-leads": partial(leads, report.leads_s, horizon_s, width),
     }
     return figure_files(figures, output.formats, output.dpi)
 

@@ -1,6 +1,5 @@
 """`dlgmd info`: describe videos, and suggest options for a run."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,7 +92,11 @@ def info(
             continue
         found.append(_facts(facts))
         if not as_json:
-            _show(facts, found[-1]["advice"])
+            print_table(("", printable(facts.path)), _rows(facts))
+            for line in found[-1]["advice"]:
+                click.echo(printable(line))
+            for warning in facts.warnings:
+                warn(f"{facts.path}: {warning}")
         if mask_path is not None:
             _write_mask(mask_path, facts, overwrite=overwrite)
     if as_json:
@@ -117,15 +120,6 @@ def _write_mask(path: Path, facts: "Survey", *, overwrite: bool) -> None:
     _, encoded = cv2.imencode(".png", np.where(facts.mask, np.uint8(0), np.uint8(255)))
     write = partial(Path.write_bytes, data=encoded.tobytes())
     write_files({path: write}, overwrite=overwrite, option="--write-mask")
-
-
-def _show(facts: "Survey", advice: Sequence[str]) -> None:
-    """Print the facts and the advice on stdout, the warnings on stderr."""
-    print_table(("", printable(facts.path)), _rows(facts))
-    for line in advice:
-        click.echo(printable(line))
-    for warning in facts.warnings:
-        warn(f"{facts.path}: {warning}")
 
 
 def _rows(facts: "Survey") -> list[tuple[str, str]]:

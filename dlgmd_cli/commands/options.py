@@ -366,18 +366,21 @@ input_options = option_group(
 
 @dataclass(frozen=True)
 class Output:
-    """The folder of the results, and the formats (none: no plots) and resolution of the plots."""
+    """The folder of the results; the formats (none: no plots), resolution and width of the plots.
+
+    `as_json` says whether a JSON object is printed instead of tables.
+    """
 
     out: Path
     formats: tuple[str, ...]
     dpi: int
     overwrite: bool
+    as_json: bool = False
+    width: Any = "one"
 
 
-def _output(
-    out: str, formats: tuple[str, ...], dpi: int, no_plots: bool, overwrite: bool
-) -> Output:
-    return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), dpi, overwrite)
+def _output(out: str, formats: tuple[str, ...], no_plots: bool, **more: Any) -> Output:
+    return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), **more)
 
 
 def _not_empty(ctx: click.Context, param: click.Parameter, value: str) -> str:
@@ -416,9 +419,6 @@ dpi_option = click.option(
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
-output_options = option_group(
-    "output", _output, out_option, format_option, dpi_option, no_plots_option, overwrite_option
-)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )
@@ -435,3 +435,7 @@ width_option = click.option(
     show_default=True,
     help="Width of the figures, in columns of a paper.",
 )
+_OUTPUT = (out_option, format_option, dpi_option, no_plots_option, overwrite_option)
+output_options = option_group("output", _output, *_OUTPUT)
+run_output_options = option_group("output", _output, *_OUTPUT, json_option)
+report_options = option_group("output", _output, *_OUTPUT, json_option, width_option)

@@ -18,9 +18,8 @@ from dlgmd_cli.commands.options import (
     Output,
     input_argument,
     input_options,
-    json_option,
     model_options,
-    output_options,
+    run_output_options,
 )
 
 if TYPE_CHECKING:
@@ -35,11 +34,8 @@ if TYPE_CHECKING:
 @input_argument
 @model_options
 @input_options
-@output_options
-@json_option
-def run(
-    input_path: str, setup: "Setup", given: dict[str, Any], output: Output, as_json: bool
-) -> None:
+@run_output_options
+def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) -> None:
     """Run a model over a video.
 
     INPUT is a video file, a folder of pictures, a quoted pattern such as 'frames/%04d.png' or
@@ -61,7 +57,7 @@ def run(
             detail(line)
         runs.require_response(one.video, [setup], [result], options)
         one.commit(result.files(output.formats, output.dpi))
-    _show(result, one.folder, as_json)
+    _show(result, one.folder, output.as_json)
     end_if_interrupted(one.folder, len(result), complete=result.record["complete"])
 
 

@@ -28,11 +28,9 @@ from dlgmd_cli.commands.options import (
     engine_option,
     input_options,
     jobs_option,
-    json_option,
     option_group,
     optional_input_argument,
-    output_options,
-    width_option,
+    report_options,
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.parameters import Parameters, parse_overrides
@@ -95,9 +93,7 @@ cube_options = option_group(
 @option_group("asked", dict, *ONE_MODEL, engine_option)
 @input_options
 @jobs_option
-@width_option
-@output_options
-@json_option
+@report_options
 def sweep(
     input_path: str | None,
     x: str,
@@ -107,9 +103,7 @@ def sweep(
     asked: dict[str, Any],
     given: dict[str, Any],
     jobs: int | None,
-    width: Any,
     output: Output,
-    as_json: bool,
 ) -> None:
     """Run a model over a grid of values of two parameters.
 
@@ -158,10 +152,10 @@ def sweep(
             from dlgmd_cli.plots.sweeps import plot_sweep
 
             figures = figure_files(
-                {FIGURE: partial(plot_sweep, result, width)}, output.formats, output.dpi
+                {FIGURE: partial(plot_sweep, result, output.width)}, output.formats, output.dpi
             )
         warn_undrawn(folder, swept.finish(figures))
-    if as_json:
+    if output.as_json:
         facts = {"result": str(folder), "complete": True, "points": n_points}
         print_json({**facts, "warnings": swept.warnings, "measures": result.facts()})
     else:

@@ -123,7 +123,8 @@ class PageServer:
         address, port = self._socket.getsockname()[:2]
         is_local = ipaddress.ip_address(address).is_loopback
         self._token = "" if is_local else secrets.token_urlsafe(16)
-        name = _in_url(host if is_local else _reachable(address, self._socket.family))
+        name = host if is_local else _reachable(address, self._socket.family)
+        name = f"[{name}]" if ":" in name else name
         self.url = f"http://{name}:{port}/" + (f"?token={self._token}" if self._token else "")
         self._names = {"localhost", "127.0.0.1", "[::1]", name.lower()}
 
@@ -330,10 +331,6 @@ def _reachable(address: str, family: int) -> str:
         except OSError:
             return socket.gethostname()
         return str(probe.getsockname()[0])
-
-
-def _in_url(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
 
 
 def _policy(page: str) -> str:

@@ -62,7 +62,9 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for path in paths:
         for folder in _below(path) if path in batches else [path]:
             for one in _read(folder):
-                by_input.setdefault(_identity(one.result), []).append(one)
+                known = one.result.record["input"]
+                same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+                by_input.setdefault(same, []).append(one)
     for path in batches:
         failed += _failures(path)
     inputs = []
@@ -156,12 +158,6 @@ def _labelled(results: Sequence[LabelledResult]) -> tuple[LabelledResult, ...]:
 def _place(result: Result) -> Path:
     known = result.record["input"]
     return picture_folder(known["path"]) if "pictures" in known else Path(known["path"])
-
-
-def _identity(result: Result) -> tuple[Any, ...]:
-    """The facts that identify the input of a result."""
-    known = result.record["input"]
-    return tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
 
 
 def _failures(folder: Path) -> list[tuple[str, str]]:
