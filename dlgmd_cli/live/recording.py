@@ -1,20 +1,19 @@
-"""A result that grows frame by frame in its files, and never in memory."""
+"""A result that grows frame by frame in its files; memory holds some three hours of it."""
 
 import logging
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from dlgmd_cli.errors import OutputError, ResultError
+from dlgmd_cli.errors import OutputError
 from dlgmd_cli.live.watch import BLIND, SEES, Answer, Sight
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.results.rows import rows_of
+from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
 from dlgmd_cli.video.live import LiveSource
@@ -22,8 +21,8 @@ from dlgmd_cli.video.options import InputOptions
 
 _log = logging.getLogger(__name__)
 
-# Some three hours; these take two seconds.
-_MAX_READ = 300_000
+# Some three hours: 26 MB, and mp.csv takes a third of a second to write again.
+_MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
 
 
@@ -33,7 +32,7 @@ class Recording:
     The record, run.yaml, is there from the first frame on and says ``complete: false`` until the
     context ends without an exception: the rows of a killed process can be read. (After a power
     failure, the last seconds may be missing.) `mp_seq` and the summary need the whole sequence:
-    they are empty until then, and stay so after some three hours, which take too long to read.
+    they are empty until then, and stay so in recordings of more than some three hours.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -67,7 +66,7 @@ class Recording:
         self._options, self._alarm, self._sight = options, alarm, sight
         self.has_failed = False
         self._summary: dict[str, Any] = {}
-        self._n_rows, self._last = 0, (-1, 0.0)
+        self._rows, self._n_rows, self._last = RowList(), 0, (-1, 0.0)
         self._files: dict[str, TextIO] = {}
 
     @property
@@ -96,7 +95,7 @@ class Recording:
         with self._failing():
             for file in self._files.values():
                 file.close()
-            if self._n_rows <= _MAX_READ:
+            if self._n_rows <= _MAX_HELD:
                 self._write_whole()
             self._write_record(complete=kind is None)
 
@@ -106,7 +105,7 @@ class Recording:
         try:
             with store.writing(self._folder):
                 yield
-        except (OutputError, ResultError) as error:
+        except OutputError as error:
             self.has_failed = True
             _log.warning("the recording has ended: %s %s", error.what, error.why)
             for file in self._files.values():
@@ -142,14 +141,28 @@ class Recording:
             self._files[name].write(",".join(map(csv.cell, values)) + "\n")
             self._files[name].flush()
         self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
+        if self._n_rows <= _MAX_HELD:
+            self._rows.append(answer.frame, found)
+        else:
+            self._rows = RowList()
 
     def _write_whole(self) -> None:
-        """Read the rows again for the summary, and write mp.csv with its column `mp_seq`."""
-        paths = {name: self._folder / name for name in ("mp.csv", "attenuation.csv")}
-        mp, others = (csv.read_columns(path, csv.TABLES[name]) for name, path in paths.items())
-        result = Result(rows_of({**others, **mp}), self._setup.params, self._record())
+        """Find the summary, and copy mp.csv, line by line, with its column `mp_seq`."""
+        result = Result(self._rows.rows(), self._setup.params, self._record())
         self._summary = result.summary
-        write = partial(csv.write_columns, columns={**mp, "mp_seq": result.mp_seq})
+        place = csv.TABLES["mp.csv"].index("mp_seq")
+
+        def write(path: Path) -> None:
+            with (
+                (self._folder / "mp.csv").open(encoding="utf-8", newline="") as before,
+                path.open("w", encoding="utf-8", newline="") as after,
+            ):
+                after.write(next(before))
+                for line, value in zip(before, result.mp_seq, strict=True):
+                    cells = line.rstrip("\n").split(",")
+                    cells[place] = csv.cell(value)
+                    after.write(",".join(cells) + "\n")
+
         store.write_files(self._folder, {"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:

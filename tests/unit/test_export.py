@@ -60,22 +60,6 @@ def test_costs_in_json_table_and_header(dlgmd, tmp_path):
     assert f"{facts['ram_bytes']:,}" in dlgmd("export", "c", "--set", 9, "--overwrite").stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--model", "lgmd"], "there is no C version of the model lgmd. Only dlgmd and"),
-        (["--model", "dlgmd-onoff"], "there is no C version of the model dlgmd-onoff."),
-        (["--size", "15x40"], "Invalid value for '--size': 15x40 is out of range. Choose sides"),
-        (["--size", "640x480"], "at most 262143 cells"),
-        (["--size", "big"], "'big' is not WIDTHxHEIGHT"),
-        (["--set", "9", "--formulation", "equations", "--fixed"], "--fixed: G has no upper bound"),
-    ],
-)
-def test_what_cannot_be_exported(dlgmd, tmp_path, arguments, message):
-    result = dlgmd("export", "c", *arguments)
-    assert result.exit_code == 2 and message in result.stderr and not list(tmp_path.iterdir())
-
-
 def rough_frames(width, height):
     """Looming frames with noise, a flicker, and stretches of black and white."""
     rng = np.random.default_rng(5)

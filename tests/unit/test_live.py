@@ -844,6 +844,15 @@ def test_a_new_column_of_the_tables_is_recorded(tmp_path, monkeypatch):
     assert np.nanmax(columns["mp_seq"]) == pytest.approx(1.0)
 
 
+def test_a_long_recording_is_whole_but_for_what_needs_all_of_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("dlgmd_cli.live.recording._MAX_HELD", 5)
+    assert len(list(recorded(looming_frames(20, 64, 48), tmp_path / "r"))) == 20
+    columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
+    assert len(columns) == 20 and np.isnan(columns["mp_seq"]).all()
+    result = read_result(tmp_path / "r")
+    assert result.record["complete"] and result.summary["mp_max_frame"] == 19
+
+
 def test_the_record_says_how_long_a_recording_was_blind(tmp_path):
     for _ in recorded([*NOISE[:30], *BLACK[:60]], tmp_path / "r"):
         pass
