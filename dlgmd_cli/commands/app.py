@@ -8,12 +8,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands.console import (
-    Group,
-    Settings,
-    errors_as_one_line,
-    show_traceback,
-)
+from dlgmd_cli.commands.console import Group, Settings, errors_as_one_line, show_traceback
 
 COMMANDS = (
     "run",

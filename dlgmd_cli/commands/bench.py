@@ -18,6 +18,7 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.parameters import load_set
 
 # Title of a column: key of the row, format.
 _COLUMNS = {
@@ -101,32 +102,24 @@ def bench(
     camera. Shows the time per frame of the core (the model alone), of decoding (with conversion to
     grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
-    from dlgmd_cli.lab.benchmark import (
-        PAPER_SIZE_WH,
-        RADII,
-        SCALES,
-        TABLE_IV_SET,
-        measure,
-        rendered_pan,
-    )
-    from dlgmd_cli.parameters import load_set
+    from dlgmd_cli.lab import benchmark as paper
     from dlgmd_cli.results.store import refuse_existing, replacing
     from dlgmd_cli.video.opening import open_video
 
-    radii = tuple(dict.fromkeys(radii)) or RADII
-    scales = tuple(dict.fromkeys(scales)) or SCALES
+    radii = tuple(dict.fromkeys(radii)) or paper.RADII
+    scales = tuple(dict.fromkeys(scales)) or paper.SCALES
     with ExitStack() as opened:
         if csv_path is not None:  # an unwritable folder fails at once, not after minutes
             refuse_existing(csv_path, overwrite=overwrite, option="--csv")
             stage = opened.enter_context(replacing(csv_path.parent, option="--csv"))
         clip = input_path
         if clip is None:
-            say(f"Rendering {n_frames} frames of {PAPER_SIZE_WH[0]}x{PAPER_SIZE_WH[1]}.")
-            clip = opened.enter_context(rendered_pan(n_frames))
+            say("Rendering {} frames of {}x{}.".format(n_frames, *paper.PAPER_SIZE_WH))
+            clip = opened.enter_context(paper.rendered_pan(n_frames))
         with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
-            measured = measure(
+            measured = paper.measure(
                 partial(open_video, clip, max_frames=n_frames, decoder=decoder or "opencv"),
-                load_set(TABLE_IV_SET),
+                load_set(paper.TABLE_IV_SET),
                 radii=radii,
                 scales=scales,
                 repeats=repeats,

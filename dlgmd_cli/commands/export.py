@@ -7,12 +7,7 @@ import click
 
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
 from dlgmd_cli.commands.frame import write_files
-from dlgmd_cli.commands.options import (
-    SIZE,
-    json_option,
-    overwrite_option,
-    parameter_options,
-)
+from dlgmd_cli.commands.options import SIZE, json_option, overwrite_option, parameter_options
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup

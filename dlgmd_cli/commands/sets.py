@@ -4,7 +4,20 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands.console import Command, Group, print_table
-from dlgmd_cli.parameters import MODELS, PRESETS, DlgmdParameters, preset_names
+from dlgmd_cli.parameters import (
+    MODELS,
+    PRESETS,
+    Config,
+    DlgmdParameters,
+    find_model,
+    installed_models,
+    load_config,
+    load_model_preset,
+    load_preset,
+    load_set,
+    parameters_of,
+    preset_names,
+)
 
 _SHOWN = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "t0", "kappa")
 
@@ -38,8 +51,6 @@ def sets(ctx: click.Context) -> None:
     """
     if ctx.invoked_subcommand is not None:
         return
-    from dlgmd_cli.parameters import load_set
-
     specs = DlgmdParameters.specs()
     header = ("set", *(specs[key].symbol for key in _SHOWN))
     rows = []
@@ -74,16 +85,6 @@ def show(name: str) -> None:
     NAME is a set (1 to 9), the preset flight, or a model such as lgmd or package.module:Class.
     """
     import yaml
-
-    from dlgmd_cli.parameters import (
-        Config,
-        find_model,
-        installed_models,
-        load_config,
-        load_model_preset,
-        load_preset,
-        parameters_of,
-    )
 
     if name in PRESETS:
         config, origin = load_config(name), f"The preset {name}, the default."

@@ -8,14 +8,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
-from dlgmd_cli.commands.console import (
-    Command,
-    Failed,
-    print_path,
-    print_table,
-    say,
-    settings,
-)
+from dlgmd_cli.commands.console import Command, Failed, print_path, print_table, say, settings
 from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,

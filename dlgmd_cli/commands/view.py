@@ -10,13 +10,7 @@ from urllib.parse import quote
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import (
-    FRAME,
-    complete_file,
-    file_ending,
-    numeric,
-    overwrite_option,
-)
+from dlgmd_cli.commands.options import FRAME, complete_file, file_ending, numeric, overwrite_option
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name

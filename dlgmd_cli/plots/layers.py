@@ -8,15 +8,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.heat import INPUT_SCALE, FloatImage, Scale, add_bar, strongest
-from dlgmd_cli.plots.style import (
-    GREY,
-    LIGHT_GREY,
-    Figure,
-    house_style,
-    new_figure,
-    plain,
-    width_in,
-)
+from dlgmd_cli.plots.style import GREY, LIGHT_GREY, Figure, house_style, new_figure, plain, width_in
 from dlgmd_cli.results.layers import LayerSheet
 
 _WIDTH_IN = width_in("two")

@@ -84,7 +84,7 @@ def plot_panels(
                 axes.tick_params(labelbottom=True)
             if place % per_row == 0 or panels[place].y_label:
                 axes.set_ylabel(panels[place].y_label or y_label)
-        add_legend(figure, list({label: (line, label) for line, label in entries}.values()))
+        add_legend(figure, entries)
     return figure
 
 

@@ -110,12 +110,13 @@ def new_figure(height_in: float, width: Width = "one") -> Figure:
 
 
 def add_legend(figure: Figure, entries: Entries, place: Any = "outside upper center") -> None:
-    """Add a legend outside the axes, in as many columns as fit; the figure grows by its height."""
-    if not entries:
-        return
-    handles = [handle for handle, _ in entries]
-    labels = [plain(label) for _, label in entries]
-    for n_columns in range(min(len(entries), _MAX_COLUMNS), 0, -1):
+    """Add a legend outside the axes, in as many columns as fit; the figure grows by its height.
+
+    Labels stand there once.
+    """
+    by_label = {label: handle for handle, label in entries}
+    handles, labels = list(by_label.values()), [plain(label) for label in by_label]
+    for n_columns in range(min(len(labels), _MAX_COLUMNS), 0, -1):
         legend = figure.legend(handles, labels, loc=place, ncols=n_columns)
         size = legend.get_window_extent()
         if n_columns == 1 or size.width <= figure.bbox.width:

@@ -139,7 +139,8 @@ def plot(
         figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
         between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
         figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
-        add_legend(figure, _entries(found if kind != "spikes" else found[::-1]))
+        ordered = found if kind != "spikes" else found[::-1]
+        add_legend(figure, [entry for some in ordered for entry in some])
         if is_split:
             _fix_margins(figure, above + heights, _NAME_IN)
         elif len(results) == 1 and not above:
@@ -239,10 +240,6 @@ def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> Non
         top=1.0 - (_ABOVE_IN + legend_in) / height,
         hspace=between_in * len(heights) / sum(heights),
     )
-
-
-def _entries(found: list[Entries]) -> Entries:
-    return list({label: (handle, label) for some in found for handle, label in some}.values())
 
 
 def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
