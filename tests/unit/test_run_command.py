@@ -129,25 +129,15 @@ def test_engine(dlgmd, clips):
     assert open_text("other/loom/mp.csv") == mp["opencv"]
 
 
-def test_engine_that_is_not_installed(dlgmd, clips, monkeypatch):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    result = dlgmd("run", clips / "loom.avi", "--engine", "numba")
-    assert result.exit_code == 1
-    assert result.stderr == (
-        "Error: --engine numba: the package 'numba' is not installed. "
-        "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.\n"
-    )
-    assert not os.path.exists("dlgmd-out")
-
-
-def test_engine_of_a_config_must_be_one(dlgmd, clips, tmp_path):
-    for text, shown in (
-        ("engine: cuda", "there is no engine 'cuda'. Choose from opencv, numba."),
-        ("engine: [numba]", "is not a name."),
-    ):
-        (tmp_path / "my.yaml").write_text(text)
-        result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
-        assert result.exit_code == 2 and shown in result.stderr
+@pytest.mark.parametrize(
+    ("option", "value", "package"), [("--engine", "numba", "numba"), ("--decoder", "pyav", "av")]
+)
+def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    result = dlgmd("run", clips / "loom.mp4", option, value)
+    assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
+    why = f"Error: {option} {value}: the package '{package}' is not installed. "
+    assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]'")
 
 
 def test_summary_as_json(dlgmd, clips):
@@ -287,19 +277,21 @@ def test_what_a_killed_run_left_is_no_result(dlgmd, clips, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "why"),
+    ("document", "why"),
     [
-        ({"scale": 0.5, "size": "4x4"}, "my.yaml: options: --scale and --size exclude"),
-        ({"pace": 1}, "unknown option 'pace' under 'options'"),
-        ({"size": "big"}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
-        ({"size": [480, 270]}, "is not WIDTHxHEIGHT. Write 480x270."),
-        ({"scale": [1]}, "my.yaml: options: --scale = a list or mapping is not a number"),
-        ({"fps": float("nan")}, "my.yaml: options: --fps = nan is not a finite number"),
-        ({"decoder": "vlc"}, "options: --decoder = 'vlc' is not one of opencv, pyav"),
+        ({"engine": "cuda"}, "there is no engine 'cuda'. Choose from opencv, numba."),
+        ({"engine": ["numba"]}, "is not a name."),
+        ({"options": {"scale": 0.5, "size": "4x4"}}, "options: --scale and --size exclude"),
+        ({"options": {"pace": 1}}, "unknown option 'pace' under 'options'"),
+        ({"options": {"size": "big"}}, "my.yaml: options: 'big' is not WIDTHxHEIGHT"),
+        ({"options": {"size": [480, 270]}}, "is not WIDTHxHEIGHT. Write 480x270."),
+        ({"options": {"scale": [1]}}, "options: --scale = a list or mapping is not a number"),
+        ({"options": {"fps": float("nan")}}, "options: --fps = nan is not a finite number"),
+        ({"options": {"decoder": "vlc"}}, "options: --decoder = 'vlc' is not one of opencv, pyav"),
     ],
 )
-def test_wrong_recorded_options(dlgmd, clips, tmp_path, options, why):
-    (tmp_path / "my.yaml").write_text(yaml.safe_dump({"options": options}))
+def test_what_a_config_may_not_say(dlgmd, clips, tmp_path, document, why):
+    (tmp_path / "my.yaml").write_text(yaml.safe_dump(document))
     result = dlgmd("run", clips / "loom.avi", "--config", "my.yaml")
     assert result.exit_code == 2 and why in result.stderr
 
@@ -326,16 +318,6 @@ def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_pa
         record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
         assert record["input"]["decoder"] == "opencv"
         assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
-
-
-def test_a_decoder_that_is_not_installed(dlgmd, clips, monkeypatch):
-    monkeypatch.setitem(sys.modules, "av", None)
-    result = dlgmd("run", clips / "loom.mp4", "--decoder", "pyav")
-    assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
-    assert result.stderr == (
-        "Error: --decoder pyav: the package 'av' is not installed. "
-        "Install it with: pip install 'dlgmd[fast]'\n"
-    )
 
 
 def test_an_unknown_decoder(clips):
