@@ -135,7 +135,11 @@ def plot(
             n_rows = draw_annotations(annotations, timeline, highest, axes_of)
             above = [max(n_rows, 0.1) * ROW_IN]
             highest.get_gridspec().set_height_ratios(above + heights)
-        _hide_spines(list(grid[:, 0]))
+        for axes in grid[:, 0]:  # no lines between panels: only the lowest keeps its time axis
+            axes.spines["top"].set_visible(False)
+        for axes in grid[:-1, 0]:
+            axes.spines["bottom"].set_visible(False)
+            axes.tick_params(axis="x", bottom=False)
         figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
         between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
         figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
@@ -213,14 +217,6 @@ def _share(
         ]
         for some in found
     ]
-
-
-def _hide_spines(panels: list[Axes]) -> None:
-    for axes in panels:
-        axes.spines["top"].set_visible(False)
-    for axes in panels[:-1]:
-        axes.spines["bottom"].set_visible(False)
-        axes.tick_params(axis="x", bottom=False)
 
 
 def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> None:
