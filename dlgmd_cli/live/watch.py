@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.models.base import undefined
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, Detection
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
@@ -162,10 +161,10 @@ def answers(
         If the options do not fit its pictures.
     """
     events = Events()
-    last = Answer(None, Detection(**vars(undefined())))
+    last = Answer(None, Detection())
 
     def between_frames(event: str, *, alarm: bool) -> Answer:
-        nothing = Detection(**vars(undefined()), alarm=alarm)
+        nothing = Detection(alarm=alarm)
         return Answer(last.frame, nothing, event=event, reason=sight.reason)
 
     # The decoder is busy on the other processor.

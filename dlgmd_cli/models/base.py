@@ -82,11 +82,6 @@ class Response:
         return 10.0 * math.log10(self.s_sum / self.p_sum) if self.s_sum > 0.0 else -math.inf
 
 
-def undefined(p_sum: float = math.nan, layers: Layers | None = None) -> Response:
-    """The response before the history is full."""
-    return Response(p_sum, layers=layers)
-
-
 class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
@@ -111,6 +106,8 @@ class Model:
         Engine that computes the layers; before the first frame, the requested one.
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
+    receptors : Photoreceptors
+        The last `first_valid_frame` changes |L(t) - L(t-1)|, once they `take` the frames.
     """
 
     params_class: ClassVar[type[Parameters]] = Parameters
@@ -118,7 +115,7 @@ class Model:
     params: Any
     engine_name: str
     first_valid_frame: int = 1
-    _receptors: "Photoreceptors"
+    receptors: "Photoreceptors"
 
     def __init_subclass__(cls) -> None:
         """Make the model known to its parameter class; raises ParameterError."""
@@ -135,21 +132,16 @@ class Model:
         if engine not in (AUTO, "opencv"):
             why = f"the model {self.name} has no engine {engine!r}"
             raise ParameterError("--engine", why, "Leave it out.")
-        self._receptors = Photoreceptors(self.first_valid_frame)
+        self.receptors = Photoreceptors(self.first_valid_frame)
 
     @property
     def name(self) -> str:
         """Name for `--model`."""
         return str(self.params_class.model)
 
-    @property
-    def receptors(self) -> "Photoreceptors":
-        """The last `first_valid_frame` changes |L(t) - L(t-1)|, once they `take` the frames."""
-        return self._receptors
-
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
-        self._receptors.reset()
+        self.receptors.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells of all frames from now on, also after `reset`.
@@ -161,12 +153,12 @@ class Model:
         hidden : ndarray, shape (H, W), bool, or None
             True for ignored cells; None for no ignored cells.
         """
-        self._receptors.hide(hidden)
+        self.receptors.hide(hidden)
 
     @property
     def n_cells(self) -> int:
         """Number of cells of the newest frame that are not ignored."""
-        return self._receptors.n_cells
+        return self.receptors.n_cells
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
@@ -433,25 +425,15 @@ class Photoreceptors:
 
     def _check(self, luminance: Grey) -> None:
         """Raise FrameError if the frame has a wrong shape or type."""
+        given = f"{luminance.dtype} of shape {luminance.shape}"
         if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
-            raise FrameError(
-                "frame",
-                f"{luminance.dtype} of shape {luminance.shape} is not a float32 or uint8 image "
-                "(H, W)",
-                "Give luminance in 0..1, for example gray.astype(np.float32) / 255.",
-            )
+            why = f"{given} is not a float32 or uint8 image (H, W)"
+            mend = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
+            raise FrameError("frame", why, mend)
         if self.hidden is not None and self.hidden.shape != luminance.shape:
             why = f"the cells to ignore are {self.hidden.shape}, the frame is {luminance.shape}"
             raise FrameError("frame", why, "Give both in the same shape.")
-        if self.frame < 0:
-            return
-        for name, given, before in (
-            ("shape", luminance.shape, self.current.shape),
-            ("type", luminance.dtype, self.current.dtype),
-        ):
-            if given != before:
-                raise FrameError(
-                    "frame",
-                    f"its {name} {given} is not that of the frames before, {before}",
-                    "Call reset() between videos.",
-                )
+        before = given if self.frame < 0 else f"{self.current.dtype} of shape {self.current.shape}"
+        if given != before:
+            why = f"{given}, but the frames before are {before}"
+            raise FrameError("frame", why, "Call reset() between videos.")

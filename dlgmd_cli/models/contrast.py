@@ -14,7 +14,6 @@ from dlgmd_cli.models.base import (
     Response,
     aligned,
     centroid_of,
-    checked_params,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Counting
@@ -69,11 +68,11 @@ class ContrastDLGMD(Distributed):
     params_class = ContrastParameters
     layer_units = ("luminance", "luminance", "active cells")
     params: ContrastParameters
+    receptors: "ContrastReceptors"
 
     def __init__(self, params: ContrastParameters | None = None, engine: str = AUTO) -> None:
-        params = checked_params(params, self.params_class)
-        super().__init__(params, engine, least_delay=1)  # F(t) needs M(t-1)
-        self._receptors: ContrastReceptors = ContrastReceptors(self.first_valid_frame, params)
+        super().__init__(params, engine)
+        self.receptors = ContrastReceptors(self.first_valid_frame, self.params)
         self._weights: FloatImage | None = None
 
     def ignore(self, hidden: Flags | None) -> None:
@@ -83,7 +82,7 @@ class ContrastDLGMD(Distributed):
 
     def _respond(self, images: Images | None) -> Response:
         """S and G of the newest frame, and their sums."""
-        receptors, threshold = self._receptors, self._threshold()
+        receptors, threshold = self.receptors, self._threshold()
         shape = receptors.current.shape
         if self._weights is None or self._weights.shape != shape:
             self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
@@ -99,7 +98,7 @@ class ContrastDLGMD(Distributed):
 
     def _threshold(self) -> float:
         """Threshold of S for an active cell, in luminance."""
-        return max(self.params.c_s * self._receptors.sigma, self.params.s_min)
+        return max(self.params.c_s * self.receptors.sigma, self.params.s_min)
 
 
 def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = None) -> FloatImage:

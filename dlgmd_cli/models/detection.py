@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
-from dlgmd_cli.models.base import Grey, Response, undefined
+from dlgmd_cli.models.base import Grey, Response
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of
 
@@ -203,7 +203,7 @@ class Alarm:
         self.model = self._stepper.model
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
-        self._index, self._last = -1, Detection(**vars(undefined()))
+        self._index, self._last = -1, Detection()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""

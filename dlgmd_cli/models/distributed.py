@@ -1,10 +1,12 @@
 """The base of models with the D-LGMD's distributed connections: kernels, engine, warm-up."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
 from dlgmd_cli.models.base import (
+    AUTO,
     FloatImage,
     Grey,
     Layers,
@@ -12,7 +14,7 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     aligned,
-    undefined,
+    checked_params,
 )
 from dlgmd_cli.models.engines import choose_engine, create_engine
 from dlgmd_cli.models.kernels import connect
@@ -26,12 +28,10 @@ class Distributed(Model):
 
     Parameters
     ----------
-    params : DistributedParameters
-        Parameters of the model.
+    params : DistributedParameters, optional
+        Parameters of the class `params_class`; its defaults unless given.
     engine
         See `DLGMD`.
-    least_delay : int
-        Number of earlier P that the model needs even if its connections do not.
 
     Attributes
     ----------
@@ -39,33 +39,34 @@ class Distributed(Model):
         The kernels.
     """
 
+    params_class: ClassVar[type[DistributedParameters]] = DistributedParameters
     params: DistributedParameters
 
-    def __init__(
-        self,
-        params: DistributedParameters,
-        engine: str,
-        least_delay: int = 0,
-    ) -> None:
-        self.params = params
+    def __init__(self, params: DistributedParameters | None = None, engine: str = AUTO) -> None:
+        self.params = checked_params(params, self.params_class)
         self.engine_name = self._asked_engine = engine
         choose_engine(engine)  # raises now, not at the first frame
-        self.connections = connect(params)
+        self.connections = connect(self.params)
         # P is defined from frame 1 on.
-        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, least_delay)
-        self._receptors = Photoreceptors(self.first_valid_frame)
+        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self._least_delay)
+        self.receptors = Photoreceptors(self.first_valid_frame)
         self._engine_is_for: tuple[object, object] | None = None
+
+    @property
+    def _least_delay(self) -> int:
+        """Number of earlier P that the model needs even if its connections do not."""
+        return 1
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
         """Process the next frame, see `Model.step`."""
         self._take(luminance)
-        if self._receptors.frame == 0:
+        if self.receptors.frame == 0:
             self._prepare(luminance)
-        if self._receptors.frame < self.first_valid_frame:
-            p_sum = self._receptors.p_sum(0)
-            return undefined(p_sum, Layers(self._p_layer()) if layers else None)
+        if self.receptors.frame < self.first_valid_frame:
+            p_sum = self.receptors.p_sum(0)
+            return Response(p_sum, layers=Layers(self._p_layer()) if layers else None)
         if not layers:
             return self._respond(None)
         s, g = (aligned(luminance.shape) for _ in range(2))
@@ -77,7 +78,7 @@ class Distributed(Model):
 
     def _take(self, luminance: Grey) -> None:
         """Pass the next frame to the photoreceptors."""
-        self._receptors.take(luminance)
+        self.receptors.take(luminance)
 
     def _prepare(self, luminance: Grey) -> None:
         """Create an engine for frames like the first; after a reset, keep one that fits."""
@@ -86,11 +87,11 @@ class Distributed(Model):
             return
         self._engine_is_for = kind
         self.engine_name = choose_engine(self._asked_engine, n_cells)
-        self._engine = create_engine(self.engine_name, self.connections, self._receptors)
+        self._engine = create_engine(self.engine_name, self.connections, self.receptors)
 
     def _p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""
-        if self._receptors.frame == 0:
+        if self.receptors.frame == 0:
             return None
-        unit = np.float32(self._receptors.unit)
-        return np.multiply(self._receptors.p(0), unit, dtype=np.float32)
+        unit = np.float32(self.receptors.unit)
+        return np.multiply(self.receptors.p(0), unit, dtype=np.float32)

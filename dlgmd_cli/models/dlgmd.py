@@ -2,7 +2,7 @@
 
 import math
 
-from dlgmd_cli.models.base import AUTO, Response, centroid, checked_params
+from dlgmd_cli.models.base import Response, centroid
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Grouping
 from dlgmd_cli.parameters import DlgmdParameters
@@ -45,20 +45,18 @@ class DLGMD(Distributed):
     layer_units = ("luminance", "luminance", "luminance²")
     params: DlgmdParameters
 
-    def __init__(self, params: DlgmdParameters | None = None, engine: str = AUTO) -> None:
-        params = checked_params(params, self.params_class)
-        self._released = params.formulation == "released"
-        # FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code.
-        self._ffi_delay = 2 if self._released else 1
-        super().__init__(params, engine, self._ffi_delay)
+    @property
+    def _least_delay(self) -> int:
+        """FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code."""
+        return 2 if self.params.formulation == "released" else 1
 
     def _respond(self, images: Images | None) -> Response:
         """S and G of the newest frame, and their sums."""
-        receptors = self._receptors
+        receptors = self.receptors
         grouping = self._grouping()
         s_sum, mp, moments = self._engine.respond(receptors, grouping, images)
         g_x, g_y = centroid(mp, moments, receptors.current.shape)
-        ffi = receptors.p_sum(self._ffi_delay)
+        ffi = receptors.p_sum(self._least_delay)
         return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)
 
     def _grouping(self) -> Grouping:
@@ -67,12 +65,13 @@ class DLGMD(Distributed):
         The released code divides FFI by a constant. The printed equations neither limit the
         threshold nor saturate G.
         """
-        params, receptors = self.params, self._receptors
+        params, receptors = self.params, self.receptors
         is_literal = params.formulation == "equations"
         t_de = 0.0
         if params.ffi_gd:
-            cells = RELEASED_CELLS if self._released else receptors.n_cells * params.m
-            t_de = receptors.p_sum(self._ffi_delay) * params.t0 / cells
+            is_released = params.formulation == "released"
+            cells = RELEASED_CELLS if is_released else receptors.n_cells * params.m
+            t_de = receptors.p_sum(self._least_delay) * params.t0 / cells
         if not is_literal:
             t_de = min(t_de, MAX_T_DE)
         return Grouping(params.k, t_de, math.inf if is_literal else 1.0)

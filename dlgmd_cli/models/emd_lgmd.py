@@ -15,7 +15,6 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     centroid_of,
-    undefined,
 )
 from dlgmd_cli.parameters import EmdLgmdParameters
 
@@ -53,20 +52,20 @@ class EmdLGMD(Model):
             for tau in (self.params.tau_high, self.params.tau_low)
         )
         self._rest = np.float32(math.exp(-1.0 / self.params.tau_high))
-        self._receptors = Photoreceptors(0)
+        self.receptors = Photoreceptors(0)
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
         """Process the next frame, see `Model.step`."""
-        receptors = self._receptors
+        receptors = self.receptors
         receptors.take(luminance)
         luminance = np.multiply(receptors.current, np.float32(receptors.unit), dtype=np.float32)
         if receptors.frame == 0:
             self._mean = luminance
             self._delayed = np.zeros_like(luminance)
             self._places = [_places(side, self.params.delta) for side in luminance.shape]
-            return undefined(layers=Layers() if layers else None)
+            return Response(layers=Layers() if layers else None)
         change = luminance - self._mean
         self._mean += self._slow * change
         # The difference to the new mean. Computed by subtraction, it would be mere rounding for a
@@ -75,7 +74,7 @@ class EmdLGMD(Model):
         self._delayed += self._fast * (change - self._delayed)
         p_sum = cv2.norm(change, cv2.NORM_L1)
         if receptors.frame < self.first_valid_frame:
-            return undefined(p_sum, Layers(change) if layers else None)
+            return Response(p_sum, layers=Layers(change) if layers else None)
         motion = self._expand(self._delayed) * change
         motion -= self._delayed * self._expand(change)
         np.maximum(motion, 0.0, out=motion)

@@ -9,11 +9,8 @@ from dlgmd_cli.models.base import (
     Grey,
     Layers,
     Model,
-    Photoreceptors,
     Response,
     centroid_of,
-    checked_params,
-    undefined,
 )
 from dlgmd_cli.parameters import DEFAULT_MODEL_FPS, FlowDivergenceParameters
 
@@ -38,22 +35,19 @@ class FlowDivergence(Model):
     layer_units = ("luminance", "px/frame", "1/frame")
 
     def __init__(self, params: FlowDivergenceParameters | None = None, **_: Any) -> None:
-        self.params = checked_params(params, self.params_class)
-        self.engine_name = "opencv"
-        self.first_valid_frame = 1
+        super().__init__(params)
         self._flow: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-        self._receptors = Photoreceptors(1)
         self._time_s: float | None = None
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
         """Process the next frame, see `Model.step`."""
-        receptors = self._receptors
+        receptors = self.receptors
         receptors.take(luminance)
         before_s, self._time_s = self._time_s, time_s
         if receptors.frame < self.first_valid_frame:
-            return undefined(layers=Layers() if layers else None)
+            return Response(layers=Layers() if layers else None)
         flow = self._flow.calc(_levels(receptors.previous), _levels(receptors.current), None)
         divergence = np.zeros(flow.shape[:2], np.float32)
         divergence[:, 1:-1] += (flow[:, 2:, 0] - flow[:, :-2, 0]) / 2

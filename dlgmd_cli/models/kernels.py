@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import DistributedParameters
 
 FloatKernel = npt.NDArray[np.float64]
@@ -16,8 +15,6 @@ BAND_EDGES_FRAMES = (1.0, 1.8999)
 
 def _radius_squared(radius_px: int) -> FloatKernel:
     """x² + y² at every tap, (2r + 1, 2r + 1), in px²."""
-    if radius_px < 0:
-        raise ParameterError("", f"radius {radius_px} px is negative")
     axis = np.arange(-radius_px, radius_px + 1, dtype=np.float64) ** 2
     return axis[:, None] + axis[None, :]
 
@@ -28,27 +25,20 @@ def gaussian(radius_px: int, sigma_px: float) -> FloatKernel:
     Parameters
     ----------
     radius_px : int
-        Kernel radius r.
+        Kernel radius r, not negative.
     sigma_px : float
-        Standard deviation, in px.
+        Standard deviation, in px, above 0.
 
     Returns
     -------
     ndarray, shape (2r + 1, 2r + 1), float64
         exp(-(x² + y²) / 2σ²) / (σ√(2π)), [Zhao2023] Eq. (4).
 
-    Raises
-    ------
-    ParameterError
-        If the radius is negative or sigma is not above zero.
-
     Notes
     -----
     The amplitude is that of the one-dimensional Gaussian, as in the authors' released code. With a
     Gaussian of unit mass, the model would not be selective for speed.
     """
-    if not sigma_px > 0.0:
-        raise ParameterError("", f"sigma = {sigma_px:g} px is not above 0")
     exponent = -_radius_squared(radius_px) / (2.0 * sigma_px**2)
     strength: FloatKernel = np.exp(exponent) / (sigma_px * np.sqrt(2.0 * np.pi))
     return strength
@@ -60,9 +50,9 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
     Parameters
     ----------
     radius_px : int
-        Kernel radius r.
+        Kernel radius r, not negative.
     alpha, beta : float
-        Shift (frames) and saturation (1/frames) of the curve.
+        Shift (frames) and saturation (1/frames, not negative) of the curve.
     lam : float
         Spread of the curve (1/px), λ in the paper.
 
@@ -70,14 +60,7 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
     -------
     ndarray, shape (2r + 1, 2r + 1), float64
         α + 1 / (β + exp(-λ²(x² + y²))) in frames, least at the centre, [Zhao2023] Eq. (5).
-
-    Raises
-    ------
-    ParameterError
-        If the radius or beta is negative. With a negative beta, the latency could be infinite.
     """
-    if beta < 0.0:
-        raise ParameterError("", f"beta = {beta:g} is below 0")
     latency: FloatKernel = alpha + 1.0 / (beta + np.exp(-(lam**2) * _radius_squared(radius_px)))
     return latency
 

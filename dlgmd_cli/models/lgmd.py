@@ -12,7 +12,6 @@ from dlgmd_cli.models.base import (
     Photoreceptors,
     Response,
     centroid_of,
-    undefined,
 )
 from dlgmd_cli.models.engines import just_below
 from dlgmd_cli.parameters import LgmdParameters
@@ -50,23 +49,23 @@ class LGMD(Model):
         super().__init__(params, engine)
         self._inhibition = (-self.params.w_i * INHIBITION).astype(np.float32)
         self._p: list[FloatImage] = []
-        self._receptors = Photoreceptors(0)
+        self.receptors = Photoreceptors(0)
 
     def step(
         self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
     ) -> Response:
         """Process the next frame, see `Model.step`."""
-        self._receptors.take(luminance)
-        if self._receptors.frame == 0:
+        self.receptors.take(luminance)
+        if self.receptors.frame == 0:
             self._p = []
-            return undefined(layers=Layers() if layers else None)
+            return Response(layers=Layers() if layers else None)
         p = self._change()
         self._p = [p, *self._p[:1]]
         p_sum = cv2.norm(p, cv2.NORM_L1)
-        if self._receptors.frame < self.first_valid_frame:
-            return undefined(p_sum, Layers(p.copy()) if layers else None)
+        if self.receptors.frame < self.first_valid_frame:
+            return Response(p_sum, layers=Layers(p.copy()) if layers else None)
         s = p + cv2.filter2D(self._p[1], -1, self._inhibition, borderType=cv2.BORDER_CONSTANT)
-        self._receptors.clear(s)
+        self.receptors.clear(s)
         g = self._group(s)
         ffi = cv2.norm(self._p[1], cv2.NORM_L1) / self.n_cells
         if ffi > self.params.t_ffi:
@@ -79,7 +78,7 @@ class LGMD(Model):
 
     def _change(self) -> FloatImage:
         """P(t), signed, in grey levels."""
-        receptors = self._receptors
+        receptors = self.receptors
         p = cv2.subtract(receptors.current, receptors.previous, dtype=cv2.CV_32F)
         if receptors.unit == 1.0:
             p *= np.float32(WHITE)
@@ -96,7 +95,7 @@ class LGMD(Model):
     def _group(self, s: FloatImage) -> FloatImage:
         """Compute G̃ from S."""
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)
-        self._receptors.clear(ce)
+        self.receptors.clear(ce)
         omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega
         g = cv2.multiply(s, ce, dst=ce, scale=1.0 / omega)
         cv2.threshold(g, just_below(self._threshold), 0.0, cv2.THRESH_TOZERO, dst=g)

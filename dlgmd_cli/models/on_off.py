@@ -13,7 +13,6 @@ from dlgmd_cli.models.base import (
     Response,
     aligned,
     centroid_of,
-    checked_params,
 )
 from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
@@ -47,7 +46,7 @@ class OnOffDLGMD(DLGMD):
     params: OnOffParameters
 
     def __init__(self, params: OnOffParameters | None = None, engine: str = AUTO) -> None:
-        super().__init__(checked_params(params, self.params_class), engine)
+        super().__init__(params, engine)
         depth = self.first_valid_frame
         self._pathways = [Pathway(depth, is_on) for is_on in (True, False)]
 
@@ -84,7 +83,7 @@ class OnOffDLGMD(DLGMD):
         grouping = self._grouping()
         sum_4x4(s, out=around)
         group(s, around, grouping, g)
-        p_sum, ffi = (self._receptors.p_sum(delay) for delay in (0, self._ffi_delay))
+        p_sum, ffi = (self.receptors.p_sum(delay) for delay in (0, self._least_delay))
         g_x, g_y = centroid_of(g)
         s_sum, mp = cv2.sumElems(s)[0], cv2.sumElems(g)[0]
         return Response(p_sum, s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)

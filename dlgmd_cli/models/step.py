@@ -3,7 +3,7 @@
 import math
 
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.models.base import Flags, Model, Response, create_model, undefined
+from dlgmd_cli.models.base import Flags, Model, Response, create_model
 from dlgmd_cli.parameters import Parameters
 
 
@@ -33,12 +33,12 @@ class Stepper:
     ) -> None:
         self.model: Model = create_model(params, engine=engine)
         self.params, self.size_wh = params, size_wh
-        self._last, self._restarts = undefined(), False
+        self._last, self._restarts = Response(), False
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         self.model.reset()
-        self._last, self._restarts = undefined(), False
+        self._last, self._restarts = Response(), False
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells of all frames from now on, see `Model.ignore`."""

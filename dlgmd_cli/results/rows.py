@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.models.base import Response, undefined
+from dlgmd_cli.models.base import Response
 from dlgmd_cli.results.csv import TABLES
 
 # What a model says about a frame and a table holds. The other columns follow from these.
-_UNDEFINED = undefined()
-NUMBERS = tuple(name for header in TABLES.values() for name in header if hasattr(_UNDEFINED, name))
+NUMBERS = tuple(name for header in TABLES.values() for name in header if hasattr(Response, name))
 ROW = np.dtype(
     [
         ("frame", np.int64),

@@ -233,8 +233,8 @@ class TestEveryModel:
             (np.zeros((0, 30), np.float32), r"float32 of shape \(0, 30\) is not"),
         ]
         later = [
-            (np.zeros((24, 30), np.uint8), r"type uint8 is not that of .* float32"),
-            (frames[0].T, r"shape \(30, 24\) is not that of .* \(24, 30\)"),
+            (np.zeros((24, 30), np.uint8), r"uint8 .* frames before are float32"),
+            (frames[0].T, r"shape \(30, 24\), but .* \(24, 30\)"),
         ]
         for t, frame in enumerate(frames):
             for one, why in wrong + (later if t else []):

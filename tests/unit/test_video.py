@@ -398,10 +398,11 @@ def test_what_is_not_there(tmp_path, path, why):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFO here")
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "pipe.mp4")
+@pytest.mark.parametrize("name", ["pipe.mp4", "pipe.npy"])
+def test_a_pipe_is_not_waited_for(tmp_path, name):
+    os.mkfifo(tmp_path / name)
     with pytest.raises(SourceError, match="is a pipe"):
-        open_video(tmp_path / "pipe.mp4")
+        open_video(tmp_path / name)
 
 
 def test_a_name_for_the_results(tmp_path, monkeypatch, clips, pictures, decoder):
