@@ -91,7 +91,6 @@ class Spec:
         return self.check(value, name, bounded=bounded)
 
     def _fault(self, value: Any, bounded: bool) -> str | None:
-        """Why a number is not allowed, or None."""
         try:
             number = float(value)
         except OverflowError:  # an int too large for a float

@@ -1,7 +1,7 @@
 """The base of the parameter classes: keys with checks, also for models of one's own."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -54,23 +54,18 @@ def key(
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
-def t_mp_key(default: float = 0.4) -> Any:
-    """The spiking threshold, a key of every model."""
-    return key(default, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1)
+# The keys of every model; a parameter class gets them if it does not have them.
+_COMMON: dict[str, tuple[Any, ...]] = {
+    "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
+    "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
+    "kappa": (0.01, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-12, 1e9),
+}
 
 
-def n_sp_key(default: int = 2) -> Any:
-    """The number of spikes for an alarm, a key of every model."""
-    return key(default, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000)
-
-
-def kappa_key(default: float = 0.01) -> Any:
-    """The half-value of `mp_abs`."""
-    return key(default, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-12, 1e9)
-
-
-# The keys that a parameter class gets if it does not have them.
-_COMMON: dict[str, Callable[[], Any]] = {"t_mp": t_mp_key, "n_sp": n_sp_key, "kappa": kappa_key}
+def common_key(name: str, default: Any = None) -> Any:
+    """A key of every model: `t_mp`, `n_sp` or `kappa`."""
+    usual, *facts = _COMMON[name]
+    return key(usual if default is None else default, *facts)
 
 
 class Parameters:
@@ -109,12 +104,21 @@ class Parameters:
     n_sp: int
     kappa: float | None
 
-    def __init_subclass__(cls, *, partial: bool = False) -> None:
-        """Add the missing keys of every model, unless the class is only a `partial` base."""
+    def __init_subclass__(
+        cls, *, partial: bool = False, defaults: Mapping[str, Any] | None = None
+    ) -> None:
+        """Add the missing keys of every model, unless the class is only a `partial` base.
+
+        `defaults` are other defaults of inherited keys.
+        """
         super().__init_subclass__()
-        for name, make in _COMMON.items():
-            if not (partial or hasattr(cls, name)):
-                setattr(cls, name, make())
+        inherited = getattr(cls, "__dataclass_fields__", {})
+        for name, value in (defaults or {}).items():
+            setattr(cls, name, field(default=value, metadata=inherited[name].metadata))
+            cls.__annotations__[name] = inherited[name].type
+        for name in () if partial else _COMMON:
+            if not hasattr(cls, name):
+                setattr(cls, name, common_key(name))
                 cls.__annotations__[name] = int if name == "n_sp" else float
 
     def __post_init__(self) -> None:
@@ -204,7 +208,7 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
     """The `Spec` of every key; fields without one are checked for their kind."""
     found = {}
     for one in fields(kind):  # type: ignore[arg-type]
-        common = _COMMON[one.name]().metadata if one.name in _COMMON else {}
+        common = common_key(one.name).metadata if one.name in _COMMON else {}
         facts = one.metadata or common
         spec = facts.get("spec") or Spec(type(one.default))
         found[one.name] = replace(spec, kind=float) if one.type in (float, "float") else spec
@@ -212,7 +216,6 @@ def _specs(kind: type[Parameters]) -> dict[str, Spec]:
 
 
 def _restored(kind: Any, values: dict[str, Any]) -> Parameters:
-    """Unpickle parameters."""
     found: Parameters = (
         imported_model(kind).params_class if isinstance(kind, str) else kind
     ).from_mapping(values)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from dlgmd_cli.checks import Spec, blame, require_known, shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.keys import RECORD_KEYS, imported_model, key, n_sp_key, t_mp_key
+from dlgmd_cli.keys import RECORD_KEYS, common_key, imported_model, key
 from dlgmd_cli.keys import Parameters as Parameters
 from dlgmd_cli.keys import ParametersT as ParametersT
 from dlgmd_cli.plain_yaml import SHOW_HINT, parse, read
@@ -33,11 +33,6 @@ _DESCRIBING = {
     "width_px": Spec(int, 1, 8192),
     "model_fps": Spec(float, 1, 1000),
 }
-
-
-def _redefault(kind: "type[Parameters]", name: str, default: Any) -> Any:
-    """The field of `kind` with another default."""
-    return field(default=default, metadata={"spec": kind.specs()[name]})
 
 
 @dataclass(frozen=True)
@@ -88,8 +83,8 @@ class DlgmdParameters(DistributedParameters):
     ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
     t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
     m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
-    t_mp: float = t_mp_key()
-    n_sp: int = n_sp_key()
+    t_mp: float = common_key("t_mp")
+    n_sp: int = common_key("n_sp")
     kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = key(
         *("default", "–", "–", "how delays that are not whole frames are rounded"),
@@ -97,17 +92,14 @@ class DlgmdParameters(DistributedParameters):
     )
 
 
-@dataclass(frozen=True)
-class _OneFrameLatency(DistributedParameters, partial=True):
-    """Connections with α = β = λ = 0, as in sets 1 to 3: the latency is one frame everywhere."""
-
-    alpha: float = _redefault(DistributedParameters, "alpha", 0.0)
-    beta: float = _redefault(DistributedParameters, "beta", 0.0)
-    lam: float = _redefault(DistributedParameters, "lam", 0.0)
+# As in sets 1 to 3: the latency is one frame everywhere.
+_ONE_FRAME_LATENCY = {"alpha": 0.0, "beta": 0.0, "lam": 0.0}
 
 
 @dataclass(frozen=True)
-class ContrastParameters(_OneFrameLatency):
+class ContrastParameters(
+    DistributedParameters, defaults=_ONE_FRAME_LATENCY | {"sigma_e": 0.9, "sigma_i": 3.0, "a": 1.7}
+):
     """Parameters of the contrast-relative D-LGMD; the defaults are the preset `flight`."""
 
     model: ClassVar[str] = "dlgmd-contrast"
@@ -115,9 +107,6 @@ class ContrastParameters(_OneFrameLatency):
     preset: ClassVar[str] = "dlgmd-contrast"
     source: ClassVar[str] = "Contrast-relative D-LGMD; this project, after Zhao et al., 2023"
 
-    sigma_e: float = _redefault(DistributedParameters, "sigma_e", 0.9)
-    sigma_i: float = _redefault(DistributedParameters, "sigma_i", 3.0)
-    a: float = _redefault(DistributedParameters, "a", 1.7)
     c_p: float = key(0.2, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
     p_min: float = key(0.011, "P_min", "luminance", "lowest threshold of P", 0, 1)
     c_n: float = key(2.5, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
@@ -129,24 +118,22 @@ class ContrastParameters(_OneFrameLatency):
     sigma_c: float = key(
         0.45, "σ_c", "half sides", "width of the weighting about the centre", 0.05, 100
     )
-    t_mp: float = t_mp_key()
-    n_sp: int = n_sp_key()
+    t_mp: float = common_key("t_mp")
+    n_sp: int = common_key("n_sp")
     kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
 
 
 @dataclass(frozen=True)
-class OnOffParameters(_OneFrameLatency, DlgmdParameters):
+class OnOffParameters(
+    DlgmdParameters,
+    defaults=_ONE_FRAME_LATENCY | {"sigma_e": 0.35, "sigma_i": 2.5, "r": 4, "kappa": 0.0466},
+):
     """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
 
     model: ClassVar[str] = "dlgmd-onoff"
     module: ClassVar[str] = "dlgmd_cli.models.on_off"
     preset: ClassVar[str] = "dlgmd-onoff"
     source: ClassVar[str] = "ON/OFF D-LGMD; set 3 of Zhao et al., IEEE TNNLS 34(5), 2023"
-
-    sigma_e: float = _redefault(DistributedParameters, "sigma_e", 0.35)
-    sigma_i: float = _redefault(DistributedParameters, "sigma_i", 2.5)
-    r: int = _redefault(DistributedParameters, "r", 4)
-    kappa: float = _redefault(DlgmdParameters, "kappa", 0.0466)
 
 
 @dataclass(frozen=True)
@@ -173,8 +160,8 @@ class LgmdParameters(Parameters):
     t_ffi: float = key(
         255.0, "T_FFI", "grey levels", "feed-forward inhibition that silences the cell", 0, 255
     )
-    t_mp: float = t_mp_key(0.99999994)
-    n_sp: int = n_sp_key()
+    t_mp: float = common_key("t_mp", 0.99999994)
+    n_sp: int = common_key("n_sp")
 
     def _check_together(self) -> None:
         """Persistence must decay."""
@@ -200,8 +187,8 @@ class EmdLgmdParameters(Parameters):
     delta: float = key(0.02, "δ", "–", "expansion predicted from a frame to the next", 0, 1)
     f_active: float = key(0.05, "F_a", "luminance", "change above which a cell is active", 0, 1)
     c: float = key(2.0, "c", "–", "strength of feed-forward inhibition", 0, 100)
-    t_mp: float = t_mp_key()
-    n_sp: int = n_sp_key()
+    t_mp: float = common_key("t_mp")
+    n_sp: int = common_key("n_sp")
     kappa: float = key(
         0.0021, "κ", "luminance²", "mean excitation at which mp_abs is 1/2", 1e-12, 100
     )
@@ -216,8 +203,8 @@ class FlowDivergenceParameters(Parameters):
     preset: ClassVar[str] = "9"
     source: ClassVar[str] = "OpenCV's DIS; Kroeger et al., 2016"
 
-    t_mp: float = t_mp_key(0.5)
-    n_sp: int = n_sp_key()
+    t_mp: float = common_key("t_mp", 0.5)
+    n_sp: int = common_key("n_sp")
     kappa: float = key(2.0, "κ", "1/s", "mean divergence at which mp_abs is 1/2", 1e-9, 1e9)
 
 

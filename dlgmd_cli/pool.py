@@ -145,13 +145,11 @@ def _new_pool(function: Callable[..., Any], jobs: int) -> Any:
 
 
 def _end(pool: Any) -> None:
-    """End the processes of a pool, busy or not."""
     pool.stop()
     pool.join()
 
 
 def _outcome(future: Any, timeout_s: float | None) -> Outcome:
-    """The outcome of a finished future."""
     error = future.exception()
     if error is None:
         return Outcome(DONE, future.result())

@@ -337,12 +337,11 @@ def _show(
 
 def _warnings(plan: "Plan") -> dict[str, list[str]]:
     """The warnings about each video, from all models; only videos that have some."""
-    from dlgmd_cli.runs.batch import warnings_of
-
     found: dict[str, list[str]] = {}
     for summary in plan.summaries:
         for video, row in summary.rows.items():
-            found[video] = list(dict.fromkeys([*found.get(video, []), *warnings_of(row)]))
+            lines = [*found.get(video, []), *row.record.get("warnings", [])]
+            found[video] = list(dict.fromkeys(lines))
     return {video: lines for video, lines in sorted(found.items()) if lines}
 
 

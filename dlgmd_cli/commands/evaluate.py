@@ -148,7 +148,7 @@ def evaluate(
             **report.counts(),
             **rules,
             "models": [_described(one) for one in candidates],
-            "options": next(iter(candidates)).record["options"],
+            "options": next(iter(candidates)).record.get("options", {}),
         }
         files = report.tables()
         if output.formats:

@@ -424,7 +424,6 @@ class Photoreceptors:
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
 
     def _check(self, luminance: Grey) -> None:
-        """Raise FrameError if the frame has a wrong shape or type."""
         given = f"{luminance.dtype} of shape {luminance.shape}"
         if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
             why = f"{given} is not a float32 or uint8 image (H, W)"

@@ -81,7 +81,6 @@ class ContrastDLGMD(Distributed):
         self._weights = None
 
     def _respond(self, images: Images | None) -> Response:
-        """S and G of the newest frame, and their sums."""
         receptors, threshold = self.receptors, self._threshold()
         shape = receptors.current.shape
         if self._weights is None or self._weights.shape != shape:

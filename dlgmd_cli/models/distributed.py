@@ -77,7 +77,6 @@ class Distributed(Model):
         raise NotImplementedError
 
     def _take(self, luminance: Grey) -> None:
-        """Pass the next frame to the photoreceptors."""
         self.receptors.take(luminance)
 
     def _prepare(self, luminance: Grey) -> None:

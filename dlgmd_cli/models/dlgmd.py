@@ -51,7 +51,6 @@ class DLGMD(Distributed):
         return 2 if self.params.formulation == "released" else 1
 
     def _respond(self, images: Images | None) -> Response:
-        """S and G of the newest frame, and their sums."""
         receptors = self.receptors
         grouping = self._grouping()
         s_sum, mp, moments = self._engine.respond(receptors, grouping, images)

@@ -77,7 +77,6 @@ class LGMD(Model):
         return Response(p_sum, s_sum, mp, ffi, self._threshold, shown, g_x, g_y)
 
     def _change(self) -> FloatImage:
-        """P(t), signed, in grey levels."""
         receptors = self.receptors
         p = cv2.subtract(receptors.current, receptors.previous, dtype=cv2.CV_32F)
         if receptors.unit == 1.0:
@@ -89,11 +88,9 @@ class LGMD(Model):
 
     @property
     def _threshold(self) -> float:
-        """Threshold of G."""
         return self.params.t_de / self.params.c_de
 
     def _group(self, s: FloatImage) -> FloatImage:
-        """Compute G̃ from S."""
         ce = cv2.boxFilter(s, -1, (3, 3), normalize=True, borderType=cv2.BORDER_CONSTANT)
         self.receptors.clear(ce)
         omega = self.params.delta_c + cv2.norm(ce, cv2.NORM_INF) / self.params.c_omega

@@ -63,18 +63,15 @@ class OnOffDLGMD(DLGMD):
             pathway.hide(hidden)
 
     def _take(self, luminance: Grey) -> None:
-        """Pass the next frame to the photoreceptors and both pathways."""
         super()._take(luminance)
         for pathway in self._pathways:
             pathway.take(luminance)
 
     def _prepare(self, luminance: Grey) -> None:
-        """Allocate S, G and two more images."""
         super()._prepare(luminance)
         self._images = [aligned(luminance.shape) for _ in range(4)]
 
     def _respond(self, images: Images | None) -> Response:
-        """S and G of the newest frame, and their sums."""
         s, g = images or self._images[:2]
         s_off, around = self._images[2:]
         for pathway, s_of_it in zip(self._pathways, (s, s_off), strict=True):

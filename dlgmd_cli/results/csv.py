@@ -112,27 +112,30 @@ def read_comparison_columns(path: Path) -> dict[str, dict[str, Series]]:
     return {label: _checked(path, found[1:], rows) for label, rows in by_label.items()}
 
 
-def _read(path: Path, header: tuple[str, ...]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The header of a table that should have `header`, and the cells of every line below it."""
+def read_rows(path: Path, mend: str = "") -> list[list[str]]:
+    """The cells of a CSV, line by line; raises ResultError."""
     try:
+        # Spreadsheets may write a byte order mark.
         with open_regular(path, newline="", encoding="utf-8-sig") as file:
-            lines = iter(lambda: file.readline(_MAX_LINE), "")
-            rows = csv.reader(lines)
-            found = tuple(next(rows, ()))
-            is_whole = _NEEDED.intersection(header) <= set(found) and found[0] == header[0]
-            if not is_whole or len(set(found)) < len(found):
-                raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
-            cells = list(rows)
-            for number, row in enumerate(cells, start=2):
-                if len(row) != len(found):
-                    why = f"line {number} does not have {len(found)} cells"
-                    raise ResultError(str(path), why, _REMAKE)
-            return found, cells
+            return list(csv.reader(iter(lambda: file.readline(_MAX_LINE), "")))
     except FileNotFoundError:
-        raise ResultError(str(path), "this file is missing", _REMAKE) from None
+        raise ResultError(str(path), "this file is missing", mend) from None
     except (OSError, ValueError, csv.Error) as error:  # ValueError: not UTF-8
         reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"cannot be read ({reason})", _REMAKE) from None
+        raise ResultError(str(path), f"cannot be read ({reason})", mend) from None
+
+
+def _read(path: Path, header: tuple[str, ...]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """The header of a table that should have `header`, and the cells of every line below it."""
+    first, *rows = read_rows(path, _REMAKE) or [[]]
+    found = tuple(first)
+    is_whole = _NEEDED.intersection(header) <= set(found) and found[:1] == header[:1]
+    if not is_whole or len(set(found)) < len(found):
+        raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(found):
+            raise ResultError(str(path), f"line {number} does not have {len(found)} cells", _REMAKE)
+    return found, rows
 
 
 def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict[str, Series]:

@@ -1,13 +1,11 @@
 """Labels: which videos show a collision, and at which frame."""
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.results.csv import text_cell, write_rows
+from dlgmd_cli.results.csv import read_rows, text_cell, write_rows
 
 LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target")
@@ -55,18 +53,11 @@ def read_labels(path: Path) -> list[Label]:
     ResultError
         If the file cannot be read, or is not a table of labels.
     """
-    try:
-        # Spreadsheets may write a byte order mark.
-        with open_regular(path, newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (OSError, ValueError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or "not a CSV file"
-        raise ResultError(str(path), f"cannot be read ({reason})") from None
+    rows = read_rows(path)
     header = [name.strip() for name in rows[0]] if rows else []
     if not set(_NEEDED) <= set(header):
-        raise ResultError(
-            str(path), "contains no labels", f"Its first line should be {','.join(_NEEDED)}."
-        )
+        mend = f"Its first line should be {','.join(_NEEDED)}."
+        raise ResultError(str(path), "contains no labels", mend)
     return [
         _label(path, number, dict(zip(header, row, strict=False)))
         for number, row in enumerate(rows[1:], start=2)
@@ -75,7 +66,6 @@ def read_labels(path: Path) -> list[Label]:
 
 
 def _label(path: Path, number: int, row: dict[str, str]) -> Label:
-    """The label in line `number` of a CSV; raises ResultError."""
     video, frame = row.get("video", ""), row.get("collision_frame")
     if video and frame is not None:
         target = row.get("target", "").strip()

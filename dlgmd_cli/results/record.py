@@ -77,22 +77,10 @@ class _Dumper(yaml.SafeDumper):
 
 def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -> str:
     """A document as YAML in its own order; pure ASCII if it contains control characters."""
-
-    def dump(allow_unicode: bool) -> str:
-        return str(
-            yaml.dump(
-                dict(document),
-                Dumper=_Dumper,
-                sort_keys=False,
-                width=100,
-                allow_unicode=allow_unicode,
-                **look,
-            )
-        )
-
-    text = dump(allow_unicode=True)
+    look |= {"Dumper": _Dumper, "sort_keys": False, "width": 100}
+    text = str(yaml.dump(dict(document), allow_unicode=True, **look))
     if not all(map(str.isprintable, text.split("\n"))):
-        text = dump(allow_unicode=False)
+        text = str(yaml.dump(dict(document), **look))
     return header + text
 
 
@@ -162,6 +150,10 @@ def differences(
     return list(dict.fromkeys(differing))
 
 
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
 def _is_number(value: Any) -> bool:
     """Whether a value is a number that fits into a float; it may be infinite."""
     is_real = isinstance(value, int | float) and not isinstance(value, bool)
@@ -172,29 +164,15 @@ def _is_rate(value: Any) -> bool:
     return _is_number(value) and 0.0 < value < math.inf
 
 
-def _is_count(value: Any) -> bool:
-    return _is_whole(value) and value >= 0
+def _whole(low: int, high: int = 2**63 - 1) -> Callable[[Any], bool]:
+    """A check for whole numbers within bounds."""
+    return lambda value: type(value) is int and low <= value <= high
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
-
-
-def _is_side(value: Any) -> bool:
-    return _is_count(value) and 0 < value <= _MAX_SIDE
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, str | bool) or _is_number(value)
-
-
+_MAX_NUMBER, _MAX_SIDE = 1e30, 65_536
+_is_count, _is_whole, _is_side = _whole(0), _whole(1 - 2**63), _whole(1, _MAX_SIDE)
 # Of a mapping, whatever its keys are; of a list.
 _EACH = "*"
-_MAX_NUMBER, _MAX_SIDE = 1e30, 65_536
 _Kind = Callable[[Any], bool] | dict[str, Any] | list[Any]
 # The kind of value that each key takes: a check, a mapping of keys, or a list. Others are not read,
 # or are parameters, which the model's class checks.
@@ -220,7 +198,7 @@ _KINDS: dict[str, _Kind] = {
         **dict.fromkeys(("width", "height"), _is_side),
         **dict.fromkeys(("frames", "cells"), _is_count),
     },
-    "options": {_EACH: _is_scalar},
+    "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
     "versions": {_EACH: _is_text},
     "summary": {_EACH: lambda value: value is None or _is_number(value)},
     "sweep": {},
@@ -230,27 +208,18 @@ _KINDS["models"] = [_KINDS]
 
 
 def _of_kinds(document: dict[Any, Any], kinds: Mapping[str, _Kind]) -> dict[str, Any]:
-    """A mapping without the keys whose values are not of their kind."""
-    found = {}
+    """A mapping without those parts that are not of their kind."""
+    found: dict[str, Any] = {}
     for key, value in document.items():
-        kind = kinds.get(key, kinds.get(_EACH)) if isinstance(key, str) else _never
-        kept = _of_kind(value, kind)
-        if kept is not None or (value is None and callable(kind) and kind(None)):
-            found[key] = kept
+        kind = kinds.get(key, kinds.get(_EACH))
+        if not isinstance(key, str):
+            continue
+        if isinstance(kind, list):
+            parts = {str(i): one for i, one in enumerate(value if isinstance(value, list) else ())}
+            found[key] = [*_of_kinds(parts, {_EACH: kind[0]}).values()]
+        elif isinstance(kind, dict):
+            if isinstance(value, dict):
+                found[key] = _of_kinds(value, kind)
+        elif kind is None or kind(value):
+            found[key] = value
     return found
-
-
-def _of_kind(value: Any, kind: _Kind | None) -> Any:
-    """A value without those parts that are not of their kind; None if it is of another kind."""
-    if kind is None:
-        return value
-    if callable(kind):
-        return value if kind(value) else None
-    if isinstance(kind, dict):
-        return _of_kinds(value, kind) if isinstance(value, dict) else None
-    every = value if isinstance(value, list) else ()
-    return [kept for one in every if (kept := _of_kind(one, kind[0])) is not None]
-
-
-def _never(value: Any) -> bool:
-    return False

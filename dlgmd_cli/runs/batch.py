@@ -325,21 +325,10 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
     return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
 
 
-def warnings_of(row: Row) -> list[str]:
-    """The warnings of a result, one line each."""
-    return list(row.record.get("warnings", []))
-
-
 def _cells(video: str, row: Row) -> list[str]:
-    """The cells of one video."""
-    warnings = "; ".join(map(str, warnings_of(row)))
+    warnings = "; ".join(row.record.get("warnings", []))
     cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        numbers = (_number(row.record.get(part, {}).get(key)) for key in keys)
-        cells += ["" if number is None else csv.cell(number) for number in numbers]
+        numbers = (row.record.get(part, {}).get(key) for key in keys)
+        cells += [csv.cell(one) if isinstance(one, int | float) else "" for one in numbers]
     return [*cells, "" if row.wall_s is None else f"{row.wall_s:.3f}"]
-
-
-def _number(value: Any) -> float | None:
-    """`value` if it is a number, else None."""
-    return value if isinstance(value, int | float) else None

@@ -170,27 +170,24 @@ def _connect(scheduler: str) -> Any:
 
 def address_of(scheduler: str) -> str:
     """The address in a scheduler file, or the address itself; raises as `run_tasks` does."""
-    path = Path(scheduler)
+    path, why = Path(scheduler), "it is not a scheduler file"
+    if _ADDRESS.fullmatch(scheduler) and not path.is_file():
+        return scheduler
     if not path.is_file() and not scheduler.endswith(".json"):
-        if _ADDRESS.fullmatch(scheduler):
-            return scheduler
         why = f"{scheduler!r} is neither an address nor a scheduler file"
         raise ParameterError(_OPTION, why, "Give one like tcp://HOST:8786, or a file's name.")
     try:
         address = json.loads(path.read_bytes())["address"]
+        if _ADDRESS.fullmatch(address):
+            return str(address)
     except OSError as error:
         why = f"cannot be read ({error.strerror})"
     except (ValueError, KeyError, TypeError):
-        why = "it is not a scheduler file"
-    else:
-        if isinstance(address, str) and _ADDRESS.fullmatch(address):
-            return address
-        why = "it holds no address"
+        pass
     raise WorkerError(scheduler, why, "Write it with: dask scheduler --scheduler-file FILE.")
 
 
 def _wait_for_workers(client: Any, scheduler: str) -> None:
-    """Wait until there is a worker."""
     if not _asked(scheduler, client.nthreads):
         _log.info("Waiting for workers of the cluster.")
     while not _asked(scheduler, client.nthreads):
@@ -241,7 +238,6 @@ def _asked(scheduler: str, ask: Callable[..., Any], *given: Any, **options: Any)
 
 
 def _lost(scheduler: str) -> WorkerError:
-    """The error for a lost scheduler."""
     return WorkerError(
         scheduler,
         "the scheduler was lost, or dropped the work",

@@ -209,7 +209,7 @@ class _Search:
                     self._n_hidden += 1
                 elif self._is_excluded(name):
                     continue
-                elif _leads_to_folder(entry):
+                elif Path(entry.path).is_dir():  # False for a link to itself
                     (self._links if entry.is_symlink() else waiting).append((name, entry.path))
                 elif is_video(entry.name):
                     self._take(name, entry.path)
@@ -217,22 +217,19 @@ class _Search:
     def _is_excluded(self, name: str) -> bool:
         """Whether a pattern excludes this path or a parent folder; counts the exclusions."""
         parts = name.split("/")
+        above = ["/".join(parts[:depth]) for depth in range(1, len(parts) + 1)]
         for pattern in self._n_excluded:
-            for depth, part in enumerate(parts, start=1):
-                if fnmatchcase(part, pattern) or fnmatchcase("/".join(parts[:depth]), pattern):
-                    self._n_excluded[pattern] += 1
-                    return True
+            if any(fnmatchcase(part, pattern) for part in (*parts, *above)):
+                self._n_excluded[pattern] += 1
+                return True
         return False
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
         """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
-        seen = [entry for entry in entries if not entry.name.startswith(".")]
-        names = [entry.name for entry in seen]
-        if len(seen) < MIN_PICTURES or not all(map(_is_picture, names)):
+        paths = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
+        are_pictures = all(path.suffix.lower() in PICTURES for path in paths)
+        if len(paths) < MIN_PICTURES or not are_pictures or any(map(Path.is_dir, paths)):
             return False
-        if any(map(_leads_to_folder, seen)):
-            return False
-        paths = [Path(entry.path) for entry in seen]
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
         why = ""
         if any(_is_figure(path) for path in some):
@@ -249,7 +246,6 @@ class _Search:
         return not why
 
     def _take(self, name: str, path: str) -> None:
-        """Add a video."""
         identity: dict[str, Any] = {}
         with suppress(OSError):  # a dangling link, which opening will report
             identity = fingerprint(path)
@@ -272,23 +268,11 @@ class _Search:
             return []
 
 
-def _is_picture(name: str) -> bool:
-    """Whether a file name has the suffix of a picture."""
-    return PurePosixPath(name).suffix.lower() in PICTURES
-
-
 def _is_figure(path: Path) -> bool:
     """Whether a picture is a figure by Matplotlib."""
     with suppress(OSError), path.open("rb") as file:
         return _MATPLOTLIB in file.read(1000)
     return False
-
-
-def _leads_to_folder(entry: "os.DirEntry[str]") -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:  # a link to itself
-        return False
 
 
 def _key_of(folder: str | Path) -> tuple[int, int]:

@@ -115,7 +115,6 @@ def run(
 
 
 def _setup(model: ModelName | int, engine: str | None) -> Setup:
-    """The setup for an entry of `models`."""
     if model in PRESETS:
         return choose(config=str(model), engine=engine)
     name = str(model).removeprefix("set")

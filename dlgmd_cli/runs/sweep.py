@@ -85,7 +85,6 @@ def _mapped(clip: Clip) -> npt.NDArray[np.void]:
 
 
 def _frames(clip: Clip) -> Iterator[Frame]:
-    """The frames of a clip."""
     for one in _mapped(clip):
         is_gap = bool(one["after_gap"])
         yield Frame(int(one["frame"]), float(one["time_s"]), one["grey"], after_gap=is_gap)
@@ -135,7 +134,6 @@ class _Probe:
             return [(point, self._values(params)) for point, params in batch]
 
     def _values(self, params: Parameters) -> Values:
-        """For each clip, the values of the columns."""
         stepper = Stepper(params, engine=self.engine)
         stepper.ignore(self.hidden)
         values = []
@@ -337,7 +335,6 @@ class Sweep:
         return clips
 
     def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
-        """The error for fewer frames than the model needs."""
         subject, label = self.subject, self.setup.label
         if subject.video is not None:
             return too_short(subject.video, label, n_needed, subject.asked)
@@ -346,13 +343,11 @@ class Sweep:
         return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 
     def _files(self, points: Iterable[int], *, complete: bool) -> dict[str, store.Write]:
-        """The functions that write the table, with the rows of some points, and the record."""
         rows = self.result.rows(points)
         table = partial(write_rows, header=self.result.header, rows=rows)
         return {TABLE: table, RECORD: store.file_of(self._text(complete=complete))}
 
     def _text(self, *, complete: bool) -> str:
-        """The text of `sweep.yaml`."""
         axes = {"x": self.grid.x, "y": self.grid.y}
         swept = [axis.key for axis in axes.values()]
         params = self.setup.params.to_dict().items()

@@ -203,7 +203,6 @@ def _video_stream(container: "InputContainer") -> "VideoStream":
 def _stream_info(
     container: "InputContainer", stream: "VideoStream", size: tuple[int, int]
 ) -> StreamInfo:
-    """The properties that the container states."""
     rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
     fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
     length_s = _length_s(container, stream)
@@ -230,12 +229,10 @@ def _rotation_code(frame: "VideoFrame") -> int | None:
 
 
 def _upright(frame: "VideoFrame", image: Image) -> Image:
-    """The frame's image, rotated upright."""
     turn = _rotation_code(frame)
     return image if turn is None else cv2.rotate(image, turn)
 
 
 def _shown_size(frame: "VideoFrame") -> tuple[int, int]:
-    """Display width and height of a frame."""
     is_upright = _rotation_code(frame) in (None, cv2.ROTATE_180)
     return (frame.width, frame.height) if is_upright else (frame.height, frame.width)

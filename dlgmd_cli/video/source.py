@@ -335,7 +335,6 @@ class Video:
         )
 
     def _repetition(self) -> str:
-        """The warning about many repeats; empty if there are few."""
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
         if n_repeats < _MANY_REPEATS or n_repeats <= _MANY_REPEATS_SHARE * n_frames:
             return ""
@@ -347,7 +346,6 @@ class Video:
         )
 
     def _shortfall(self) -> str:
-        """What is missing at the end of the stream; empty if nothing is."""
         stated, fps = self.info.n_frames, self.info.fps
         if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
             end_s = min(stated / fps, self._decoder.stream_info.shown_s)
@@ -356,7 +354,6 @@ class Video:
         return "the file is damaged" if self._decoder.is_damaged else ""
 
     def _ending(self, fault: str) -> str:
-        """The warning that a fault has ended the reading."""
         n_frames, stated = self.progress.n_decoded, self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"

@@ -356,7 +356,6 @@ def _places(
 
 
 def _zeros(size: int) -> npt.NDArray[np.float32]:
-    """An array of zeros, aligned to a cache line."""
     memory = aligned((size,))
     memory[:] = 0.0
     return memory
