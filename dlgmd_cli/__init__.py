@@ -36,31 +36,22 @@ if TYPE_CHECKING:
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
-_HOMES = {
-    "Alarm": "models.detection",
-    "ContrastDLGMD": "models.contrast",
-    "ContrastParameters": "parameters",
-    "DLGMD": "models.dlgmd",
-    "DlgmdError": "errors",
-    "DlgmdParameters": "parameters",
-    "EmdLGMD": "models.emd_lgmd",
-    "LGMD": "models.lgmd",
-    "Layers": "models.base",
-    "Model": "models.base",
-    "OnOffDLGMD": "models.on_off",
-    "OnOffParameters": "parameters",
-    "Parameters": "keys",
-    "Photoreceptors": "models.base",
-    "Response": "models.base",
-    "Result": "results.result",
-    "key": "keys",
-    "load_config": "parameters",
-    "load_set": "parameters",
-    "open_video": "video.opening",
-    "read_comparison": "results.result",
-    "read_result": "results.result",
-    "run": "runs.run",
+_NAMES = {
+    "errors": "DlgmdError",
+    "keys": "Parameters key",
+    "models.base": "Layers Model Photoreceptors Response",
+    "models.contrast": "ContrastDLGMD",
+    "models.detection": "Alarm",
+    "models.dlgmd": "DLGMD",
+    "models.emd_lgmd": "EmdLGMD",
+    "models.lgmd": "LGMD",
+    "models.on_off": "OnOffDLGMD",
+    "parameters": "ContrastParameters DlgmdParameters OnOffParameters load_config load_set",
+    "results.result": "Result read_comparison read_result",
+    "runs.run": "run",
+    "video.opening": "open_video",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = [*_HOMES]
 

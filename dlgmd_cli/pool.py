@@ -33,15 +33,9 @@ _MAX_BROKEN = 3
 class Outcome:
     """How a task ended.
 
-    Attributes
-    ----------
-    status : str
-        `done`; `failed` (the function raised `error`); `crashed` (its process crashed); `killed`
-        (its process was killed, as happens when memory runs out); `timeout`.
-    value : object
-        Return value of the function.
-    error : Exception or None
-        Why the task is not done.
+    `status` is `done`; `failed` (the function raised `error`); `crashed` (its process crashed);
+    `killed` (its process was killed, as happens when memory runs out); or `timeout`. `value` is
+    what the function returned, and `error` says why the task is not done.
     """
 
     status: str

@@ -17,14 +17,9 @@ _NEEDED = COLUMNS[:2]
 class Label:
     """The label of a video; a video with several collisions has one label for each.
 
-    Attributes
-    ----------
-    video : str
-        Path of the video or folder of pictures, relative to the table.
-    collision_frame : int or None
-        The first frame at or after the collision; None if there is none.
-    target : str
-        The object that is hit or approached; empty if unknown.
+    `video` is the path of the video or folder of pictures, relative to the table.
+    `collision_frame` is the first frame at or after the collision; None if there is none. `target`
+    is the object that is hit or approached; empty if unknown.
     """
 
     video: str

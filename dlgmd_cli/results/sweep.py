@@ -105,18 +105,10 @@ class Grid:
 class SweepResult:
     """Measures at every point of a grid, filled in as points are computed.
 
-    Attributes
-    ----------
-    grid : Grid
-        The parameters.
-    speeds_px : tuple of float
-        Speed of the cube in each clip, in px/frame; empty for a video.
-    columns : dict of str to ndarray, shape (n_clips, n_y, n_x)
-        The measures; NaN where undefined or not computed yet. Values may be infinite.
-    is_possible : bool array, shape (n_y, n_x)
-        Where the values of x and y are a valid combination.
-    done : set of int
-        Numbers of the computed points.
+    `speeds_px` holds the speed of the cube in each clip, in px/frame; it is empty for a video.
+    `columns` has the measures by name, (n_clips, n_y, n_x): NaN where undefined or not computed
+    yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, tells where the values of x and y are a
+    valid combination. `done` has the numbers of the computed points.
     """
 
     grid: Grid

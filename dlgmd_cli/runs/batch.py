@@ -46,22 +46,10 @@ _READERS = 8
 class Job:
     """Settings shared by all videos of a batch; picklable.
 
-    Attributes
-    ----------
-    setups : tuple of Setup
-        The models.
-    places : tuple of str
-        Output folder of each model: an absolute path or a URL.
-    options : InputOptions
-        How the videos are read.
-    formats : tuple of str
-        Formats of the plots.
-    dpi : int
-        Resolution of PNG.
-    overwrite : bool
-        Whether results with other parameters or of another input may be replaced.
-    scratch : str or None
-        Folder for copies of videos from URLs; the system's temporary folder unless given.
+    `places` holds the output folder of each model, an absolute path or a URL. The plots are written
+    in `formats`, PNG with `dpi`. With `overwrite`, results with other parameters or of another
+    input may be replaced. Videos from URLs are copied to the folder `scratch`, the system's
+    temporary folder unless given.
     """
 
     setups: tuple[Setup, ...]
@@ -85,18 +73,10 @@ class Task:
 class Row:
     """The outcome of one video with one model.
 
-    Attributes
-    ----------
-    status : str
-        `done`, `failed`, `crashed`, `killed` or `timeout`, see `pool.Outcome`.
-    error : str
-        Why it is not done, on one line.
-    record : dict
-        Contents of run.yaml, if it is done.
-    wall_s : float or None
-        Wall time in seconds, decoding included; None if unknown.
-    lacks_figures : bool
-        Whether a figure could not be drawn, which is a warning in the record.
+    `status` is that of a `pool.Outcome`, and `error` says on one line why the video is not done.
+    If it is done, `record` has the contents of run.yaml. `wall_s` is the wall time in seconds,
+    decoding included; None if unknown. `lacks_figures` tells that a figure could not be drawn,
+    which is a warning in the record.
     """
 
     status: str
@@ -133,14 +113,8 @@ class Summary:
 class Plan:
     """The remaining work of a batch.
 
-    Attributes
-    ----------
-    tasks : list of Task
-        The tasks to do.
-    summaries : list of Summary
-        One per model, with the rows that are already done.
-    n_other_version : int
-        Number of kept results that another version of dlgmd computed.
+    There is one summary per model, with the rows that are already done. `n_other_version` counts
+    the kept results that another version of dlgmd computed.
     """
 
     tasks: list[Task]

@@ -42,16 +42,9 @@ SUMMARY = "summary.csv"
 class Input:
     """One video of a batch.
 
-    Attributes
-    ----------
-    name : str
-        Name in the summary: its path relative to the given folder, with slashes.
-    path : str
-        An absolute path or a URL.
-    folder : str
-        Its result folder, relative to that of the batch, with slashes.
-    identity : dict
-        Values that change with its content; empty if they are unknown.
+    `name` is its name in the summary: the path relative to the given folder, with slashes. `path`
+    is absolute, or a URL. `folder` is its result folder relative to that of the batch, with
+    slashes. `identity` has values that change with its content; it is empty if they are unknown.
     """
 
     name: str

@@ -34,17 +34,10 @@ Range = tuple[float, float]
 class LayerRun(NamedTuple):
     """A run of a model that kept layers.
 
-    Attributes
-    ----------
-    result : Result
-        All processed frames. Its record lists the `frames` of the sheet, and is `complete` unless
-        the stop flag left out some of them.
-    sheet : LayerSheet or None
-        The layers of the requested frames; None if there are none.
-    ranges : dict
-        The extremes of `s` and `g` over all frames, if the whole input was run.
-    model : Model
-        The model.
+    `result` has all processed frames; its record lists the `frames` of the sheet, and is `complete`
+    unless the stop flag left out some of them. `sheet` has the layers of the requested frames; None
+    if there are none. `ranges` holds the extremes of `s` and `g` over all frames, if the whole
+    input was run.
     """
 
     result: Result

@@ -34,23 +34,12 @@ DEFAULT_PRESET, DEFAULT_SET, DLGMD = PRESETS[0], "9", DlgmdParameters.model
 class Setup:
     """One model of a run: its parameters and their origin.
 
-    Attributes
-    ----------
-    params : Parameters
-        Parameters of the model.
-    label : str
-        Name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
-    engine : str
-        `opencv`, `numba` or `auto`.
-    named : dict
-        Entry for the record: ``{"set": 9}`` or ``{"preset": "flight"}`` if one was named.
-    origin : str
-        File of the parameters, for error messages.
-    options : InputOptions
-        Options of the run that wrote that file, if it is a `run.yaml`.
-    width_px, model_fps : int, float
-        Frame width in px and frame rate that the parameters are designed for; the defaults unless
-        an option is given.
+    `label` is the name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
+    `engine` is `opencv`, `numba` or `auto`. `named` is an entry for the record: ``{"set": 9}`` or
+    ``{"preset": "flight"}`` if one was named. `origin` is the file of the parameters, for error
+    messages, and `options` those of the run that wrote that file, if it is a `run.yaml`. The
+    parameters are designed for frames `width_px` wide, in px, and for `model_fps`: the defaults
+    unless an option is given.
     """
 
     params: Parameters

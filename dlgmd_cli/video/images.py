@@ -10,7 +10,7 @@ import numpy as np
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.files import open_regular
-from dlgmd_cli.names import PRINTF, input_name, is_pattern
+from dlgmd_cli.names import PRINTF, is_pattern
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
 
@@ -106,11 +106,6 @@ def pictures_at(path: Path) -> list[Path] | None:
     if not found:
         raise SourceError(str(path), why, mend)
     return sorted(found, key=_natural_key)
-
-
-def sequence_name(path: Path) -> str:
-    """Name for the results of a folder or a pattern: the folder's name."""
-    return input_name(path, are_pictures=True)
 
 
 def _natural_key(path: Path) -> list[tuple[int, int, str]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.names import without_password
+from dlgmd_cli.names import input_name, without_password
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
 from dlgmd_cli.video.base import (
@@ -23,7 +23,7 @@ from dlgmd_cli.video.base import (
     openable,
     parse_crop,
 )
-from dlgmd_cli.video.images import ImageDecoder, pictures_at, sequence_name
+from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder
 from dlgmd_cli.video.region import Region, read_mask
@@ -171,9 +171,9 @@ def _source(
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
     if pictures is not None:
         opens = partial(ImageDecoder, pictures, fps)
-        return sequence_name(file), where, DEFAULT_DECODER, opens
+        return input_name(file, are_pictures=True), where, DEFAULT_DECODER, opens
     _check_readable(file)
-    name = file.stem or file.name
+    name = input_name(file, are_pictures=False)
     if file.suffix.lower() == SUFFIX:
         return name, where, NAME, lambda: ArrayDecoder(load_array(file), fps, str(path))
     return name, where, decoder, partial(_open_file, file, decoder)

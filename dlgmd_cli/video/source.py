@@ -56,24 +56,11 @@ class Decoder(Protocol):
 class SourceInfo:
     """Properties of a source.
 
-    Attributes
-    ----------
-    path : str
-        Absolute path.
-    name : str
-        Name for its results: the stem of a file, the name of a folder.
-    width, height : int
-        Display size of its pictures, in px.
-    fps : float
-        Nominal frame rate.
-    n_frames : int or None
-        Stated number of frames: a hint for a progress bar, often wrong.
-    decoder : str
-        opencv, pyav, or array.
-    identity : dict
-        What identifies its content without decoding it: `path`, and see `fingerprint`.
-    given : str
-        What it was called when it was opened, for messages.
+    `path` is absolute. `name` is for its results: the stem of a file, the name of a folder. `width`
+    and `height` are the display size of its pictures, in px, and `fps` is the nominal frame rate.
+    `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
+    opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
+    what `fingerprint` gives. `given` is what the source was called when it was opened.
     """
 
     path: str

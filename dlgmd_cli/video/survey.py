@@ -42,40 +42,20 @@ _MIN_BAR_PX, _MIN_LEFT = 2, 0.3
 class Survey:
     """Properties of an input that has been read to its end.
 
-    Attributes
-    ----------
-    path : str
-        The path as given.
-    width, height : int
-        Size of the pictures, in px.
-    frames : int
-        Number of decoded frames.
-    duration_s : float
-        Time of the end of the last frame, in seconds.
-    fps_stated, fps_true : float or None
-        Frame rate that the input states, and the mean rate of its frames; None for pictures.
-    fps_range : (float, float) or None
-        Frame rates of the longest and the shortest interval between two frames.
-    is_variable : bool
-        Whether the frame rate varies.
-    repeats : int
-        Number of frames that repeat the previous one.
-    gaps : int
-        Number of gaps with missing frames; models are reset after a gap.
-    codec, pixel_format : str
-        FFmpeg's names. Without PyAV, `pixel_format` is empty and `codec` is the FOURCC.
-    bits : int or None
-        Bits per sample.
-    is_interlaced : bool or None
-        Whether frames consist of two fields; None if PyAV is not installed.
-    decoder : str
-        The decoder in use.
-    damage, warnings : list of str
-        Where the input is damaged; other doubts about it.
-    crop : Crop or None
-        The picture without its black borders; None if there are none.
-    still : ndarray, bool, or None
-        Pixels of that part that never change while the others do, (H, W); None if there are none.
+    `path` is as given; `width` and `height` are in px, and `frames` counts the decoded ones. The
+    last frame ends at `duration_s`, in seconds. `fps_stated` is the frame rate that the input
+    states, `fps_true` the mean rate of its frames, `fps_range` the rates of the longest and the
+    shortest interval, all None for pictures; `is_variable` tells whether the rate varies. `repeats`
+    counts the frames that repeat the previous one, `gaps` the gaps with missing frames, after which
+    models are reset.
+
+    `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
+    is the FOURCC. `bits` is per sample. `is_interlaced` tells whether frames consist of two fields.
+    Both are None if PyAV is not installed. `damage` says where the input is damaged, `warnings` has
+    other doubts about it.
+
+    `crop` is the picture without its black borders; None if there are none. `still` has the pixels
+    of that part that never change while the others do, (H, W) bool; None if there are none.
     """
 
     path: str
