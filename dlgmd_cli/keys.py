@@ -141,10 +141,8 @@ class Parameters:
 
         It is this class, or a new subclass if this one belongs to another model.
 
-        Raises
-        ------
-        ParameterError
-            If a key has a reserved name or no default, or the class is not frozen.
+        Raises ParameterError if a key has a reserved name or no default, or the class is not
+        frozen.
         """
         kind: Any = cls
         if cls is Parameters or vars(cls).get("model", model) != model:
@@ -179,10 +177,7 @@ class Parameters:
     def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
         """Build from key -> value; missing keys keep their defaults.
 
-        Raises
-        ------
-        ParameterError
-            If a key is unknown, or a value has the wrong type or is out of range.
+        Raises ParameterError if a key is unknown, or a value has the wrong type or is out of range.
         """
         for name in values:
             if name not in cls.specs():
@@ -237,10 +232,7 @@ def imported_model(spec: str, origin: str = "") -> Any:
 def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
     """The parameters in the record of a model that cannot be imported; unchecked.
 
-    Raises
-    ------
-    ParameterError
-        If the record has no `t_mp` or `n_sp`.
+    Raises ParameterError if the record has no `t_mp` or `n_sp`.
     """
     values = {
         name: value

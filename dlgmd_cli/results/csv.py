@@ -94,10 +94,8 @@ def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
 
     Columns that an older file lacks, and those that only a newer version knows, are left out.
 
-    Raises
-    ------
-    ResultError
-        If the file cannot be read, is another table, or does not contain frames in order.
+    Raises ResultError if the file cannot be read, is another table, or does not contain frames in
+    order.
     """
     found, rows = _read(path, header)
     return {name: one for name, one in _checked(path, found, rows).items() if name in header}

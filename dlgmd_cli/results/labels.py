@@ -43,10 +43,7 @@ def write_labels(path: Path, labels: Iterable[Label]) -> None:
 def read_labels(path: Path) -> list[Label]:
     """Read the labels from a CSV, in its order; further columns are ignored.
 
-    Raises
-    ------
-    ResultError
-        If the file cannot be read, or is not a table of labels.
+    Raises ResultError if the file cannot be read, or is not a table of labels.
     """
     rows = read_rows(path)
     header = [name.strip() for name in rows[0]] if rows else []

@@ -56,12 +56,8 @@ def files_of(record: str) -> frozenset[str]:
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
     """The folder for a path or a URL such as ``s3://bucket/results``.
 
-    Raises
-    ------
-    ParameterError
-        If the URL is of an unknown kind, or does not name a folder.
-    MissingExtraError
-        If the packages for such URLs are not installed.
+    Raises ParameterError if the URL is of an unknown kind, or does not name a folder, and
+    MissingExtraError if the packages for such URLs are not installed.
     """
     if not is_url(text):
         return Path(text)
@@ -109,6 +105,9 @@ def check(
 ) -> bool:
     """Check that a result may be written; returns whether results of another input are replaced.
 
+    Raises OutputExistsError if the folder holds a result that may not be replaced, or files that
+    are not a result.
+
     Parameters
     ----------
     folder : Path or UPath
@@ -119,11 +118,6 @@ def check(
         Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
-
-    Raises
-    ------
-    OutputExistsError
-        If the folder holds a result that may not be replaced, or files that are not a result.
     """
     with writing(folder):
         if not folder.exists():
@@ -158,12 +152,8 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
 
     A new folder that stays empty is removed again. Buckets are not locked.
 
-    Raises
-    ------
-    OutputExistsError
-        If another process is writing there.
-    OutputError
-        If the folder cannot be written.
+    Raises OutputExistsError if another process is writing there, and OutputError if the folder
+    cannot be written.
     """
     if not isinstance(folder, Path) or is_url(str(folder)):
         yield
@@ -246,15 +236,12 @@ def write_files(
     A name that ends in .png, .pdf or .svg is a figure. Numbers do not depend on figures: if one
     cannot be drawn, the others are written without it, unless there are only figures.
 
+    Raises OutputError if a file cannot be written.
+
     Returns
     -------
     dict of str to str
         The figures that could not be drawn, each with the reason.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
     """
     undrawn: dict[str, str] = {}
     are_figures = {name: name.endswith(PLOT_FORMATS) for name in files}

@@ -125,6 +125,9 @@ class Plan:
 def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
     """Compare the batch with existing results to find the work that is left.
 
+    Raises OutputExistsError if there are results with other parameters or of another input, and
+    `job.overwrite` is not set.
+
     Parameters
     ----------
     videos : sequence of Input
@@ -133,12 +136,6 @@ def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
         Settings of the batch.
     force : bool
         Recompute existing results.
-
-    Raises
-    ------
-    OutputExistsError
-        If there are results with other parameters or of another input, and `job.overwrite` is not
-        set.
     """
     wanted: dict[str, list[int]] = {video.name: [] for video in videos}
     summaries, n_other_version = [], 0
@@ -196,6 +193,8 @@ def record_outcomes(
 ) -> Iterator[tuple[Task, dict[int, Row]]]:
     """Enter the outcomes of tasks into the summaries, and keep the files up to date.
 
+    Raises OutputError if a summary cannot be written at the beginning or at the end.
+
     Parameters
     ----------
     tasks : Plan
@@ -207,11 +206,6 @@ def record_outcomes(
     ------
     (Task, dict of int to Row)
         A video, and its rows by the number of the model.
-
-    Raises
-    ------
-    OutputError
-        If a summary cannot be written at the beginning or at the end.
     """
     for summary in tasks.summaries:  # fail before spending time on videos
         summary.write()

@@ -71,6 +71,9 @@ def find_videos(
     they are figures. Links are followed, but no folder is searched twice, and a real folder takes
     precedence over a link to it. Hidden files and folders are skipped.
 
+    Raises SourceError if a root does not exist or is an empty URL, and MissingExtraError if the
+    packages for a URL are not installed.
+
     Parameters
     ----------
     roots : sequence of str
@@ -80,13 +83,6 @@ def find_videos(
     exclude : iterable of str
         Patterns of files and folders to skip, such as ``raw*``. They are matched against the name,
         and against the path as in `Input.name`.
-
-    Raises
-    ------
-    SourceError
-        If a root does not exist or is an empty URL.
-    MissingExtraError
-        If the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out, exclude)
@@ -278,10 +274,7 @@ def _key_of(folder: str | Path) -> tuple[int, int]:
 def local_copy(path: str, scratch: str | None = None) -> Iterator[str]:
     """A local path: `path` itself, or for a URL that of a temporary copy in `scratch`.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be copied.
+    Raises SourceError if the file cannot be copied.
     """
     if not is_url(path):
         yield path

@@ -81,10 +81,8 @@ def choose(
     `model` is a name, see `find_model`, the class of a model, or its parameters. Without any name,
     the preset `flight` is used; `dlgmd` alone means set 9.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such set, file, model or engine, or a parameter is not valid.
+    Raises ParameterError if there is no such set, file, model or engine, or a parameter is not
+    valid.
     """
     if set is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
@@ -152,10 +150,7 @@ def _named_config(
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
     """The given options, supplemented by those in the file of the setup.
 
-    Raises
-    ------
-    ParameterError
-        If options exclude each other or are not valid.
+    Raises ParameterError if options exclude each other or are not valid.
     """
     explicit = {key: value for key, value in given.items() if value is not None}
     recorded = setup.options

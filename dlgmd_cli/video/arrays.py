@@ -18,6 +18,8 @@ _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in B
 class ArrayDecoder:
     """Yields images of one size at a given frame rate, see `open_video`.
 
+    Raises SourceError if there is no image, or the first one is none.
+
     Parameters
     ----------
     images : iterable of ndarray
@@ -26,11 +28,6 @@ class ArrayDecoder:
         Frame rate.
     name : str
         Its name in error messages.
-
-    Raises
-    ------
-    SourceError
-        If there is no image, or the first one is none.
     """
 
     is_damaged = False

@@ -23,10 +23,7 @@ SUFFIXES = (
 class ImageDecoder:
     """Decodes a sequence of picture files, at least one, at a given frame rate.
 
-    Raises
-    ------
-    SourceError
-        If the first picture cannot be read.
+    Raises SourceError if the first picture cannot be read.
     """
 
     is_damaged = False
@@ -82,10 +79,7 @@ def read_image(path: Path) -> Image | None:
 def pictures_at(path: Path) -> list[Path] | None:
     """The pictures of a folder or a pattern in natural order, at least one; None for a file.
 
-    Raises
-    ------
-    SourceError
-        If there are none, or the folder cannot be read.
+    Raises SourceError if there are none, or the folder cannot be read.
     """
     if path.is_dir():
         try:

@@ -32,15 +32,12 @@ class OpenCVDecoder:
 
     OpenCV scales every frame to the size of the first one and does not report a change of size.
 
+    Raises Unreadable if no frame can be decoded.
+
     Parameters
     ----------
     name : str
         The file's name, valid UTF-8 and not a pattern.
-
-    Raises
-    ------
-    Unreadable
-        If no frame can be decoded.
     """
 
     takes_every_frame = False

@@ -45,17 +45,12 @@ class Details(NamedTuple):
 class PyAVDecoder:
     """Decodes the frames of a file once, as luma planes or, if there are none, as BGR pictures.
 
+    Raises Unreadable if no frame can be decoded, and MissingExtraError if PyAV is not installed.
+
     Parameters
     ----------
     name : str
         The file's name, not a pattern.
-
-    Raises
-    ------
-    Unreadable
-        If no frame can be decoded.
-    MissingExtraError
-        If PyAV is not installed.
 
     Notes
     -----
