@@ -166,11 +166,9 @@ class LgmdParameters(Parameters):
     def _check_together(self) -> None:
         """Persistence must decay."""
         if self.p2 >= 1.0 - abs(self.p1) or self.p2 <= -1.0:
-            raise ParameterError(
-                "",
-                f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever",
-                "Bring them nearer to 0.",
-            )
+            why = f"p1 = {self.p1:g} with p2 = {self.p2:g} makes every change grow for ever"
+            mend = "Bring them nearer to 0."
+            raise ParameterError("", why, mend)
 
 
 @dataclass(frozen=True)
@@ -293,11 +291,9 @@ def load_preset(name: str | int) -> Config:
     names = preset_names()
     number = str(name).removeprefix("set")
     if number not in names:
-        raise ParameterError(
-            "",
-            f"there is no set {str(name)[:40]}",
-            f"Choose {names[0]} to {names[-1]}, or give a file with --config.",
-        )
+        why = f"there is no set {str(name)[:40]}"
+        mend = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
+        raise ParameterError("", why, mend)
     return load_config(presets_dir() / f"set{number}.yaml")
 
 

@@ -23,15 +23,6 @@ class DLGMD(Distributed):
         Engine for the layers: `opencv`, `numba` (a fused loop, compiled on first use), or `auto`,
         which uses Numba for large frames if it is installed.
 
-    Attributes
-    ----------
-    engine_name : str
-        The engine in use; before the first frame, the requested one.
-    connections : Connections
-        The kernels.
-    first_valid_frame : int
-        Index of the first frame with a full history; P is defined from frame 1 on.
-
     Examples
     --------
     >>> import numpy as np

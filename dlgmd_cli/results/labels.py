@@ -65,8 +65,6 @@ def _label(path: Path, number: int, row: dict[str, str]) -> Label:
             return Label(video, None, target)
         if frame.isascii() and frame.isdigit() and len(frame) <= 9:
             return Label(video, int(frame), target)
-    raise ResultError(
-        str(path),
-        f"line {number} is not a label",
-        "Write a video and the number of a frame, or nothing after the comma.",
-    )
+    why = f"line {number} is not a label"
+    mend = "Write a video and the number of a frame, or nothing after the comma."
+    raise ResultError(str(path), why, mend)

@@ -72,11 +72,9 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
             raise ParameterError(url, "names no folder", "Give one, as s3://bucket/results.")
         return UPath(url.rstrip("/"))
     except ImportError as error:
-        raise MissingExtraError(
-            url,
-            f"URLs of this kind cannot be used ({error})",
-            "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL.",
-        ) from None
+        why = f"URLs of this kind cannot be used ({error})"
+        mend = "Run: pip install 'dlgmd[cluster]', and install the package of that kind of URL."
+        raise MissingExtraError(url, why, mend) from None
     except ValueError:
         kind = url.partition("://")[0]
         raise ParameterError(url, f"there is no kind of URL called {kind}://") from None

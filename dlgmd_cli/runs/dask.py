@@ -126,11 +126,9 @@ def _work(
             yield task, Outcome(KILLED, error=WorkerError("", why, mend))
         elif error is not None:
             why = " ".join(str(error).split())[:200]
-            raise WorkerError(
-                scheduler,
-                f"the cluster cannot do this work ({type(error).__name__}: {why})",
-                "Install the same versions of Python, dlgmd and Dask everywhere.",
-            )
+            why = f"the cluster cannot do this work ({type(error).__name__}: {why})"
+            mend = "Install the same versions of Python, dlgmd and Dask everywhere."
+            raise WorkerError(scheduler, why, mend)
         else:
             yield task, _asked(scheduler, future.result, timeout=CONNECT_S)
 
@@ -158,11 +156,9 @@ def _connect(scheduler: str) -> Any:
     try:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError:
-        raise WorkerError(
-            scheduler,
-            f"no Dask scheduler answered within {CONNECT_S:g} s",
-            "Start one with 'dask scheduler', or check --scheduler.",
-        ) from None
+        why = f"no Dask scheduler answered within {CONNECT_S:g} s"
+        mend = "Start one with 'dask scheduler', or check --scheduler."
+        raise WorkerError(scheduler, why, mend) from None
     except Exception as error:
         why = str(error).split("\n")[0] or type(error).__name__
         raise WorkerError(scheduler, f"no connection ({why})", "Check --scheduler.") from None

@@ -33,11 +33,9 @@ class ImageDecoder:
         self._paths, self._path, self._fps = paths, paths[0], fps
         first = read_image(self._path)
         if first is None:
-            raise SourceError(
-                str(self._path),
-                "cannot be read as a picture",
-                "Remove it from the sequence or convert it to PNG.",
-            )
+            why = "cannot be read as a picture"
+            mend = "Remove it from the sequence or convert it to PNG."
+            raise SourceError(str(self._path), why, mend)
         kind = self._path.suffix[1:].lower()
         self.stream_info: StreamInfo = StreamInfo(
             first.shape[1], first.shape[0], fps, len(paths), codec=kind

@@ -185,11 +185,9 @@ def _open_file(path: Path, decoder: str) -> Decoder:
         with openable(path.absolute()) as name:
             return PyAVDecoder(name) if decoder == "pyav" else OpenCVDecoder(name)
     except Unreadable:
-        raise SourceError(
-            str(path),
-            "no frame could be decoded, damaged file or missing codec",
-            "Try re-encoding it with ffmpeg.",
-        ) from None
+        why = "no frame could be decoded, damaged file or missing codec"
+        mend = "Try re-encoding it with ffmpeg."
+        raise SourceError(str(path), why, mend) from None
 
 
 def _refuse_streams(name: str) -> None:

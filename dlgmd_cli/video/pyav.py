@@ -178,11 +178,8 @@ def _import_av() -> Any:
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
             why = "is not installed"
-        raise MissingExtraError(
-            "--decoder pyav",
-            f"the package 'av' {why}",
-            "Install it with: pip install 'dlgmd[fast]'",
-        ) from None
+        why, mend = f"the package 'av' {why}", "Install it with: pip install 'dlgmd[fast]'"
+        raise MissingExtraError("--decoder pyav", why, mend) from None
     return av
 
 

@@ -107,18 +107,14 @@ def video_writer(
             # OpenCV does not report a full disk; the file then lacks frames.
             n_written = count_frames(file)
             if n_written != n_frames:
-                raise OutputError(
-                    str(target or path),
-                    f"only {n_written} of {n_frames} frames arrived on the disk",
-                    f"Free some space, or choose another {option}.",
-                )
+                why = f"only {n_written} of {n_frames} frames arrived on the disk"
+                mend = f"Free some space, or choose another {option}."
+                raise OutputError(str(target or path), why, mend)
             file.replace(path)
     except OSError as error:
-        raise OutputError(
-            str(target or path),
-            f"cannot be written ({error.strerror or error})",
-            f"Choose another {option}, or free some space.",
-        ) from None
+        why = f"cannot be written ({error.strerror or error})"
+        mend = f"Choose another {option}, or free some space."
+        raise OutputError(str(target or path), why, mend) from None
 
 
 def write_video(

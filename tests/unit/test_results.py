@@ -11,7 +11,7 @@ from conftest import make_result, result_of_level
 
 import dlgmd_cli
 from dlgmd_cli import load_set, read_result
-from dlgmd_cli.errors import OutputError, OutputExistsError, ResultError
+from dlgmd_cli.errors import OutputExistsError, ResultError
 from dlgmd_cli.models.detection import Alarm, absolute
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import cell, text_cell
@@ -173,21 +173,9 @@ def test_files_that_were_changed(tmp_path, name, change, why):
     assert "\n" not in str(caught.value)
 
 
-def test_what_stands_is_kept_until_the_new_result_is_whole(tmp_path):
+def test_there_is_no_such_folder(tmp_path):
     with pytest.raises(ResultError, match="there is no such folder"):
         read_result(tmp_path / "none")
-    result = make_result([1.0, 2.0])
-    result.save(tmp_path)
-    files = result.files()
-
-    def full(path):
-        path.write_text("half")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OutputError, match="No space left"):
-        store.commit(tmp_path, store.RUN, {**files, "spikes.csv": full})
-    assert set(os.listdir(tmp_path)) == set(files)
-    assert np.array_equal(read_result(tmp_path).mp, result.mp)
 
 
 def test_a_commit_replaces_what_its_command_wrote_and_nothing_else(tmp_path):

@@ -72,11 +72,9 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
     if fault is None:
         return "numba"
     if name == "numba":
-        raise MissingExtraError(
-            "--engine numba",
-            f"the package 'numba' {fault}",
-            "Install it with: pip install 'dlgmd[fast]', or use --engine opencv.",
-        )
+        why = f"the package 'numba' {fault}"
+        mend = "Install it with: pip install 'dlgmd[fast]', or use --engine opencv."
+        raise MissingExtraError("--engine numba", why, mend)
     if fault != NOT_INSTALLED:
         _log.warning("the package 'numba' %s; the engine is opencv", fault)
     return "opencv"

@@ -164,19 +164,7 @@ def _moment(g):
 
 
 def _sum_layers(
-    first,
-    end,
-    stack,
-    newer,
-    older,
-    hidden,
-    plan,
-    shape,
-    memory,
-    row_memory,
-    grouping,
-    s_out,
-    g_out,
+    first, end, stack, newer, older, hidden, plan, shape, memory, row_memory, grouping, s_out, g_out
 ):
     """ΣS, ΣG and the moments of G for the rows from `first` up to `end`, block by block.
 
