@@ -69,16 +69,9 @@ def latency_map(radius_px: int, alpha: float, beta: float, lam: float) -> FloatK
 class Connections:
     """The presynaptic connections of a cell in the S layer; kernels are (2r + 1, 2r + 1) float64.
 
-    Attributes
-    ----------
-    latency : ndarray, shape (2r + 1, 2r + 1)
-        τ, in frames.
-    excitation : ndarray, same shape
-        K_E, applied to P(t).
-    inhibition : dict of int to ndarray
-        Delay d in frames -> K_d, applied to P(t - d), for the delays in the latency map.
-    gaussians : tuple of ndarray
-        The separable kernels of which the others are parts.
+    `latency` is τ, in frames, and `excitation` is K_E, applied to P(t). `inhibition` maps each
+    delay d in frames that is in the latency map to K_d, applied to P(t - d). `gaussians` are the
+    separable kernels of which the others are parts.
     """
 
     latency: FloatKernel

@@ -125,17 +125,8 @@ class Plan:
 def plan(videos: Sequence[Input], job: Job, *, force: bool = False) -> Plan:
     """Compare the batch with existing results to find the work that is left.
 
-    Raises OutputExistsError if there are results with other parameters or of another input, and
-    `job.overwrite` is not set.
-
-    Parameters
-    ----------
-    videos : sequence of Input
-        All videos of the batch.
-    job : Job
-        Settings of the batch.
-    force : bool
-        Recompute existing results.
+    With `force`, existing results are computed again. Raises OutputExistsError if there are results
+    with other parameters or of another input, and `job.overwrite` is not set.
     """
     wanted: dict[str, list[int]] = {video.name: [] for video in videos}
     summaries, n_other_version = [], 0
@@ -193,19 +184,9 @@ def record_outcomes(
 ) -> Iterator[tuple[Task, dict[int, Row]]]:
     """Enter the outcomes of tasks into the summaries, and keep the files up to date.
 
-    Raises OutputError if a summary cannot be written at the beginning or at the end.
-
-    Parameters
-    ----------
-    tasks : Plan
-        Its summaries are written repeatedly, and at the end even after an error.
-    outcomes : iterable of (Task, Outcome)
-        Results of a pool for `run_video`.
-
-    Yields
-    ------
-    (Task, dict of int to Row)
-        A video, and its rows by the number of the model.
+    `outcomes` are those of a pool for `run_video`. Yields each video with its rows by the number of
+    the model. The summaries are written repeatedly, and at the end even after an error. Raises
+    OutputError if one cannot be written at the beginning or at the end.
     """
     for summary in tasks.summaries:  # fail before spending time on videos
         summary.write()

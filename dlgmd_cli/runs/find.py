@@ -71,18 +71,11 @@ def find_videos(
     they are figures. Links are followed, but no folder is searched twice, and a real folder takes
     precedence over a link to it. Hidden files and folders are skipped.
 
-    Raises SourceError if a root does not exist or is an empty URL, and MissingExtraError if the
-    packages for a URL are not installed.
-
-    Parameters
-    ----------
-    roots : sequence of str
-        Folders, videos, and URLs of either. With several roots, names begin with the root's name.
-    leave_out : iterable of Path
-        Folders to skip, such as the output folder, unless they are roots.
-    exclude : iterable of str
-        Patterns of files and folders to skip, such as ``raw*``. They are matched against the name,
-        and against the path as in `Input.name`.
+    `roots` are folders, videos, and URLs of either. With several, names begin with the root's name.
+    The folders `leave_out`, such as the output folder, are skipped unless they are roots. The
+    patterns `exclude`, such as ``raw*``, are matched against names and against paths as in
+    `Input.name`. Raises SourceError if a root does not exist or is an empty URL, and
+    MissingExtraError if the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
     search = _Search(leave_out, exclude)

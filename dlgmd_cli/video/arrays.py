@@ -16,18 +16,9 @@ _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in B
 
 
 class ArrayDecoder:
-    """Yields images of one size at a given frame rate, see `open_video`.
+    """Yields images of one size, at least one, at a given frame rate, see `open_video`.
 
-    Raises SourceError if there is no image, or the first one is none.
-
-    Parameters
-    ----------
-    images : iterable of ndarray
-        At least one.
-    fps : float
-        Frame rate.
-    name : str
-        Its name in error messages.
+    `name` is for error messages. Raises SourceError if there is no image, or the first one is none.
     """
 
     is_damaged = False

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from dlgmd_cli.checks import Spec
+from dlgmd_cli.checks import Spec, shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.threads import can_start, n_processors, thread_limit
 
@@ -101,21 +101,28 @@ def require_memory() -> None:
     bytearray(_LITTLE_MEMORY)
 
 
-def parse_size(text: str) -> tuple[int, int]:
+def _numbers(pattern: str, text: Any) -> list[int]:
+    """The whole numbers where `pattern` has N; none if the text is another."""
+    numbers = pattern.replace("N", r"(\d{1,6})")
+    match = isinstance(text, str) and re.fullmatch(numbers, text.strip(), re.ASCII)
+    return [int(number) for number in match.groups()] if match else []
+
+
+def parse_size(text: Any) -> tuple[int, int]:
     """`480x270` -> (480, 270); raises ParameterError."""
-    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})", text.strip(), re.ASCII)
-    if match is None:
-        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT", "Write 480x270.")
-    return int(match[1]), int(match[2])
+    found = _numbers("N[x×X]N", text)
+    if not found:
+        raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT", "Write 480x270.")
+    return found[0], found[1]
 
 
-def parse_crop(text: str) -> Crop:
+def parse_crop(text: Any) -> Crop:
     """`640x360+0+60` -> Crop(640, 360, 0, 60); raises ParameterError."""
-    match = re.fullmatch(r"(\d{1,6})[x×X](\d{1,6})\+(\d{1,6})\+(\d{1,6})", text.strip(), re.ASCII)
-    if match is None or not int(match[1]) or not int(match[2]):
+    found = _numbers(r"N[x×X]N\+N\+N", text)
+    if not found or not found[0] or not found[1]:
         mend = "Write 640x360+0+60: 640x360 px, 0 px from the left and 60 px from the top."
-        raise ParameterError("", f"{text[:40]!r} is not WIDTHxHEIGHT+X+Y", mend)
-    return Crop(*map(int, match.groups()))
+        raise ParameterError("", f"{shown(text)} is not WIDTHxHEIGHT+X+Y", mend)
+    return Crop(*found)
 
 
 def plausible_fps(fps: float) -> float | None:

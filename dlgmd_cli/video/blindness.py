@@ -31,22 +31,11 @@ class Blindness:
         self._last_s, self.since_s, self._suspected = math.nan, math.nan, ""
 
     def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> str:
-        """Judge the next picture.
+        """Judge the next picture: `black` or `frozen` once that has lasted for 0.7 s, else empty.
 
-        Parameters
-        ----------
-        picture : ndarray, shape (H, W) or (H, W, 3)
-            Grey or BGR, as it was decoded: reduced pictures may lose their noise. The caller may
-            reuse the array afterwards.
-        time_s : float
-            Time of the picture in seconds.
-        black : int
-            Level of black.
-
-        Returns
-        -------
-        str
-            `black` or `frozen` once that has lasted for 0.7 s, else empty.
+        `picture` is (H, W) grey or (H, W, 3) BGR as it was decoded: reduced pictures may lose their
+        noise. The caller may reuse the array afterwards. `time_s` is its time in seconds, and
+        `black` the level of black.
         """
         rows = picture[:: max(1, len(picture) // _N_ROWS)]
         is_equal = self._is_equal(picture, rows)

@@ -30,14 +30,8 @@ _lock = threading.Lock()
 class OpenCVDecoder:
     """Decodes the frames of a file as BGR pictures, once from first to last.
 
-    OpenCV scales every frame to the size of the first one and does not report a change of size.
-
-    Raises Unreadable if no frame can be decoded.
-
-    Parameters
-    ----------
-    name : str
-        The file's name, valid UTF-8 and not a pattern.
+    OpenCV scales every frame to the size of the first one and does not report a change of size. The
+    file's name must be valid UTF-8 and not a pattern. Raises Unreadable if no frame can be decoded.
     """
 
     takes_every_frame = False

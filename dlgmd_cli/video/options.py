@@ -47,11 +47,9 @@ class InputOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.size, tuple | None):
-            text = self.size if isinstance(self.size, str) else shown(self.size)
-            object.__setattr__(self, "size", parse_size(text))
+            object.__setattr__(self, "size", parse_size(self.size))
         if not isinstance(self.crop, Crop | None):
-            text = self.crop if isinstance(self.crop, str) else shown(self.crop)
-            object.__setattr__(self, "crop", parse_crop(text))
+            object.__setattr__(self, "crop", parse_crop(self.crop))
         if isinstance(self.mask, str | os.PathLike):
             object.__setattr__(self, "mask", os.path.abspath(self.mask))
         object.__setattr__(self, "mask_sha256", _digest(self.mask))

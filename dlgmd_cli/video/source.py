@@ -24,15 +24,9 @@ _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 class Decoder(Protocol):
     """Reads an input once, from first to last.
 
-    Attributes
-    ----------
-    stream_info : StreamInfo
-        Properties that the input states.
-    is_damaged : bool
-        Set when a frame could not be decoded.
-    takes_every_frame : bool
-        Whether every frame is processed by default, as of pictures and arrays. Of videos, at most
-        the rate that a model is designed for, and no repeats.
+    `is_damaged` is set when a frame could not be decoded. `takes_every_frame` tells whether every
+    frame is processed by default, as of pictures and arrays. Of videos, at most the rate that a
+    model is designed for, and no repeats.
     """
 
     stream_info: StreamInfo
@@ -140,14 +134,8 @@ class Progress:
 class Selection:
     """Chooses frames by their times; ask once for each frame, in order.
 
-    Parameters
-    ----------
-    start_s, end_s : float
-        Time span to read, in seconds, the end excluded.
-    max_frames : int, optional
-        Maximum number of frames in all.
-    min_interval_s : float
-        Least time between two chosen frames, in seconds, see `sampling_step`.
+    The time span is in seconds, the end excluded. `max_frames` limits the number of frames in all,
+    and `min_interval_s` is the least time between two of them, see `sampling_step`.
     """
 
     def __init__(

@@ -73,10 +73,7 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
 class FrameClock:
     """Turns a decoder's timestamps, however poor, into strictly increasing times.
 
-    Parameters
-    ----------
-    fps : float
-        Nominal rate, for frames that have no usable timestamp.
+    The nominal rate `fps` is for frames that have no usable timestamp.
     """
 
     def __init__(self, fps: float) -> None:
