@@ -15,16 +15,9 @@ from dlgmd_cli.errors import ParameterError
 class Spec:
     """Kind, meaning and allowed values of a parameter or an option.
 
-    Attributes
-    ----------
-    kind : type
-        float, int, bool or str.
-    low, high : float
-        Bounds of a number, included; `low_open` excludes the lower one.
-    choices : tuple of str
-        The words that are allowed, for a number in addition to its range.
-    symbol, unit, meaning : str
-        For tables and help.
+    `kind` is float, int, bool or str. `low` and `high` are bounds of a number, included; `low_open`
+    excludes the lower one. `choices` are the words that are allowed, for a number in addition to
+    its range. `symbol`, `unit` and `meaning` are for tables and help.
     """
 
     kind: type = float

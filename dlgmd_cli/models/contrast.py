@@ -143,15 +143,10 @@ def smoothed(before: float, newest: float, weight: float) -> float:
 class ContrastReceptors(Photoreceptors):
     """P' of the last few frames, each with the threshold of its own frame.
 
-    Attributes
-    ----------
-    sigma : float
-        Smoothed standard deviation of the luminance, σ(t); from frame 1 on.
-    noise : float
-        Smoothed lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; from frame 1 on.
-    growth : float
-        F(t), the change relative to its earlier average; from frame 2 on. Infinite if nothing
-        changed before, 0 if nothing changes now.
+    `sigma` is the smoothed standard deviation of the luminance, σ(t), and `noise` the smoothed
+    lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; both from frame 1 on. `growth` is F(t),
+    the change relative to its earlier average, from frame 2 on: infinite if nothing changed before,
+    0 if nothing changes now.
     """
 
     sigma: float

@@ -26,17 +26,7 @@ Images = tuple[FloatImage, FloatImage]
 class Distributed(Model):
     """Base of the models whose S follows from P by [Zhao2023] Eqs. (2) to (7).
 
-    Parameters
-    ----------
-    params : DistributedParameters, optional
-        Parameters of the class `params_class`; its defaults unless given.
-    engine
-        See `DLGMD`.
-
-    Attributes
-    ----------
-    connections : Connections
-        The kernels.
+    `connections` are the kernels.
     """
 
     params_class: ClassVar[type[DistributedParameters]] = DistributedParameters

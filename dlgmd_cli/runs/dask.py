@@ -43,21 +43,11 @@ def run_tasks(
     """Call `function` on every task on the workers of a cluster; see `pool.run_tasks`.
 
     A task whose worker is lost is tried again on other workers, a few times. If that fails, another
-    task may be to blame, and the task is tried once more on its own.
+    task may be to blame, and the task is tried once more on its own. All tasks are submitted at
+    once, and each is yielded with its outcome in the order in which they end.
 
-    Parameters
-    ----------
-    function, tasks
-        See `pool.run_tasks`; all tasks are submitted at once.
-    scheduler : str
-        Address of the Dask scheduler, or the name of its scheduler file.
-    folders : sequence of Path
-        Locked result folders, see `store.locked`, which every worker must see.
-
-    Yields
-    ------
-    (task, Outcome)
-        In the order in which the tasks end.
+    `scheduler` is the address of the Dask scheduler, or the name of its scheduler file. `folders`
+    are locked result folders, see `store.locked`, which every worker must see.
 
     Raises
     ------

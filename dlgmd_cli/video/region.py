@@ -35,20 +35,9 @@ def read_mask(path: str) -> Flags:
 class Region:
     """A rectangle of a picture without the black pixels of a mask; the whole picture by default.
 
-    Parameters
-    ----------
-    picture_wh : (int, int)
-        Width and height of the picture, in px.
-    crop : Crop, optional
-        A rectangle inside the picture.
-    masked : ndarray, bool, optional
-        True for black pixels, see `read_mask`. One of the picture's size is cut as the picture is;
-        one of any other size is resized to cover the rectangle.
-
-    Attributes
-    ----------
-    size_wh : (int, int)
-        Width and height of the rectangle, in px.
+    The picture has the size `picture_wh`, in px, and the rectangle `crop`, inside it, `size_wh`.
+    `masked` is True for black pixels, see `read_mask`. One of the picture's size is cut as the
+    picture is; one of any other size is resized to cover the rectangle.
     """
 
     def __init__(

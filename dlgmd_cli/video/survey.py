@@ -103,19 +103,9 @@ def survey(
 ) -> Survey:
     """Read an input to its end and report its properties.
 
-    Parameters
-    ----------
-    path, decoder, input_fps
-        See `open_video`.
-    on_frame : callable, optional
-        Called after each frame with the number of frames done.
-
-    Raises
-    ------
-    SourceError, ParameterError, MissingExtraError
-        As `open_video` does.
-    Interrupted
-        If the stop flag is set.
+    `path`, `decoder` and `input_fps` are those of `open_video`, whose errors pass through.
+    `on_frame` is called after each frame with the number of frames done. Raises Interrupted if the
+    stop flag is set.
     """
     is_video = pictures_at(Path(path)) is None
     n_gaps, pixel_range = 0, PixelRange()
