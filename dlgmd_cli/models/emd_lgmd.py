@@ -14,6 +14,7 @@ from dlgmd_cli.models.base import (
     Model,
     Photoreceptors,
     Response,
+    aligned,
     centroid_of,
 )
 from dlgmd_cli.parameters import EmdLgmdParameters
@@ -66,7 +67,8 @@ class EmdLGMD(Model):
             self._delayed = np.zeros_like(luminance)
             self._places = [_places(side, self.params.delta) for side in luminance.shape]
             return Response(layers=Layers() if layers else None)
-        change = luminance - self._mean
+        # Aligned, so that sums are the same in every run.
+        change = np.subtract(luminance, self._mean, out=aligned(luminance.shape))
         self._mean += self._slow * change
         # The difference to the new mean. Computed by subtraction, it would be mere rounding for a
         # mean that follows almost at once.
@@ -75,7 +77,7 @@ class EmdLGMD(Model):
         p_sum = cv2.norm(change, cv2.NORM_L1)
         if receptors.frame < self.first_valid_frame:
             return Response(p_sum, layers=Layers(change) if layers else None)
-        motion = self._expand(self._delayed) * change
+        motion = np.multiply(self._expand(self._delayed), change, out=aligned(change.shape))
         motion -= self._delayed * self._expand(change)
         np.maximum(motion, 0.0, out=motion)
         s_sum = cv2.sumElems(motion)[0]
