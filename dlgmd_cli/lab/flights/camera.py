@@ -33,8 +33,7 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     about_y = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    turned: FloatArray = about_z @ about_y @ about_x
-    return turned
+    return about_z @ about_y @ about_x
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,7 @@ class Pose:
     @property
     def camera_from_world(self) -> FloatArray:
         """The camera's axes (right, down, forward) in the world, as rows."""
-        axes: FloatArray = _CAMERA_FROM_BODY @ self.rotation.T
-        return axes
+        return _CAMERA_FROM_BODY @ self.rotation.T
 
 
 @dataclass(frozen=True)
@@ -81,13 +79,11 @@ class Camera:
 
     def view(self, points_m: FloatArray, pose: Pose) -> FloatArray:
         """World points, (..., 3), in camera axes: right, down and forward, in m."""
-        seen: FloatArray = (points_m - pose.position_m) @ pose.camera_from_world.T
-        return seen
+        return (points_m - pose.position_m) @ pose.camera_from_world.T
 
     def flatten(self, seen_m: FloatArray) -> FloatArray:
         """Project points in camera axes, (..., 3), in front of the camera, to px, (..., 2)."""
-        flat: FloatArray = self.middle_xy + self.focal_px * seen_m[..., :2] / seen_m[..., 2:]
-        return flat
+        return self.middle_xy + self.focal_px * seen_m[..., :2] / seen_m[..., 2:]
 
     def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
         """Project world points, (..., 3), in front of the camera, to px, (..., 2)."""
@@ -100,8 +96,7 @@ class Camera:
         """
         across = np.asarray(points_xy)
         ends = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
-        rays: FloatArray = ends @ self.rays_from_xy.T @ pose.camera_from_world
-        return rays
+        return ends @ self.rays_from_xy.T @ pose.camera_from_world
 
 
 class Sensor:

@@ -66,8 +66,7 @@ class Placement:
 
     def world(self, points_m: npt.ArrayLike) -> FloatArray:
         """Points, (..., 3), from object to world coordinates."""
-        points: FloatArray = self.at_m + np.asarray(points_m, float) @ self.axes.T
-        return points
+        return self.at_m + np.asarray(points_m, float) @ self.axes.T
 
     def inside(
         self, at_m: npt.ArrayLike, yaw_deg: float = 0.0, pitch_deg: float = 0.0
@@ -135,10 +134,7 @@ def _face(where: Placement, covered: Skin, *lines: npt.ArrayLike) -> Face:
 @cache
 def catalogue() -> dict[str, dict[str, Any]]:
     """The contents of `furniture.yaml`: `pieces`, and furniture `at_walls`, each by name."""
-    found: dict[str, dict[str, Any]] = yaml.safe_load(
-        Path(__file__).with_name("furniture.yaml").read_text("utf-8")
-    )
-    return found
+    return yaml.safe_load(Path(__file__).with_name("furniture.yaml").read_text("utf-8"))
 
 
 def furniture(name: str, rng: Rng, where: Placement, *, motion: Motion | None = None) -> list[Body]:

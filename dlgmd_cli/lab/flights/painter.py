@@ -58,8 +58,7 @@ class Coverage:
             np.concatenate([part - rise, -part]),
             height * (width + 1),
         ).reshape(height, width + 1)
-        areas: FloatImage = np.cumsum(steps, axis=1, out=steps)[:, :width].astype(np.float32)
-        return areas
+        return np.cumsum(steps, axis=1, out=steps)[:, :width].astype(np.float32)
 
 
 def _pieces(

@@ -91,15 +91,13 @@ def shaded(image: FloatImage, wall: Face, bodies: Sequence[Body]) -> FloatImage:
     for body in bodies:
         if isinstance(body, Solid) and body.motion is None:
             _darken(light, (body.corners_m - wall.origin_m) @ axes.T)
-    full: FloatImage = image * cv2.resize(light, image.shape[::-1]).reshape(image.shape)
-    return full
+    return image * cv2.resize(light, image.shape[::-1]).reshape(image.shape)
 
 
 def _edges(count: int, length_m: float) -> FloatArray:
     """Brightness along a side, darker near its two ends."""
     at = (np.arange(count) + 0.5) * length_m / count
-    bright: FloatArray = 1.0 - 0.22 * (np.exp(-at / 0.3) + np.exp((at - length_m) / 0.3))
-    return bright
+    return 1.0 - 0.22 * (np.exp(-at / 0.3) + np.exp((at - length_m) / 0.3))
 
 
 def _darken(light: FloatImage, corners_m: FloatArray) -> None:

@@ -123,7 +123,7 @@ class Outline:
         shift = _MARGIN - 0.5
         texel = np.array([[width, 0.0, shift], [0.0, height, shift], [0.0, 0.0, 1.0]])
         to_window = np.array([[1.0, 0.0, left + 0.5], [0.0, 1.0, top + 0.5], [0.0, 0.0, 1.0]])
-        warped: FloatImage = np.asarray(
+        return np.asarray(
             cv2.warpPerspective(
                 level,
                 texel @ self.texture_from_xy @ to_window,
@@ -134,7 +134,6 @@ class Outline:
             ),
             np.float32,
         )
-        return warped
 
     def _sizes_in(self, window: Window, focal_px: float) -> tuple[int, int]:
         """The finest and the coarsest texture size that a window needs."""
@@ -259,8 +258,7 @@ class Solid:
 
     def reach(self, directions: FloatArray) -> FloatArray:
         """Greatest coordinate along unit vectors, (n, 3): (n,) in m."""
-        farthest: FloatArray = (directions @ self.corners_m.T).max(axis=-1)
-        return farthest
+        return (directions @ self.corners_m.T).max(axis=-1)
 
     def moved(self, by_m: FloatArray) -> "Solid":
         """The same solid elsewhere, at rest."""
@@ -288,8 +286,7 @@ class Capsule:
 
     def reach(self, directions: FloatArray) -> FloatArray:
         """See `Solid.reach`."""
-        farthest: FloatArray = (directions @ self.ends_m.T).max(axis=-1) + self.radius_m
-        return farthest
+        return (directions @ self.ends_m.T).max(axis=-1) + self.radius_m
 
     def moved(self, by_m: FloatArray) -> "Capsule":
         """The same capsule elsewhere, at rest."""
@@ -367,5 +364,4 @@ class Surfaces:
     def velocities(self, time_s: float) -> FloatArray:
         """Velocity of each body at a time, (n_bodies, 3), in m/s."""
         later, earlier = self.offsets(time_s + _HALF_S), self.offsets(time_s - _HALF_S)
-        velocities: FloatArray = (later - earlier) / (2.0 * _HALF_S)
-        return velocities
+        return (later - earlier) / (2.0 * _HALF_S)

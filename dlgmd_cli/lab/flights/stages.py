@@ -113,8 +113,7 @@ def _obstacle_beside(
 def _heading(velocity_m_s: FloatArray) -> FloatArray:
     """Horizontal direction of a velocity, a unit vector (3,)."""
     level = velocity_m_s * (1.0, 1.0, 0.0)
-    ahead: FloatArray = level / np.linalg.norm(level)
-    return ahead
+    return level / np.linalg.norm(level)
 
 
 def _facing_deg(ahead: FloatArray) -> float:

@@ -112,8 +112,7 @@ def grain(rng: Rng, shape: tuple[int, int], blur_px: float = 1.0) -> FloatImage:
     soft = np.asarray(cv2.GaussianBlur(wide, (0, 0), blur_px), np.float32)[rim:-rim, rim:-rim]
     tile = (soft - soft.mean()) / soft.std()
     times = tuple(-(-side // _GRAIN_PX) for side in shape)
-    fine: FloatImage = np.tile(tile, times)[: shape[0], : shape[1]]
-    return fine
+    return np.tile(tile, times)[: shape[0], : shape[1]]
 
 
 def smooth_noise(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> FloatImage:
@@ -130,8 +129,7 @@ def smooth_noise(rng: Rng, shape: tuple[int, int], cell_px: float | Size) -> Flo
     smooth = cv2.warpAffine(
         coarse, place, small, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
-    stretched: FloatImage = np.asarray(cv2.resize(smooth, shape[::-1]), np.float32)
-    return stretched
+    return np.asarray(cv2.resize(smooth, shape[::-1]), np.float32)
 
 
 def layered(rng: Rng, canvas: Canvas, cells_m: Sequence[float], fine: float = 0.5) -> FloatImage:

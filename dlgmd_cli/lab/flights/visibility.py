@@ -175,10 +175,9 @@ def _touching_circle(center: FloatArray, radius: float, camera: Camera) -> Float
     seen_radius = radius * math.sqrt(1.0 - radius * radius / square)
     # The polygon deviates equally to the inside and the outside of the circle.
     seen_radius *= 2.0 / (1.0 + math.cos(math.pi / n_corners))
-    circle: FloatArray = toward * (distance - radius * radius / distance) + seen_radius * (
+    return toward * (distance - radius * radius / distance) + seen_radius * (
         np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * down
     )
-    return circle
 
 
 class PaintOrder:

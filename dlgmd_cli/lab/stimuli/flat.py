@@ -153,15 +153,13 @@ def _area_from_center(y: FloatArray, x: FloatArray, radius: float) -> FloatArray
     cut = np.sqrt(radius * radius - width**2)
     under_circle = _area_under_circle(np.maximum(height, cut), radius)
     area = width * np.minimum(height, cut) + under_circle - _area_under_circle(cut, radius)
-    signed: FloatArray = np.sign(y) * np.sign(x) * area
-    return signed
+    return np.sign(y) * np.sign(x) * area
 
 
 def _area_under_circle(t: FloatArray, radius: float) -> FloatArray:
     """Integral of sqrt(radius² - s²) over s from 0 to t."""
     square = radius * radius
-    area: FloatArray = (t * np.sqrt(square - t**2) + square * np.arcsin(t / radius)) / 2
-    return area
+    return (t * np.sqrt(square - t**2) + square * np.arcsin(t / radius)) / 2
 
 
 @dataclass(frozen=True)
