@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from pebble import ProcessExpired, ProcessPool
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import WorkerError
+from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.threads import limit_threads, n_processors
 
 TaskT = TypeVar("TaskT")
@@ -122,6 +122,26 @@ def run_tasks(
                 pool, running = _new_pool(function, jobs), {}
     finally:
         _end(pool)
+
+
+def results_of(
+    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int
+) -> Iterator[tuple[TaskT, Any]]:
+    """Every task with its value, or the DlgmdError that it raised, as they end; see `run_tasks`.
+
+    One job runs in this process. Other errors are raised.
+    """
+    if jobs > 1:
+        for task, outcome in run_tasks(function, tasks, jobs):
+            yield task, outcome.error if isinstance(outcome.error, DlgmdError) else outcome.result()
+        return
+    for task in tasks:
+        try:
+            found = function(task)
+        except DlgmdError as error:
+            found = error
+        yield task, found
+        cancel.check()
 
 
 def _new_pool(function: Callable[..., Any], jobs: int) -> Any:

@@ -23,7 +23,7 @@ from dlgmd_cli.threads import n_processors
 if TYPE_CHECKING:
     from dlgmd_cli.lab.flights.dataset import FlightSet
     from dlgmd_cli.lab.stimuli.base import Scene
-    from dlgmd_cli.lab.stimuli.clip import DrawSheet, Form
+    from dlgmd_cli.lab.stimuli.clip import DrawSheet
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
@@ -161,24 +161,24 @@ def synth(
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
     from dlgmd_cli.lab.flights.scenes import find_scene
-    from dlgmd_cli.lab.stimuli.clip import Form
+    from dlgmd_cli.lab.stimuli.clip import choose_codec
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
-    form = Form.choose(lossless=lossless, png=png, playable=scene.is_flight)
+    codec = choose_codec(lossless=lossless, png=png, playable=scene.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
     if count is None:
-        _render_one(scene, options, form, out, overwrite, draw)
+        _render_one(scene, options, codec, out, overwrite, draw)
         return
     if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
     from dlgmd_cli.lab.flights.dataset import FlightSet
 
-    _render_fleet(FlightSet(scene, options, count, out, form, draw), jobs, overwrite)
+    _render_fleet(FlightSet(scene, options, count, out, codec, draw), jobs, overwrite)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
@@ -204,7 +204,7 @@ def _list() -> None:
 def _render_one(
     scene: "Scene[Any]",
     options: Any,
-    form: "Form",
+    codec: str,
     out: Path,
     overwrite: bool,
     draw: "DrawSheet | None",
@@ -213,12 +213,12 @@ def _render_one(
     from dlgmd_cli.results.store import locked
 
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
-    is_smoothed = form.codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
+    is_smoothed = codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
     with locked(out), progress(scene.name, scene.n_frames(options)) as on_frame:
         paths = write_clip(
-            scene, options, out, form, overwrite=overwrite, on_frame=on_frame, draw_sheet=draw
+            scene, options, out, codec, overwrite=overwrite, on_frame=on_frame, draw_sheet=draw
         )
     for path in paths:
         print_path(path)
@@ -256,13 +256,11 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
 
 def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwrite: bool) -> None:
     """Render flights, and report those that fail."""
-    from dlgmd_cli.lab.flights.dataset import render_flights
-
     n_present = flights.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))
     with progress(flights.scene.name, flights.count, "flight") as on_flight:
         on_flight(n_present)
-        done = render_flights(flights, missing, n_jobs, overwrite=overwrite)
+        done = flights.render(missing, n_jobs, overwrite=overwrite)
         for n_done, (number, error) in enumerate(done, start=n_present + 1):
             if error is not None:
                 name = flights.name_of(number)

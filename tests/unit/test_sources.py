@@ -11,7 +11,7 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, load_set, open_video
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.lab.flights.source import open_scene
+from dlgmd_cli.lab.flights.scenes import open_scene
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.results.csv import TABLES
 from dlgmd_cli.results.result import read_result

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
 from dlgmd_cli.lab.evaluation.scoring import CONTACT_FRAMES, Signal
 from dlgmd_cli.models.detection import Flags, Series, absolute
 from dlgmd_cli.parameters import FlowDivergenceParameters, Parameters
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.pool import results_of
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import Label, read_labels
 from dlgmd_cli.results.result import Result, read_result
@@ -139,17 +138,7 @@ def run_cases(
     error that is not a DlgmdError is raised.
     """
     run = partial(_run, tuple(setups), options)
-    jobs = max(1, min(jobs or n_processors(), len(cases)))
-    if jobs == 1:
-        for case in cases:
-            try:
-                yield case, run(case)
-            except DlgmdError as error:
-                yield case, error
-            cancel.check()
-        return
-    for case, outcome in run_tasks(run, cases, jobs):
-        yield case, outcome.error if isinstance(outcome.error, DlgmdError) else outcome.result()
+    return results_of(run, cases, max(1, min(jobs or n_processors(), len(cases))))
 
 
 def _run(setups: tuple[Setup, ...], options: InputOptions, case: Case) -> dict[str, Result]:

@@ -18,13 +18,13 @@ from dlgmd_cli.lab.flights.stages import FRAME_S
 from dlgmd_cli.lab.flights.textures import Rng, reflectance, smooth_noise
 
 CONTACT_FRAME = 61
-_BALL_M, _BALL_PX = 0.5, 25.0
+BALL_M, BALL_PX = 0.5, 25.0
 _CAPSULES_AT_M = 4.0
 _FOCAL_PX = 400.0 / math.tan(math.radians(40.0))
 _EYE = np.array([1.0, 0.0, 20.0])
 # Capsules: offset below the middle in px, and speed to the right in px/frame.
-_CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
-_START_PX, _CAPSULE_PX = -312.0, (48.0, 80.0)
+CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
+START_PX, _CAPSULE_PX = -312.0, (48.0, 80.0)
 _BACKGROUND = 0.9
 _TEXELS = 768
 
@@ -33,16 +33,16 @@ def ball_and_capsules(seed: int, _agile: bool | None = None) -> Stage:
     """The flight: a still camera in a white room, hit by the ball at frame 61."""
     rng = np.random.default_rng([seed, 1])
     contact_s = CONTACT_FRAME * FRAME_S
-    arrives_m = _BALL_M + REACH_M
-    speed = (_FOCAL_PX * _BALL_M / _BALL_PX - arrives_m) / contact_s
+    arrives_m = BALL_M + REACH_M
+    speed = (_FOCAL_PX * BALL_M / BALL_PX - arrives_m) / contact_s
 
     def approach(time_s: float) -> tuple[float, float, float]:
         return speed * (contact_s - time_s), 0.0, 0.0
 
     center = _EYE + np.array([arrives_m, 0.0, 0.0])
-    ball = Capsule("ball", np.array([center, center]), _BALL_M, _ball_texture(rng), motion=approach)
+    ball = Capsule("ball", np.array([center, center]), BALL_M, _ball_texture(rng), motion=approach)
     room = Solid("room", [*walls((60.0, 80.0, 40.0), Texture(_BACKGROUND)).values()])
-    capsules = [_capsule(rng, down, pace) for down, pace in _CAPSULES]
+    capsules = [_capsule(rng, down, pace) for down, pace in CAPSULES]
     path = fly([PHASES["hover"](contact_s + FRAME_S)], position_m=_EYE, seed=seed, jitter=0.0)
     return Stage(World(room, [ball, *capsules]), path, "ball", contact_s, contact_s)
 
@@ -51,7 +51,7 @@ def _capsule(rng: Rng, down_px: float, px_per_frame: float) -> Body:
     """A capsule that translates from left to right."""
     scale = _CAPSULES_AT_M / _FOCAL_PX
     width, height = (side * scale for side in _CAPSULE_PX)
-    middle = _EYE + np.array([_CAPSULES_AT_M, -_START_PX * scale, -down_px * scale])
+    middle = _EYE + np.array([_CAPSULES_AT_M, -START_PX * scale, -down_px * scale])
     half = np.array([0.0, 0.0, (height - width) / 2.0])
     ends = np.array([middle - half, middle + half])
     speed_m_s = px_per_frame * scale / FRAME_S

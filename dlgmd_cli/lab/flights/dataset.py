@@ -12,14 +12,14 @@ from dlgmd_cli.lab.flights.scenes import FlightOptions
 from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.lab.stimuli.clip import (
     DrawSheet,
-    Form,
+    check_codec,
     clip_paths,
     identity,
     n_digits,
     refuse_existing_clip,
     write_clip,
 )
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.pool import results_of
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.store import refuse_existing, write_files
@@ -33,11 +33,11 @@ class FlightSet:
     options: FlightOptions
     count: int
     folder: Path
-    form: Form
+    codec: str
     draw_sheet: DrawSheet | None = None
 
     def __post_init__(self) -> None:
-        self.form.check(self.options)
+        check_codec(self.codec, self.options)
         self.options_of(self.count - 1)
 
     @property
@@ -56,7 +56,9 @@ class FlightSet:
     def paths_of(self, number: int) -> tuple[Path, ...]:
         """A flight's files: frames, truth, record, and the contact sheet if wanted."""
         has_sheet = self.draw_sheet is not None
-        return clip_paths(self.scene, self.form, self.folder, self.name_of(number), sheet=has_sheet)
+        return clip_paths(
+            self.scene, self.codec, self.folder, self.name_of(number), sheet=has_sheet
+        )
 
     def present(self) -> dict[int, Label]:
         """Labels, by number, of the flights that exist, are complete and match the options."""
@@ -80,8 +82,32 @@ class FlightSet:
                     f"another flight already exists here ({differing})",
                     "Add --overwrite to replace such flights, or choose another --out.",
                 )
-            refuse_existing_clip(paths, self.form, overwrite=overwrite)
+            refuse_existing_clip(paths, self.codec, overwrite=overwrite)
         self._check_labels(overwrite=overwrite)
+
+    def render(
+        self, numbers: Iterable[int], jobs: int, *, overwrite: bool
+    ) -> Iterator[tuple[int, DlgmdError | None]]:
+        """Render flights by number; the files do not depend on the number of processes.
+
+        Yields the number of each flight when it is done, with the error if it failed.
+        """
+        try:
+            yield from results_of(partial(self._render, overwrite=overwrite), numbers, jobs)
+        finally:
+            remove_leftovers(self.folder)  # of workers that were killed
+
+    def _render(self, number: int, *, overwrite: bool) -> None:
+        """Render one flight."""
+        write_clip(
+            self.scene,
+            self.options_of(number),
+            self.folder,
+            self.codec,
+            name=self.name_of(number),
+            overwrite=overwrite,
+            draw_sheet=self.draw_sheet,
+        )
 
     def write_labels(self, labels: dict[int, Label], *, overwrite: bool) -> None:
         """Write the labels; raises OutputExistsError if the file lists other videos."""
@@ -91,7 +117,7 @@ class FlightSet:
 
     def _differing(self, number: int, facts: dict[str, Any]) -> list[str]:
         """Differences between a record and the requested flight; empty if it is complete."""
-        wanted = identity(self.scene, self.options_of(number), self.form)
+        wanted = identity(self.scene, self.options_of(number), self.codec)
         differing = differences(facts, options=wanted.pop("options"), settings=wanted)
         if differing:
             return [key for key in differing if key != "--seed"]
@@ -116,49 +142,3 @@ class FlightSet:
         strays = [label.video for label in listed if label.video not in ours]
         if strays:
             raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
-
-
-def _flat(facts: dict[str, Any]) -> dict[str, Any]:
-    """A record with its options, but for the seed, by their flags."""
-    options = facts.get("options")
-    if not isinstance(options, dict):
-        options = {}
-    flags = {f"--{key}": value for key, value in options.items() if key != "seed"}
-    return {key: value for key, value in facts.items() if key != "options"} | flags
-
-
-def render_flights(
-    flights: FlightSet, numbers: Iterable[int], jobs: int, *, overwrite: bool = False
-) -> Iterator[tuple[int, DlgmdError | None]]:
-    """Render flights by number; the files do not depend on the number of processes.
-
-    Yields the number of each flight when it is done, with the error if it failed.
-    """
-    if jobs == 1:
-        for number in numbers:
-            try:
-                _render(flights, overwrite, number)
-                yield number, None
-            except DlgmdError as error:
-                yield number, error
-        return
-    try:
-        for number, outcome in run_tasks(partial(_render, flights, overwrite), numbers, jobs):
-            if outcome.error is not None and not isinstance(outcome.error, DlgmdError):
-                raise outcome.error
-            yield number, outcome.error
-    finally:
-        remove_leftovers(flights.folder)  # of workers that were killed
-
-
-def _render(flights: FlightSet, overwrite: bool, number: int) -> None:
-    """Render one flight."""
-    write_clip(
-        flights.scene,
-        flights.options_of(number),
-        flights.folder,
-        flights.form,
-        name=flights.name_of(number),
-        overwrite=overwrite,
-        draw_sheet=flights.draw_sheet,
-    )

@@ -1,7 +1,7 @@
 """All scenes, by name; flights are built from a seed, filmed, and have full ground truth."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, pairwise
@@ -29,6 +29,8 @@ from dlgmd_cli.lab.stimuli.base import (
     switch,
 )
 from dlgmd_cli.lab.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
+from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.source import Video
 
 # Rounding tolerance for times in ms and in frames.
 _TOLERANCE = 1e-6
@@ -86,7 +88,7 @@ class FlightScene(Scene[FlightOptions]):
         defaults: FlightOptions,
         stage: Callable[[int, bool | None], Stage],
     ) -> None:
-        self.name, self.description, self.defaults = name, description, defaults
+        super().__init__(name, description, defaults)
         self._build = stage
         self._built: tuple[tuple[int, bool | None], Stage] | None = None
 
@@ -197,23 +199,15 @@ def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyIm
         yield sensor.develop(np.concatenate(strips), index)
 
 
+_AWAY = "a cube that goes straight away from the camera"
+_ACROSS = "cubes that cross the picture, each at its own speed"
 # Starts where the looming cube ends: each is the other played backwards.
 _RECEDING = ApproachOptions(distance_m=ApproachOptions.speed_m_s / ApproachOptions.fps)
 _FLAT: tuple[Scene[Any], ...] = (
-    Approach("looming-cube", "a cube that comes straight at the camera", "cube"),
-    Approach(
-        "receding-cube",
-        "a cube that goes straight away from the camera",
-        "cube",
-        _RECEDING,
-        recedes=True,
-    ),
-    Approach("looming-ball", "a ball that comes straight at the camera", "ball"),
-    Translation(
-        "translating-cubes",
-        "cubes that cross the picture, each at its own speed",
-        TranslationOptions(),
-    ),
+    Approach("looming-cube", "a cube that comes straight at the camera", ApproachOptions(), "cube"),
+    Approach("receding-cube", _AWAY, _RECEDING, "cube", recedes=True),
+    Approach("looming-ball", "a ball that comes straight at the camera", ApproachOptions(), "ball"),
+    Translation("translating-cubes", _ACROSS, TranslationOptions()),
 )
 
 
@@ -258,3 +252,27 @@ def find_scene(name: str) -> Scene[Any]:
             "", f"there is no scene {name[:100]!r}", f"{hint}Choose from {', '.join(SCENES)}."
         )
     return SCENES[name]
+
+
+class _Frames:
+    """The frames of a scene, (H, W) uint8; every iteration renders them again."""
+
+    def __init__(self, scene: Scene[Any], options: ClipOptions) -> None:
+        self._scene, self._options = scene, options
+
+    def __iter__(self) -> Iterator[GreyImage]:
+        return self._scene.frames(self._options)
+
+    def __len__(self) -> int:
+        return self._scene.n_frames(self._options)
+
+
+def open_scene(name: str, flags: Mapping[str, Any] | None = None, **options: Any) -> Video:
+    """Open a scene as a source, such as ``open_scene("group2", {"--size": (135, 240)})``.
+
+    `flags` are options of the scene, see `Scene.configure`, and `options` those of `open_video`.
+    Raises ParameterError if there is no such scene, or it cannot be rendered like that.
+    """
+    scene = find_scene(name)
+    chosen = scene.configure(flags or {})
+    return open_video(_Frames(scene, chosen), input_fps=chosen.fps, **options)

@@ -79,8 +79,9 @@ def _title(sheet: ContactSheet) -> str:
     """The facts about the clip, and for a flight its outcome."""
     height, width = sheet.images[0].shape
     title = (
-        f"{shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · {sheet.fps:g} frames/s · "
-        f"{sheet.n_frames} frame{'s'[: sheet.n_frames != 1]} · seed {sheet.seed}"
+        f"{shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
+        f"{sheet.options.fps:g} frames/s · {sheet.n_frames} frame{'s'[: sheet.n_frames != 1]} · "
+        f"seed {sheet.options.seed}"
     )
     target, time_s = sheet.record.get("target"), sheet.record.get("collision_time_s")
     if target is None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.scenes import find_scene
-from dlgmd_cli.lab.flights.source import open_scene
+from dlgmd_cli.lab.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
+from dlgmd_cli.lab.flights.scenes import find_scene, open_scene
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import (
     FORMULATIONS,
@@ -150,13 +150,9 @@ def check_reference(reference: Path | None) -> None:
         raise ParameterError("--reference", why, "Give the folder that holds them.")
 
 
-# The objects of the paper's Fig. 8, in a picture 800 px wide. Of each capsule: offset below the
-# middle in px, and speed to the right in px/frame; then their start, and half the size of their
-# boxes. Of the ball: radius in px at frame 0, radius in m, distance in m on arrival, frame of the
-# arrival, and focal length in px.
-CAPSULES = ((-140.0, 6.4), (-40.0, 4.8), (60.0, 3.2), (160.0, 1.6))
-_START_PX, _HALF_PX = -312.0, (38.0, 48.0)
-_BALL_PX, _BALL_M, _ARRIVES_M, _ARRIVES_AT, _FOCAL_PX = 25.0, 0.5, 0.6, 61.0, 476.7
+# Of the paper's Fig. 8, in a picture 800 px wide: half the size of the boxes around the capsules,
+# the distance of the ball on arrival in m, and the focal length in px.
+_HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
 # Last frame at which the boxes of the capsules and of the ball do not overlap.
 LAST_APART = 42
 
@@ -185,11 +181,11 @@ def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]
     """Rows and columns of the boxes around the ball and each capsule at a frame."""
     height, width = shape
     px = width / 800.0
-    far_m = _FOCAL_PX * _BALL_M / _BALL_PX
-    distance = _ARRIVES_M + (far_m - _ARRIVES_M) * (1.0 - index / _ARRIVES_AT)
-    radius = _FOCAL_PX * _BALL_M / math.sqrt(distance**2 - _BALL_M**2) + 6.0
+    far_m = _FOCAL_PX * BALL_M / BALL_PX
+    distance = _ARRIVES_M + (far_m - _ARRIVES_M) * (1.0 - index / CONTACT_FRAME)
+    radius = _FOCAL_PX * BALL_M / math.sqrt(distance**2 - BALL_M**2) + 6.0
     places = [(0.0, 0.0, radius, radius)]
-    places += [(_START_PX + speed * index, down, *_HALF_PX) for down, speed in CAPSULES]
+    places += [(START_PX + speed * index, down, *_HALF_PX) for down, speed in CAPSULES]
 
     def side(middle: float, center: float, half: float, length: int) -> slice:
         low, high = middle + (center - half) * px, middle + (center + half) * px

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from dlgmd_cli.lab.flights.ball import CAPSULES
 from dlgmd_cli.lab.reproduce.clips import (
-    CAPSULES,
     LAST_APART,
     Clip,
     all_formulations,

@@ -21,9 +21,8 @@ MAX_FRAMES = 100_000
 
 def option(default: Any, flag: str, low: float, high: float, **facts: Any) -> Any:
     """A numeric field of `ClipOptions`: its default, its flag, and what `Spec` takes."""
-    return field(
-        default=default, metadata={"flag": flag, "spec": Spec(low=low, high=high, **facts)}
-    )
+    spec = Spec(low=low, high=high, **facts)
+    return field(default=default, metadata={"flag": flag, "spec": spec})
 
 
 def switch(default: bool | None, flag: str) -> Any:
@@ -53,11 +52,8 @@ class ClipOptions:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value, spec, flag = (
-                getattr(self, each.name),
-                each.metadata["spec"],
-                each.metadata["flag"],
-            )
+            value = getattr(self, each.name)
+            flag, spec = each.metadata["flag"], each.metadata["spec"]
             is_tuple = isinstance(each.default, tuple)
             values = tuple(value) if isinstance(value, tuple | list) else (value,)
             if not is_tuple and len(values) != 1:
@@ -103,11 +99,11 @@ class Scene(ABC, Generic[OptionsT]):
         are the same on every machine.
     """
 
-    name: str
-    description: str
-    defaults: OptionsT
     truth_type: type
     is_flight = False
+
+    def __init__(self, name: str, description: str, defaults: OptionsT) -> None:
+        self.name, self.description, self.defaults = name, description, defaults
 
     def configure(self, given: Mapping[str, Any]) -> OptionsT:
         """The defaults with some options replaced; `given` is keyed by flag, such as ``--speed``.

@@ -29,57 +29,42 @@ _N_DIGITS = 4
 _PICTURE = re.compile(r"\d{4,}\.png", re.ASCII)
 
 
-@dataclass(frozen=True)
-class Form:
-    """How frames are stored: as "mpeg4", "h264", "ffv1" or "png".
+def choose_codec(*, lossless: bool = False, png: bool = False, playable: bool = False) -> str:
+    """How frames are stored: as "png" (a folder of pictures), "ffv1", or a lossy video.
 
-    The last two are lossless; PNG is a folder of pictures.
+    A `playable` video is "h264" if an encoder is installed, since most players support it; any
+    other is "mpeg4".
     """
+    if png or lossless:
+        return "png" if png else "ffv1"
+    return best_codec() if playable else "mpeg4"
 
-    codec: str
 
-    @classmethod
-    def choose(cls, *, lossless: bool = False, png: bool = False, playable: bool = False) -> "Form":
-        """PNG if `png`, else FFV1 if `lossless`, else a lossy video.
-
-        A `playable` video is H.264 if an encoder is installed, since most players support it; any
-        other is MPEG-4.
-        """
-        if png or lossless:
-            return cls("png" if png else "ffv1")
-        return cls(best_codec() if playable else "mpeg4")
-
-    @property
-    def is_video(self) -> bool:
-        """Whether the frames are in a single file."""
-        return self.codec != "png"
-
-    def check(self, options: ClipOptions) -> None:
-        """Raise ParameterError if a video cannot store the exact size or frame rate."""
-        if not self.is_video:
-            return
-        height, width = options.shape
-        if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
-            raise invalid(
-                "--size",
-                f"{width}x{height} is odd, and a video needs an even width and height",
-                f"Choose {width + width % 2}x{height + height % 2}, or --png.",
-            )
-        if self.codec == "h264":
-            if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
-                raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
-            return
-        rounded = round(options.fps, 3)
-        if rounded != options.fps:
-            raise invalid(
-                "--fps",
-                f"{options.fps!r} has more than three decimals, which this video does not keep",
-                f"Choose {rounded:g}, or --png.",
-            )
-        if self.codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
-            raise invalid(
-                "--fps", f"MPEG-4 cannot hold {rounded:g}", "Choose fewer decimals, or --lossless."
-            )
+def check_codec(codec: str, options: ClipOptions) -> None:
+    """Raise ParameterError if a video cannot store the exact size or frame rate."""
+    if codec == "png":
+        return
+    height, width = options.shape
+    if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
+        raise invalid(
+            "--size",
+            f"{width}x{height} is odd, and a video needs an even width and height",
+            f"Choose {width + width % 2}x{height + height % 2}, or --png.",
+        )
+    if codec == "h264":
+        if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
+            raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
+        return
+    rounded = round(options.fps, 3)
+    if rounded != options.fps:
+        raise invalid(
+            "--fps",
+            f"{options.fps!r} has more than three decimals, which this video does not keep",
+            f"Choose {rounded:g}, or --png.",
+        )
+    if codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
+        why = f"MPEG-4 cannot hold {rounded:g}"
+        raise invalid("--fps", why, "Choose fewer decimals, or --lossless.")
 
 
 @dataclass(frozen=True)
@@ -91,9 +76,8 @@ class ContactSheet:
     """
 
     name: str
-    fps: float
+    options: ClipOptions
     n_frames: int
-    seed: int
     record: dict[str, Any]
     images: Sequence[GreyImage]
     rows: Sequence[Any]
@@ -104,10 +88,10 @@ DrawSheet = Callable[[ContactSheet, Path], object]
 
 
 def clip_paths(
-    scene: Scene[Any], form: Form, folder: Path, name: str, *, sheet: bool = False
+    scene: Scene[Any], codec: str, folder: Path, name: str, *, sheet: bool = False
 ) -> tuple[Path, ...]:
     """The files of a clip: frames, truth, the record of a flight, and the sheet if wanted."""
-    paths = [folder / f"{name}{_SUFFIXES[form.codec]}", folder / f"{name}.csv"]
+    paths = [folder / f"{name}{_SUFFIXES[codec]}", folder / f"{name}.csv"]
     if scene.is_flight:
         paths.append(folder / f"{name}.yaml")
     return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
@@ -117,7 +101,7 @@ def write_clip(
     scene: Scene[OptionsT],
     options: OptionsT,
     folder: Path,
-    form: Form | None = None,
+    codec: str | None = None,
     *,
     name: str | None = None,
     overwrite: bool = False,
@@ -130,8 +114,8 @@ def write_clip(
 
     Parameters
     ----------
-    form : Form, optional
-        Format other than the scene's default: ``NAME.avi`` in FFV1, or ``NAME/0000.png`` and so on.
+    codec : str, optional
+        See `choose_codec`; the scene's default unless given.
     name : str, optional
         Stem of the files; the scene's name unless given.
     overwrite : bool
@@ -155,59 +139,53 @@ def write_clip(
     Interrupted
         If the user asks to stop. Incomplete files are removed.
     """
-    form = form or Form.choose(playable=scene.is_flight)
+    codec = codec or choose_codec(playable=scene.is_flight)
     n_frames = scene.n_frames(options)
-    form.check(options)
+    check_codec(codec, options)
     name = name or scene.name
-    paths = clip_paths(scene, form, folder, name, sheet=draw_sheet is not None)
-    refuse_existing_clip(paths, form, overwrite=overwrite)
+    paths = clip_paths(scene, codec, folder, name, sheet=draw_sheet is not None)
+    refuse_existing_clip(paths, codec, overwrite=overwrite)
     facts = scene.record(options)
     stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
     record = paths[2].name if scene.is_flight else ""
     with replacing(folder, record=record, what=paths[0]) as stage:
         temporary = [stage / path.name for path in paths]
         images = _watched(scene.frames(options), stills, on_frame)
-        if form.is_video:
-            shape, fps, codec = options.shape, options.fps, form.codec
-            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
-        else:
+        if codec == "png":
             _write_pictures(temporary[0], images, n_digits(n_frames))
+        else:
+            shape, fps = options.shape, options.fps
+            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
         rows = list(scene.truth(options))
         write_truth(temporary[1], scene.truth_type, rows)
         if scene.is_flight:
-            sheet = {} if draw_sheet is None else {"sheet": paths[-1].name}
-            first = {"scene": scene.name, "seed": options.seed}
-            document = {**first, **facts, **sheet, **identity(scene, options, form)}
+            first: dict[str, Any] = {"scene": scene.name, "seed": options.seed, **facts}
+            if draw_sheet is not None:
+                first["sheet"] = paths[-1].name
+            document = {**first, **identity(scene, options, codec)}
             temporary[2].write_text(yaml_text(document), encoding="utf-8")
         if draw_sheet is not None:
-            drawn = ContactSheet(
-                name=name,
-                fps=options.fps,
-                n_frames=n_frames,
-                seed=options.seed,
-                record=facts,
-                images=[*stills.values()],
-                rows=[rows[index] for index in stills],
-            )
-            draw_sheet(drawn, temporary[-1])
+            shown = [rows[index] for index in stills]
+            sheet = ContactSheet(name, options, n_frames, facts, [*stills.values()], shown)
+            draw_sheet(sheet, temporary[-1])
     return paths
 
 
-def identity(scene: Scene[OptionsT], options: OptionsT, form: Form) -> dict[str, Any]:
+def identity(scene: Scene[OptionsT], options: OptionsT, codec: str) -> dict[str, Any]:
     """Everything that determines the files of a clip."""
     return {
         "scene": scene.name,
         "seed": options.seed,
         "options": options.to_dict(),
-        "codec": form.codec,
-        "versions": versions(*(["pyav"] if form.codec == "h264" else [])),
+        "codec": codec,
+        "versions": versions(*(["pyav"] if codec == "h264" else [])),
     }
 
 
-def refuse_existing_clip(paths: tuple[Path, ...], form: Form, *, overwrite: bool) -> None:
+def refuse_existing_clip(paths: tuple[Path, ...], codec: str, *, overwrite: bool) -> None:
     """Raise OutputExistsError if a file of a clip already exists and may not be replaced."""
     frames, *others = paths
-    if form.is_video:
+    if codec != "png":
         others.insert(0, frames)
     elif os.path.lexists(frames):
         why, mend = "", "Choose another --out."

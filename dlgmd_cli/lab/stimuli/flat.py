@@ -184,16 +184,12 @@ class Approach(Scene[ApproachOptions]):
         self,
         name: str,
         description: str,
+        defaults: ApproachOptions,
         solid: Literal["cube", "ball"],
-        defaults: ApproachOptions | None = None,
         *,
         recedes: bool = False,
     ) -> None:
-        self.name, self.description, self.defaults = (
-            name,
-            description,
-            defaults or ApproachOptions(),
-        )
+        super().__init__(name, description, defaults)
         self._is_cube, self._recedes = solid == "cube", recedes
 
     def n_frames(self, options: ApproachOptions) -> int:
@@ -292,9 +288,6 @@ class Translation(Scene[TranslationOptions]):
 
     truth_type = FlatTruth
 
-    def __init__(self, name: str, description: str, defaults: TranslationOptions) -> None:
-        self.name, self.description, self.defaults = name, description, defaults
-
     def n_frames(self, options: TranslationOptions) -> int:
         """Number of frames: as set, else as many as the picture has room for, 75 at most."""
         height, width = options.shape
@@ -353,4 +346,4 @@ def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
             speed_m_s=speed_m_s,
             distance_m=speed_m_s * (_N_TEST_FRAMES + 1) / ApproachOptions.fps,
         )
-        yield list(Approach("looming-ball", "", "ball", options).frames(options))
+        yield list(Approach("looming-ball", "", options, "ball").frames(options))

@@ -20,11 +20,11 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.truth import FlightTruth
-from dlgmd_cli.lab.stimuli.clip import Form, n_digits, write_clip, write_truth
+from dlgmd_cli.lab.stimuli.clip import choose_codec, n_digits, write_clip, write_truth
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.writer import best_codec, write_video
 
-PNG, LOSSLESS = Form.choose(png=True), Form.choose(lossless=True)
+PNG, LOSSLESS = "png", "ffv1"
 CUBE = SCENES["looming-cube"]
 SMALL = {"--size": (48, 64), "--frames": 6}
 needs_pyav = pytest.mark.skipif(best_codec() != "h264", reason="H.264 needs PyAV")
@@ -158,7 +158,7 @@ def test_what_no_video_can_hold_is_refused_before_anything_is_written(
     tmp_path, given, lossless, why
 ):
     with pytest.raises(ParameterError, match=why):
-        write_clip(CUBE, CUBE.configure(given), tmp_path / "x", Form.choose(lossless=lossless))
+        write_clip(CUBE, CUBE.configure(given), tmp_path / "x", choose_codec(lossless=lossless))
     assert not (tmp_path / "x").exists()
 
 
@@ -213,15 +213,15 @@ def test_what_is_not_a_folder_is_never_replaced_by_one(scene, tmp_path, is_link)
 # Whole or not at all
 
 
-@pytest.mark.parametrize("form", [None, PNG, LOSSLESS])
+@pytest.mark.parametrize("codec", [None, PNG, LOSSLESS])
 @pytest.mark.parametrize("error", ["error", "bug", "interrupt"])
-def test_an_error_leaves_what_was_there_and_nothing_half_made(scene, tmp_path, form, error):
+def test_an_error_leaves_what_was_there_and_nothing_half_made(scene, tmp_path, codec, error):
     broken = Quick(at_0=error)
-    write_clip(scene, scene.defaults, tmp_path / "old", form)
+    write_clip(scene, scene.defaults, tmp_path / "old", codec)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "old").rglob("*")}
     for folder in ("old", "new"):
         with pytest.raises((OutputError, IndexError, KeyboardInterrupt)):
-            write_clip(broken, broken.defaults, tmp_path / folder, form, overwrite=True)
+            write_clip(broken, broken.defaults, tmp_path / folder, codec, overwrite=True)
     assert names(tmp_path / "new") == []
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "old").rglob("*")} == before
 

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dlgmd_cli.lab.flights.scenes import SCENES
 from dlgmd_cli.lab.plots.contact_sheet import plot_contact_sheet, save_contact_sheet
+from dlgmd_cli.lab.stimuli.base import ClipOptions
 from dlgmd_cli.lab.stimuli.clip import ContactSheet, chosen_frames
 
 
@@ -38,7 +39,7 @@ def make_sheet(n=12, shape=(27, 48), *, collision=None, phase="cruise", name="fl
     record = {"target": "wall", "collision_frame": None, "collision_time_s": None}
     if collision is not None:
         record |= {"collision_frame": 10 * collision, "collision_time_s": collision / 3}
-    return ContactSheet(name, 30.0, 10 * n, 7, record if phase else {}, images, rows)
+    return ContactSheet(name, ClipOptions(seed=7), 10 * n, record if phase else {}, images, rows)
 
 
 def captions(sheet):
@@ -115,7 +116,9 @@ def test_what_is_not_defined_is_left_out(left_s, angle_deg, expected):
 )
 def test_title_and_outcome(record, parts):
     sheet = make_sheet(4, collision=2)
-    sheet = replace(sheet, record={**sheet.record, **record}, fps=29.97, n_frames=1)
+    sheet = replace(
+        sheet, record={**sheet.record, **record}, options=ClipOptions(fps=29.97, seed=7), n_frames=1
+    )
     first, *outcome = plot_contact_sheet(sheet).get_suptitle().split("\n")
     assert first == "flight · 48×27 px · 29.97 frames/s · 1 frame · seed 7"
     assert len(outcome) == bool(parts) and all(part in outcome[0] for part in parts)
