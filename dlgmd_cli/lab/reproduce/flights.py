@@ -36,7 +36,7 @@ from dlgmd_cli.lab.reproduce.plan import (
     Plan,
     by_formulation,
 )
-from dlgmd_cli.lab.reproduce.stimuli import SIZE, mean_db, share_of_peak
+from dlgmd_cli.lab.reproduce.stimuli import SIZE, mean_db, positive, share_of_peak
 from dlgmd_cli.parameters import FORMULATIONS, load_set
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
@@ -47,6 +47,8 @@ _SET9, _LGMD = all_formulations("set9"), other_models("lgmd")
 _LABELS = {**{f"set9/{f}": f"set 9, {f}" for f in FORMULATIONS}, "lgmd": "LGMD"}
 # Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
+# Phases in which a model must be silent.
+_BEFORE = ("pitch", "accelerate")
 
 
 def _flight(group: int, seed: int) -> Clip:
@@ -80,6 +82,15 @@ def level_in(flight: ClipResults, label: str, name: str) -> float:
     return sustained(share_of_peak(flight.results[label]), *window)
 
 
+def _levels(flights: list[ClipResults], label: str, *parts: str) -> dict[str, list[float]]:
+    """The greatest level in some parts of each flight; "{}" in the label is the formulation."""
+
+    def most(label: str) -> list[float]:
+        return [max(level_in(flight, label, part) for part in parts) for flight in flights]
+
+    return by_formulation(lambda f: most(label.format(f))) if "{}" in label else {ANY: most(label)}
+
+
 def _flights(plan: Plan, data: Data, group: int) -> list[ClipResults]:
     """The flights of a group; the first one is in the figures."""
     return [data[_flight(group, seed)] for seed in plan.seeds]
@@ -88,10 +99,9 @@ def _flights(plan: Plan, data: Data, group: int) -> list[ClipResults]:
 def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
     """First frame, last frame and name of the phases that a figure shows: all but the first."""
     short = {"accelerate": "accel.", "decelerate": "brake"}
-    named = list(flight.phases.items())[1:]
     return [
         (float(first), float(last), short.get(name, name))
-        for name, (first, last) in named
+        for name, (first, last) in [*flight.phases.items()][1:]
         if name != "collision"
     ]
 
@@ -112,10 +122,7 @@ def fig1(plan: Plan, data: Data) -> Evidence:
     """The LGMD responds to the camera's own motion."""
     flights = _flights(plan, data, 1)
     panels = [_shares("Group 1", flights[0], {"lgmd": "LGMD"})]
-    values = {
-        f"fig1-{name}": {ANY: [level_in(flight, "lgmd", name) for flight in flights]}
-        for name in ("pitch", "accelerate")
-    }
+    values = {f"fig1-{part}": _levels(flights, "lgmd", part) for part in _BEFORE}
     return Evidence(values, {"fig1": partial(plot_panels, panels, "Frame", "K / max K")})
 
 
@@ -125,33 +132,16 @@ _FIG_13B = _SET9 | {
 }
 
 
-def _most_before(flights: list[ClipResults], label: str) -> list[float]:
-    """The greatest sustained share of the peak before the approach of each flight."""
-    phases = ("pitch", "accelerate")
-    return [max(level_in(flight, label, name) for name in phases) for flight in flights]
-
-
 def fig13a(plan: Plan, data: Data) -> Evidence:
     """Three models in groups 1 and 2."""
-    values: dict[str, dict[str, list[float]]] = {}
-    panels = []
+    values, panels = {}, []
     for group in (1, 2):
         flights = _flights(plan, data, group)
-        most = partial(_most_before, flights)
-        values |= {
-            f"fig13a-silent-group{group}": {f: most(f"set9/{f}") for f in FORMULATIONS},
-            f"fig13a-lgmd-group{group}": {ANY: most("lgmd")},
-            f"fig13a-emd-group{group}": {ANY: most("emd-lgmd")},
-        }
+        for claim, label in (("silent", "set9/{}"), ("lgmd", "lgmd"), ("emd", "emd-lgmd")):
+            values[f"fig13a-{claim}-group{group}"] = _levels(flights, label, *_BEFORE)
         panels.append(_shares(f"Group {group}", flights[0], {**_LABELS, "emd-lgmd": "EMD-LGMD"}))
     draw = partial(plot_panels, panels, "Frame", "K / max K", share_y=False)
     return Evidence(values, {"fig13a": draw})
-
-
-def _n_active(flight: ClipResults, label: str) -> int:
-    """Number of frames before the approach with K above 0."""
-    before = flight.results[label].mp[: flight.collision_frame - APPROACH_FRAMES]
-    return int(np.count_nonzero(np.nan_to_num(before) > 0.0))
 
 
 def fig13b(plan: Plan, data: Data) -> Evidence:
@@ -159,22 +149,28 @@ def fig13b(plan: Plan, data: Data) -> Evidence:
     flights = _flights(plan, data, 1)
 
     def left(formulation: str) -> list[float]:
-        """The share of active frames that FFI-GD leaves."""
-        label = f"set9/{formulation}"
-        counts = [(_n_active(s, label), _n_active(s, f"{label}/no-ffi-gd")) for s in flights]
-        return [kept / n if n else math.nan for kept, n in counts]
+        """The share that FFI-GD leaves of the frames before the approach with K above 0."""
+        label, found = f"set9/{formulation}", []
+        for flight in flights:
+            kept, n = (
+                np.count_nonzero(
+                    flight.results[of].mp[: flight.collision_frame - APPROACH_FRAMES] > 0
+                )
+                for of in (label, f"{label}/no-ffi-gd")
+            )
+            found.append(kept / n if n else math.nan)
+        return found
 
     def panel(formulation: str) -> Panel:
         label = f"set9/{formulation}"
         raw = {"without FFI-GD": f"{label}/no-ffi-gd", "with FFI-GD": label}
-        curves = {shown: flights[0].results[of].mp for shown, of in raw.items()}
-        curves = {shown: np.where(mp > 0.0, mp, np.nan) for shown, mp in curves.items()}
+        curves = {shown: positive(flights[0].results[of].mp) for shown, of in raw.items()}
         return _panel(formulation, flights[0], curves)
 
     panels = [panel(f) for f in FORMULATIONS]
     values = {
         "fig13b-removes": by_formulation(left),
-        "fig13b-without": by_formulation(lambda f: _most_before(flights, f"set9/{f}/no-ffi-gd")),
+        "fig13b-without": _levels(flights, "set9/{}/no-ffi-gd", *_BEFORE),
     }
     return Evidence(values, {"fig13b": partial(plot_panels, panels, "Frame", "Raw K", log_y=True)})
 
@@ -184,13 +180,6 @@ _FIG_14 = all_formulations(*(f"set{n}" for n in _FIG_14_SETS)) | _LGMD
 _BRAKE_FRAMES = 10
 # Least level before braking, as a share of the peak, whose drop is measured.
 _TO_DROP = 0.05
-
-
-def _drop(level: Series, first: int) -> float:
-    """Mean level after braking begins, divided by that before; NaN if that is too low."""
-    before = float(level[first - _BRAKE_FRAMES : first].mean())
-    after = float(level[first : first + _BRAKE_FRAMES].mean())
-    return after / before if before >= _TO_DROP else math.nan
 
 
 def fig14(plan: Plan, data: Data) -> Evidence:
@@ -211,8 +200,15 @@ def fig14(plan: Plan, data: Data) -> Evidence:
         return (most / [level_in(s, "lgmd", "pitch") for s in flights]).tolist()
 
     def drop(number: int, formulation: str) -> list[float]:
-        label = f"set{number}/{formulation}"
-        return [_drop(share_of_peak(s.results[label]), s.phases["decelerate"][0]) for s in flights]
+        """Mean level after braking begins, divided by that before; NaN if that is too low."""
+        found = []
+        for flight in flights:
+            level = share_of_peak(flight.results[f"set{number}/{formulation}"])
+            first = flight.phases["decelerate"][0]
+            before = float(level[first - _BRAKE_FRAMES : first].mean())
+            after = float(level[first : first + _BRAKE_FRAMES].mean())
+            found.append(after / before if before >= _TO_DROP else math.nan)
+        return found
 
     values = {
         "fig14a-answers": by_formulation(lambda f: pitch(f, 3, 7).min(axis=1).tolist()),
@@ -246,9 +242,6 @@ def _approach(group: int, name: str, plan: Plan, data: Data) -> Evidence:
     def causal(flight: ClipResults, label: str) -> float:
         return sustained(np.nan_to_num(flight.results[label].mp_abs), 0, flight.collision_frame)
 
-    def contact(flight: ClipResults, label: str) -> float:
-        return level_in(flight, label, "contact")
-
     def of_set9(measure: Callable[[ClipResults, str], float]) -> dict[str, list[float]]:
         return by_formulation(lambda f: [measure(flight, f"set9/{f}") for flight in flights])
 
@@ -261,9 +254,9 @@ def _approach(group: int, name: str, plan: Plan, data: Data) -> Evidence:
     values = {
         f"{name}-attenuates": of_set9(flying),
         f"{name}-rising": of_set9(rise),
-        f"{name}-detects": of_set9(contact),
+        f"{name}-detects": _levels(flights, "set9/{}", "contact"),
         f"{name}-causal": of_set9(causal),
-        f"{name}-lgmd": {ANY: [contact(flight, "lgmd") for flight in flights]},
+        f"{name}-lgmd": _levels(flights, "lgmd", "contact"),
     }
     draw = partial(plot_panels, panels, "Frame", "K / max K", share_y=False)
     return Evidence(values, {name: draw})
@@ -274,8 +267,8 @@ def fig17(plan: Plan, data: Data) -> Evidence:
     flights = _flights(plan, data, 3)
     panels = [_shares("Group 3", flights[0], _LABELS)]
     values = {
-        claim: {f: [level_in(s, f"set9/{f}", part) for s in flights] for f in FORMULATIONS}
-        for claim, part in (("fig17-silent", "yaw"), ("fig17-answers", "contact"))
+        "fig17-silent": _levels(flights, "set9/{}", "yaw"),
+        "fig17-answers": _levels(flights, "set9/{}", "contact"),
     }
     return Evidence(values, {"fig17": partial(plot_panels, panels, "Frame", "K / max K")})
 
@@ -324,12 +317,11 @@ def table4_da(plan: Plan, data: Data) -> Evidence:
     """The distinguishability by radius and scale, as in Table IV."""
     scales = _scales(plan)
 
-    def da(formulation: str, seed: int) -> Series:
+    def da(flight: ClipResults) -> Series:
         """DA by radius (rows) and scale; infinite where the model is silent at the pitch."""
-        flight = data[_da_name(formulation, seed)]
         return np.array([[distinguishability(flight, _point(r, x)) for x in scales] for r in RADII])
 
-    tables = {f: [da(f, seed) for seed in plan.seeds[:2]] for f in FORMULATIONS}
+    tables = {f: [da(data[_da_name(f, n)]) for n in plan.seeds[:2]] for f in FORMULATIONS}
     at_best = scales.index(BEST_SCALE)
 
     def best(table: Series) -> float:
@@ -386,9 +378,7 @@ def time_model(formulation: str, *, quick: bool) -> list[dict[str, Any]]:
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
     with rendered_pan(24 if quick else 48) as path:
         for radii, scales in points:
-            open_at = partial(open_video, path)
-            found = measure(open_at, params, radii=radii, scales=scales, repeats=1)
-            rows += found["rows"]
+            rows += measure(partial(open_video, path), params, radii=radii, scales=scales)["rows"]
     return rows
 
 

@@ -62,6 +62,11 @@ def share_of_peak(result: Result) -> Series:
     return mp / peak if peak >= LEAST_PEAK else np.zeros_like(mp)
 
 
+def positive(mp: Series) -> Series:
+    """K, and NaN where it is 0, for a logarithmic axis."""
+    return np.where(mp > 0.0, mp, np.nan)
+
+
 def onset(result: Result) -> int:
     """The first frame at which K reaches `ONSET` of its peak."""
     return int(np.argmax(share_of_peak(result) >= ONSET))
@@ -188,24 +193,23 @@ def _fig8_needs(plan: Plan) -> Needs:
     return {"fig8": partial(object_sums, clip, all_formulations("set9"))}
 
 
-def _object_db(sums: Series) -> Series:
-    """Attenuation in dB: of the ball shortly before contact, then of each capsule."""
-    p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
-    p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
-    with np.errstate(divide="ignore"):
-        return np.maximum(10.0 * np.log10(s / p), FLOOR_DB)
-
-
 def fig8(plan: Plan, data: Data) -> Evidence:
     """The attenuation around a ball that approaches and capsules that translate."""
     names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
 
+    def decibels(p: Series, s: Series) -> Series:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.maximum(10.0 * np.log10(s / p), FLOOR_DB)
+
     def db(formulation: str) -> Series:
-        return _object_db(data["fig8"][f"set9/{formulation}"])
+        """The attenuation of the ball shortly before contact, then of each capsule."""
+        sums = data["fig8"][f"set9/{formulation}"]
+        p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
+        p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
+        return decibels(p, s)
 
     def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            db = np.maximum(10.0 * np.log10(sums[1] / sums[0]), FLOOR_DB)
+        db = decibels(*sums)
         db[LAST_APART + 1 :, 1:] = np.nan
         frame = np.arange(float(len(db)))
         return {name: (frame, db[:, place]) for place, name in enumerate(names)}
@@ -307,9 +311,7 @@ def fig12(plan: Plan, data: Data) -> Evidence:
     for f in FORMULATIONS:
         own = {f"set {n}": results[f"set{n}/{f}"] for n in range(1, 7)}
         frame = np.arange(float(len(own["set 1"])))
-        raw.append(
-            Panel(f, {name: (frame, np.where(r.mp > 0.0, r.mp, np.nan)) for name, r in own.items()})
-        )
+        raw.append(Panel(f, {name: (frame, positive(r.mp)) for name, r in own.items()}))
         scaled.append(Panel(f, {name: (frame, share_of_peak(r)) for name, r in own.items()}))
     values = {
         "fig12a-early-plain": by_formulation(partial(early, 3, 1)),
