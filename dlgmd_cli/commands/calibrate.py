@@ -35,7 +35,7 @@ from dlgmd_cli.errors import printable
 if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment, Trial
     from dlgmd_cli.lab.evaluation.cases import Case
-    from dlgmd_cli.lab.evaluation.measures import Scores
+    from dlgmd_cli.lab.evaluation.scoring import Scores
     from dlgmd_cli.lab.evaluation.search import Range, Search
     from dlgmd_cli.runs.setup import Setup
 

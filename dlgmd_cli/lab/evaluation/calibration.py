@@ -14,8 +14,7 @@ import numpy as np
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.lab.evaluation.cases import Case, run_cases, signal_of, strength_at
-from dlgmd_cli.lab.evaluation.measures import Scores, curve, score, thresholds
-from dlgmd_cli.lab.evaluation.scoring import Signal, Tally, tally
+from dlgmd_cli.lab.evaluation.scoring import Scores, Signal, Tally, curve, score, tally, thresholds
 from dlgmd_cli.models.detection import Flags, absolute
 from dlgmd_cli.parameters import Parameters
 from dlgmd_cli.runs.setup import Setup
@@ -132,11 +131,12 @@ def calibrate(
     rules, folds, old = experiment.rules, experiment.folds, experiment.setup.params
     trials = trials or [Trial({}, choose(before, folds, rules))]
     best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
-    setups = {
-        str(one.values): with_values(experiment.setup, one.values) for one in (best, *winners)
-    }
-    signals = {key: experiment.signals(one) for key, one in setups.items() if key != str({})}
-    signals[str({})] = list(before)
+    setups, signals = {}, {str({}): list(before)}
+    for one in (best, *winners):
+        key = str(one.values)
+        setups[key] = with_values(experiment.setup, one.values)
+        if key not in signals:
+            signals[key] = experiment.signals(setups[key])
     overall = best.found[0]
     choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
     own, final = signals[str(best.values)], setups[str(best.values)]
@@ -208,12 +208,8 @@ def score_held_out(
 
     `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
     """
-    return score(
-        [
-            tally_of(signals[fold][number], choices[fold], horizon_s)
-            for number, fold in enumerate(folds)
-        ]
-    )
+    by_video = enumerate(folds)
+    return score([tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in by_video])
 
 
 def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:

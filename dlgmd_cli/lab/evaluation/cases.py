@@ -1,6 +1,6 @@
 """Labelled videos, and the results of models on them: computed here, or read from a batch."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -160,9 +160,8 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
     Raises ResultError if it is not the folder of a batch.
     """
     is_single = (folder / SUMMARY).is_file()
-    places = (
-        [folder] if is_single else [path.parent for path in sorted(folder.glob(f"*/{SUMMARY}"))]
-    )
+    pattern = SUMMARY if is_single else f"*/{SUMMARY}"
+    places = [path.parent for path in sorted(folder.glob(pattern))]
     if not places:
         why = f"it holds no results of a batch (no {SUMMARY})"
         raise ResultError(str(folder), why, "Run 'dlgmd batch' first.")
@@ -175,14 +174,11 @@ def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, 
             continue
         if is_single:
             (result,) = found.values()
-            label = label or _label(result.record)
+            record = result.record
+            own = f"set{record['set']}" if "set" in record else record.get("preset")
+            label = label or str(own or record["model"])
             found = {label: result}
         yield case, found
-
-
-def _label(record: Mapping[str, Any]) -> str:
-    """The name of a model as its record has it: a set, a preset, or the model."""
-    return f"set{record['set']}" if "set" in record else str(record.get("preset", record["model"]))
 
 
 def _stored(place: Path, case: Case) -> Result:
@@ -251,14 +247,14 @@ class Evaluation:
     def add(self, case: Case, results: Results) -> None:
         """Add the results of a video, or note why it cannot be scored."""
         try:
-            if isinstance(results, DlgmdError):
-                raise results
             self._add(case, results)
         except DlgmdError as error:
             self.failed[case.name] = f"{error.why}. {error.mend}".strip().rstrip(".")
 
-    def _add(self, case: Case, results: Mapping[str, Result]) -> None:
+    def _add(self, case: Case, results: Results) -> None:
         """Add the results of a video; raises DlgmdError if it cannot be scored."""
+        if isinstance(results, DlgmdError):
+            raise results
         found: list[tuple[str, Result, Parameters | None, Signal]] = [
             (label, result, result.params, signal_of(result, case))
             for label, result in results.items()

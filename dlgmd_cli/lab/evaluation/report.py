@@ -8,16 +8,20 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
-from dlgmd_cli.lab.evaluation.measures import (
+from dlgmd_cli.lab.evaluation.scoring import (
     COUNTS,
+    HIT,
+    IGNORED,
+    KINDS,
     MEASURES,
     Curve,
     Scores,
+    alarms,
     curve,
     score,
+    tally,
     thresholds,
 )
-from dlgmd_cli.lab.evaluation.scoring import HIT, IGNORED, KINDS, alarms, tally
 from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.store import Write
@@ -34,7 +38,7 @@ ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 # `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
 # a target's name. `threshold` is that of the normalised potential, `excitation` that of the mean
-# excitation; the other columns are those of `measures.score`.
+# excitation; the other columns are those of `score`.
 Row = dict[str, Any]
 
 
@@ -55,8 +59,7 @@ class Report:
     def row(self, label: str, at: str, target: str = ALL) -> Row | None:
         """The row of a candidate, threshold and target, or None."""
         asked = label, at, target
-        rows = (row for row in self.rows if tuple(row[word] for word in _WORDS) == asked)
-        return next(rows, None)
+        return next((r for r in self.rows if tuple(r[word] for word in _WORDS) == asked), None)
 
     def main(self, label: str, target: str = ALL) -> Row:
         """The row at the default threshold, or, for a baseline, at the best one."""
@@ -81,16 +84,15 @@ class Report:
 
     def tables(self) -> dict[str, Write]:
         """The function that writes each table, by file name; OSError passes through."""
+        scores = [
+            [text_cell(v) if key in _WORDS else cell(v) for key, v in row.items()]
+            for row in self.rows
+        ]
         return {
-            "evaluate.csv": lambda path: write_rows(path, list(self.rows[0]), self._score_rows()),
+            "evaluate.csv": lambda path: write_rows(path, list(self.rows[0]), scores),
             "curves.csv": lambda path: write_rows(path, CURVE_COLUMNS, self._curve_rows()),
             "alarms.csv": lambda path: write_rows(path, ALARM_COLUMNS, self._alarm_rows()),
         }
-
-    def _score_rows(self) -> Iterator[list[str]]:
-        """The rows of evaluate.csv."""
-        for row in self.rows:
-            yield [text_cell(v) if key in _WORDS else cell(v) for key, v in row.items()]
 
     def _curve_rows(self) -> Iterator[list[str]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""
@@ -131,12 +133,8 @@ class Report:
         """The measures of every candidate over all videos, by label; None where undefined."""
 
         def facts(row: Row) -> dict[str, Any]:
-            return {
-                "at": row["at"],
-                "threshold": defined(row["threshold"]),
-                "n_sp": row["n_sp"],
-                **scores_json(row),
-            }
+            at = {"at": row["at"], "threshold": defined(row["threshold"]), "n_sp": row["n_sp"]}
+            return at | scores_json(row)
 
         found = {}
         for label in self.evaluation.candidates:

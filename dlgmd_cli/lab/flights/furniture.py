@@ -104,13 +104,6 @@ def block(
     return Solid(name, faces, motion)
 
 
-def panel(name: str, where: Placement, size_m: Size, covered: Skin, motion: Motion | None) -> Solid:
-    """An upright flat picture facing +x; its placement is at the middle of the bottom edge."""
-    width, height = size_m
-    face = _face(where, covered, (0, -width / 2, height), (0, width, 0), (0, 0, -height))
-    return Solid(name, [face], motion)
-
-
 def _face(where: Placement, covered: Skin, *lines: npt.ArrayLike) -> Face:
     """A face with a skin, lit by lamps above; `lines` are its origin, right and down."""
     at = where.world(lines[0])
@@ -168,7 +161,9 @@ def _parts(
         if "piece" in part:
             bodies += furniture(part["piece"], rng, at, motion=motion)
         elif "panel" in part:
-            bodies.append(panel(name, at, tuple(part["panel"]), skins[part["skin"]], motion))
+            width, height = part["panel"]
+            lines = (0, -width / 2, height), (0, width, 0), (0, 0, -height)
+            bodies.append(Solid(name, [_face(at, skins[part["skin"]], *lines)], motion))
         elif "capsule" in part:
             *ends, radius = part["capsule"]
             texture = skins[part["skin"]].texture
@@ -192,7 +187,7 @@ def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Skin
         return Skin(Texture(_number(spec["plain"], tones, rng)))
     size = tuple(spec["size_m"])
     looks = {"tone": _number(spec["tone"], tones, rng)} if "tone" in spec else {}
-    draw = getattr(textures, spec["cut"] if "cut" in spec else spec["fill"])
+    draw = getattr(textures, spec.get("cut") or spec["fill"])
     texture = Texture(draw(rng, size, spec["px_per_m"], **looks))
     return Skin(texture, size if "cut" in spec else None)
 

@@ -213,23 +213,13 @@ _FLAT: tuple[Scene[Any], ...] = (
 
 def _flights() -> Iterator[FlightScene]:
     """First-person flights: collisions, the paper's Fig. 8, near misses, and random ones."""
-    # Frame sizes of the paper's videos, of its simulations, and one that is fast to render.
-    full_hd, simulated, small = (
-        FlightOptions(shape=shape) for shape in ((1080, 1920), (600, 800), (360, 640))
-    )
+    own = {"ball-and-capsules": ball_and_capsules, "random": random_flight}
     named = yaml.safe_load(Path(__file__).with_name("scenes.yaml").read_text("utf-8"))
-    hits, misses = (
-        {name: spec for name, spec in named.items() if ("hit_at" in spec["obstacle"]) == is_hit}
-        for is_hit in (True, False)
-    )
-    for name, spec in hits.items():
-        yield FlightScene(name, spec["shows"], full_hd, partial(named_flight, spec))
-    shows = "a looming ball, and four capsules that pass by"
-    yield FlightScene("ball-and-capsules", shows, simulated, ball_and_capsules)
-    for name, spec in misses.items():
-        yield FlightScene(name, spec["shows"], small, partial(named_flight, spec))
-    shows = "a random room, flight and outcome, by the seed"
-    yield FlightScene("random", shows, small, random_flight)
+    for name, spec in named.items():
+        width, height = spec["size_wh"]
+        options = FlightOptions(shape=(height, width))
+        build = own.get(name, partial(named_flight, spec))
+        yield FlightScene(name, spec["shows"], options, build)
 
 
 SCENES: dict[str, Scene[Any]] = {scene.name: scene for scene in (*_FLAT, *_flights())}

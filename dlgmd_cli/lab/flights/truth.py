@@ -377,19 +377,6 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
         left_s = math.nan
         if contact_s is not None and time <= contact_s + _SAME_S:
             left_s = max(contact_s - time, 0.0)
-        yield FlightTruth(
-            frame=index,
-            time_s=time,
-            x_m=float(state.position_m[0]),
-            y_m=float(state.position_m[1]),
-            z_m=float(state.position_m[2]),
-            roll_deg=state.roll_deg,
-            pitch_deg=state.pitch_deg,
-            yaw_deg=state.yaw_deg,
-            distance_m=distance,
-            time_to_contact_s=left_s,
-            angular_size_deg=angle,
-            angular_velocity_deg_s=rate,
-            max_image_speed_px=speeds.fastest(state, time) / fps,
-            phase=stage.path.phase(time),
-        )
+        where = *state.position_m.tolist(), state.roll_deg, state.pitch_deg, state.yaw_deg
+        seen = distance, left_s, angle, rate, speeds.fastest(state, time) / fps
+        yield FlightTruth(index, time, *where, *seen, stage.path.phase(time))

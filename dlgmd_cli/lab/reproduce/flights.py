@@ -17,6 +17,7 @@ from dlgmd_cli.lab.benchmark import (
     measure,
     rendered_pan,
 )
+from dlgmd_cli.lab.plots.panels import Panel, plot_panels
 from dlgmd_cli.lab.reproduce.clips import (
     Clip,
     ClipResults,
@@ -38,7 +39,6 @@ from dlgmd_cli.lab.reproduce.plan import (
 )
 from dlgmd_cli.lab.reproduce.stimuli import SIZE, mean_db, positive, share_of_peak
 from dlgmd_cli.parameters import FORMULATIONS, load_set
-from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.video.opening import open_video

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.lab.flights.ball import CAPSULES
+from dlgmd_cli.lab.plots.panels import Panel, plot_panels
 from dlgmd_cli.lab.reproduce.clips import (
     LAST_APART,
     Clip,
@@ -31,7 +32,6 @@ from dlgmd_cli.models.detection import LEAST_PEAK
 from dlgmd_cli.models.kernels import connect, latency_map
 from dlgmd_cli.parameters import FORMULATIONS, DlgmdParameters, load_set
 from dlgmd_cli.plots.kernels import plot_kernels
-from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.sweeps import plot_sweep
 from dlgmd_cli.results.result import Result, Series

@@ -22,8 +22,7 @@ from dlgmd_cli.lab.evaluation.calibration import (
     with_values,
 )
 from dlgmd_cli.lab.evaluation.cases import strength_at
-from dlgmd_cli.lab.evaluation.measures import score
-from dlgmd_cli.lab.evaluation.scoring import Signal
+from dlgmd_cli.lab.evaluation.scoring import Signal, score
 from dlgmd_cli.lab.evaluation.search import Search, parse_range
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.lab.evaluation import measures, scoring
+from dlgmd_cli.lab.evaluation import scoring
 from dlgmd_cli.lab.evaluation.scoring import KINDS, Signal
 from dlgmd_cli.models.detection import detect, onsets
 
@@ -22,7 +22,7 @@ def signal(bursts, contacts=(), n=200, fps=FPS):
 
 
 def curve(signals, n_sp, at):
-    return measures.curve([scoring.tally(one, n_sp, at) for one in signals], at)
+    return scoring.curve([scoring.tally(one, n_sp, at) for one in signals], at)
 
 
 def verdict(one, **options):
@@ -158,7 +158,7 @@ def test_measures_of_several_videos():
             ([(50, 52), (90, 92)], []),  # two false alarms
         ]
     ]
-    found = measures.score(counts)
+    found = scoring.score(counts)
     minutes = (4 * 150 + 200) / FPS / 60
     expected = {"videos": 5, "collisions": 4, "hits": 3, "at_contact": 1, "false_alarms": 3}
     expected |= {"early": 0, "minutes": minutes, "recall": 0.75, "precision": 0.5, "lead_s": 0.5}
@@ -169,10 +169,10 @@ def test_measures_of_several_videos():
     outside = [peak for one in counts for peak in one.outside]
     pairs = [(a > b) + (a == b) / 2 for a in inside for b in outside]
     assert found["auc"] == pytest.approx(np.mean(pairs)) and max(outside) == 1
-    for name in measures.MEASURES:
+    for name in scoring.MEASURES:
         low, high = found[f"{name}_low"], found[f"{name}_high"]
         assert low <= found[name] <= high and low < high
-    assert measures.score(counts) == found  # seeded
+    assert scoring.score(counts) == found  # seeded
 
 
 def test_an_interval_is_that_of_resampled_videos():
@@ -181,10 +181,10 @@ def test_an_interval_is_that_of_resampled_videos():
         scoring.tally(signal([(130, 140)] * bool(rng.random() < 0.7), [150]), 2, 0.5)
         for _ in range(100)
     ]
-    found = measures.score(counts)
+    found = scoring.score(counts)
     half = 1.96 * np.sqrt(found["recall"] * (1 - found["recall"]) / 100)
     assert found["recall_high"] - found["recall_low"] == pytest.approx(2 * half, rel=0.15)
-    nothing = measures.score([counts[0].only(np.array([False]))])
+    nothing = scoring.score([counts[0].only(np.array([False]))])
     assert np.isnan([nothing["recall"], nothing["recall_low"]]).all()
     assert nothing["collisions"] == 0
 
@@ -197,7 +197,7 @@ def test_the_best_threshold():
         one.strength[one.strength > 0] = level
         one.strength[20:23] = noise
         signals.append(one)
-    at = measures.thresholds(signals, 2)
+    at = scoring.thresholds(signals, 2)
     found = curve(signals, 2, at)
     best = at[found.best(0.0)]
     assert 0.25 < best <= 0.5
@@ -211,15 +211,15 @@ def test_the_best_threshold():
     assert set(zip(dense.recall, dense.false_alarms_per_min, strict=True)) <= pairs
     assert (found.recall[-1], found.false_alarms_per_min[-1]) == (0, 0)
     silent = [signal([], [150])]
-    at = measures.thresholds(silent, 2)
+    at = scoring.thresholds(silent, 2)
     assert at[curve(silent, 2, at).best(1.0)] > 0
 
 
 def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
-    monkeypatch.setattr(measures, "MAX_THRESHOLDS", 20)
+    monkeypatch.setattr(scoring, "MAX_THRESHOLDS", 20)
     rng = np.random.default_rng(2)
     signals = [Signal(np.arange(400) / FPS, rng.random(400), (), 1 / FPS) for _ in range(3)]
-    at = measures.thresholds(signals, 1)
+    at = scoring.thresholds(signals, 1)
     assert len(at) <= 21
-    monkeypatch.setattr(measures, "MAX_THRESHOLDS", 10**6)
-    assert set(at[-8:]) <= set(measures.thresholds(signals, 1))
+    monkeypatch.setattr(scoring, "MAX_THRESHOLDS", 10**6)
+    assert set(at[-8:]) <= set(scoring.thresholds(signals, 1))
