@@ -232,6 +232,14 @@ def test_labels(tmp_path):
     text = "\ufeffnote,collision_frame,video\nat night,7,a.mp4\n,,b.mp4\n"
     (tmp_path / "labels.csv").write_text(text, encoding="utf-8")
     assert read_labels(tmp_path / "labels.csv") == [Label("a.mp4", 7), Label("b.mp4")]
-    (tmp_path / "labels.csv").write_text("video,collision_frame\na.mp4,soon\n")
-    with pytest.raises(ResultError, match="line 2"):
-        read_labels(tmp_path / "labels.csv")
+    for text, why in (
+        ("\ufeff".encode("utf-16"), "not a CSV file"),
+        (b"video\na.mp4\n", "no labels"),
+    ):
+        (tmp_path / "labels.csv").write_bytes(text)
+        with pytest.raises(ResultError, match=why):
+            read_labels(tmp_path / "labels.csv")
+    for line in ("a.mp4,soon", "a.mp4", "a.mp4,-1", "a.mp4,1.5", "a.mp4," + "9" * 5000, ",2"):
+        (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{line}\n")
+        with pytest.raises(ResultError, match="line 2 is not a label"):
+            read_labels(tmp_path / "labels.csv")

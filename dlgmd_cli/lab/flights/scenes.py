@@ -64,11 +64,8 @@ class FlightOptions(ClipOptions):
         times = {"--exposure": self.exposure_ms, "--rolling-shutter": self.rolling_shutter_ms}
         for flag, value in times.items():
             if value > period_ms + _TOLERANCE:
-                raise invalid(
-                    flag,
-                    f"{value:g} ms is longer than a frame at {self.fps:g} frames/s",
-                    f"Choose {period_ms:.4g} or less, or a lower --fps.",
-                )
+                why = f"{value:g} ms is longer than a frame at {self.fps:g} frames/s"
+                raise invalid(flag, why, f"Choose {period_ms:.4g} or less, or a lower --fps.")
 
 
 class FlightScene(Scene[FlightOptions]):
@@ -106,18 +103,12 @@ class FlightScene(Scene[FlightOptions]):
         """Number of frames: as set, else the whole flight."""
         n_all = math.floor(self.stage(options).duration_s * options.fps + _TOLERANCE) + 1
         if options.n_frames is not None and options.n_frames > n_all:
-            raise invalid(
-                "--frames",
-                f"the flight ends after {n_all} frames",
-                f"Choose 1 to {n_all}, or a higher --fps.",
-            )
+            mend = f"Choose 1 to {n_all}, or a higher --fps."
+            raise invalid("--frames", f"the flight ends after {n_all} frames", mend)
         n_frames = options.n_frames or n_all
         if n_frames > MAX_FRAMES:
-            raise invalid(
-                "--fps",
-                f"the flight has {n_frames} frames, and a clip has {MAX_FRAMES} at most",
-                "Lower it, or end the clip earlier with --frames.",
-            )
+            why = f"the flight has {n_frames} frames, and a clip has {MAX_FRAMES} at most"
+            raise invalid("--fps", why, "Lower it, or end the clip earlier with --frames.")
         return n_frames
 
     def frames(self, options: FlightOptions) -> Iterator[GreyImage]:

@@ -13,6 +13,8 @@ from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
 
 GreyImage = npt.NDArray[np.uint8]
+FloatImage = npt.NDArray[np.float32]
+FloatArray = npt.NDArray[np.float64]
 
 # The largest even side that MPEG-4 takes.
 MAX_SIDE_PX = 8190

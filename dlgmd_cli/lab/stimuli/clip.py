@@ -46,22 +46,17 @@ def check_codec(codec: str, options: ClipOptions) -> None:
         return
     height, width = options.shape
     if height % 2 or width % 2:  # OpenCV would cut off a row or a column, silently
-        raise invalid(
-            "--size",
-            f"{width}x{height} is odd, and a video needs an even width and height",
-            f"Choose {width + width % 2}x{height + height % 2}, or --png.",
-        )
+        why = f"{width}x{height} is odd, and a video needs an even width and height"
+        mend = f"Choose {width + width % 2}x{height + height % 2}, or --png."
+        raise invalid("--size", why, mend)
     if codec == "h264":
         if not math.isclose(encoded_rate(options.fps), options.fps, rel_tol=1e-6):
             raise invalid("--fps", f"H.264 cannot hold {options.fps!r}", "Choose another.")
         return
     rounded = round(options.fps, 3)
     if rounded != options.fps:
-        raise invalid(
-            "--fps",
-            f"{options.fps!r} has more than three decimals, which this video does not keep",
-            f"Choose {rounded:g}, or --png.",
-        )
+        why = f"{options.fps!r} has more than three decimals, which this video does not keep"
+        raise invalid("--fps", why, f"Choose {rounded:g}, or --png.")
     if codec == "mpeg4" and Fraction(str(rounded)).numerator > MAX_TICKS_PER_S:
         why = f"MPEG-4 cannot hold {rounded:g}"
         raise invalid("--fps", why, "Choose fewer decimals, or --lossless.")

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.lab.stimuli.base import (
     MAX_FRAMES,
     MAX_SIDE_PX,
     ClipOptions,
+    FloatArray,
+    FloatImage,
     GreyImage,
     Scene,
     invalid,
@@ -19,8 +20,6 @@ from dlgmd_cli.lab.stimuli.base import (
 )
 
 _DEFAULT_FRAMES = 75
-FloatImage = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
 MIN_METRES, MAX_METRES = 0.001, 10_000
 _N_TEST_FRAMES = 20
 
@@ -200,17 +199,11 @@ class Approach(Scene[ApproachOptions]):
         n_before = math.ceil(options.distance_m / options.speed_m_s * options.fps - 1e-6)
         n_before = max(1, n_before)
         if options.n_frames is None and n_before > MAX_FRAMES:
-            raise invalid(
-                "--speed",
-                f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most",
-                "Raise it, or end the clip earlier with --frames.",
-            )
+            why = f"contact comes only after {n_before} frames, and a clip has {MAX_FRAMES} at most"
+            raise invalid("--speed", why, "Raise it, or end the clip earlier with --frames.")
         if options.n_frames is not None and options.n_frames > n_before:
-            raise invalid(
-                "--frames",
-                f"contact comes after {n_before} frames",
-                f"Choose 1 to {n_before}, or start at a larger --distance.",
-            )
+            mend = f"Choose 1 to {n_before}, or start at a larger --distance."
+            raise invalid("--frames", f"contact comes after {n_before} frames", mend)
         return options.n_frames or n_before
 
     def frames(self, options: ApproachOptions) -> Iterator[GreyImage]:
@@ -296,20 +289,16 @@ class Translation(Scene[TranslationOptions]):
             raise invalid("--speed", "every square needs a speed other than 0")
         if side * n_squares > height or side > width:
             squares = f"{n_squares} squares" if n_squares > 1 else "a square"
-            raise invalid(
-                "--object-size",
-                f"{squares} of {side:g} px cannot fit into a picture of {width}x{height}",
-                f"Choose {math.floor(min(height / n_squares, width))} px or less.",
-            )
+            why = f"{squares} of {side:g} px cannot fit into a picture of {width}x{height}"
+            most = math.floor(min(height / n_squares, width))
+            raise invalid("--object-size", why, f"Choose {most} px or less.")
         fastest = max(map(abs, speeds))
         # The margin is for speeds such as 0.1 that floats cannot represent exactly.
         room = math.floor((width - side) / fastest + 1e-6) + 1
         if options.n_frames is not None and options.n_frames > room:
-            raise invalid(
-                "--frames",
-                f"a square at {fastest:g} px/frame leaves the picture after {room} frames",
-                f"Choose 1 to {room}, a lower --speed, or a wider --size.",
-            )
+            why = f"a square at {fastest:g} px/frame leaves the picture after {room} frames"
+            mend = f"Choose 1 to {room}, a lower --speed, or a wider --size."
+            raise invalid("--frames", why, mend)
         return options.n_frames or min(_DEFAULT_FRAMES, room)
 
     def frames(self, options: TranslationOptions) -> Iterator[GreyImage]:

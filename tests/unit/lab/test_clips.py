@@ -3,7 +3,6 @@
 import csv
 import math
 import os
-import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -100,13 +99,6 @@ def test_the_record_names_what_encoded_it(scene, tmp_path):
     # Flights are what players show; flat scenes are the same everywhere.
     flat, _ = write_clip(CUBE, CUBE.configure(SMALL), tmp_path)
     assert b"avc1" in coded_video.read_bytes() and b"mp4v" in flat.read_bytes()
-
-
-def test_without_pyav_a_flight_is_mpeg4(scene, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "av", None)
-    video, _, record = write_clip(scene, scene.defaults, tmp_path)
-    assert b"mp4v" in video.read_bytes()
-    assert record_of(record)["codec"] == "mpeg4" and "av" not in record_of(record)["versions"]
 
 
 @pytest.mark.parametrize("name", ["looming-cube", "translating-cubes"])

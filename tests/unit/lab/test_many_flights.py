@@ -8,9 +8,7 @@ import pytest
 import yaml
 from flightscenes import SHORT, Quick
 
-from dlgmd_cli.errors import ResultError
 from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.results.labels import read_labels
 
 OUT = Path("flights")
 HEADER = "video,collision_frame,target\n"
@@ -253,26 +251,3 @@ def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
     result = dlgmd("synth", "--out", "new", *arguments.split())
     assert result.exit_code == 2 and message in result.stderr
     assert not Path("new").exists()
-
-
-# Labels
-
-
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [
-        (b"\xff\xfe", "cannot be read (not a CSV file)"),
-        (b"video\na.mp4\n", "contains no labels"),
-        (b"video,collision_frame\na.mp4\n", "line 2 is not a label"),
-        (b"video,collision_frame\na.mp4,1\n,2\n", "line 3 is not a label"),
-        (b"video,collision_frame\na.mp4,-1\n", "line 2 is not a label"),
-        (b"video,collision_frame\na.mp4,1.5\n", "line 2 is not a label"),
-        (b"video,collision_frame\na.mp4," + b"9" * 5000 + b"\n", "line 2 is not a label"),
-    ],
-)
-def test_what_holds_no_labels(tmp_path, data, why):
-    path = tmp_path / "x.csv"
-    path.write_bytes(data)
-    with pytest.raises(ResultError) as caught:
-        read_labels(path)
-    assert caught.value.why == why

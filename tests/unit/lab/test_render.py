@@ -222,31 +222,6 @@ def test_a_picture_is_made_of_numbers_whichever_way_the_camera_looks():
 # What hides what
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_what_is_behind_is_hidden(seed):
-    """Against rays through the middle and the rim of every pixel, where they all see the same."""
-    rng = np.random.default_rng(seed)
-    boxes = []
-    for i in range(8):
-        low = np.array([1.5 + (i // 3) * 1.2, -1.8 + (i % 3) * 1.2, rng.uniform(-0.8, 0)])
-        boxes.append((low, low + rng.uniform(0.2, 1.0, 3), 0.1 + 0.1 * i))
-    camera = Camera((36, 48), 90.0)
-    pose = look(*rng.uniform(-0.4, 0.4, 3), *rng.uniform(-20, 20, 3))
-    picture = seen([box(*boxes[i]) for i in rng.permutation(8)], pose, camera)
-    rays = camera.rays(np.stack(np.meshgrid(np.arange(97) / 2.0, np.arange(73) / 2.0), -1), pose)
-    nearest, traced = np.full((73, 97), np.inf), np.zeros((73, 97))
-    for low, high, level in boxes:
-        with np.errstate(divide="ignore"):
-            ends = np.sort([(side - pose.position_m) / rays for side in (low, high)], axis=0)
-        enters, leaves = ends[0].max(-1), ends[1].min(-1)
-        hit = (enters < leaves) & (enters > 0) & (enters < nearest)
-        nearest[hit], traced[hit] = enters[hit], level
-    inner = np.ones((3, 3), np.uint8)
-    is_flat = (cv2.dilate(traced, inner) == cv2.erode(traced, inner))[1::2, 1::2]
-    # A sharp tip may pass between the rays.
-    np.testing.assert_allclose(picture[is_flat], traced[1::2, 1::2][is_flat], atol=0.04)
-
-
 def test_order_is_exact_for_upright_bodies():
     rng = np.random.default_rng(5)
     bodies = [

