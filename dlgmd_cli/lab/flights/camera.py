@@ -85,19 +85,6 @@ class Camera:
         """Project points in camera axes, (..., 3), in front of the camera, to px, (..., 2)."""
         return self.middle_xy + self.focal_px * seen_m[..., :2] / seen_m[..., 2:]
 
-    def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
-        """Project world points, (..., 3), in front of the camera, to px, (..., 2)."""
-        return self.flatten(self.view(points_m, pose))
-
-    def rays(self, points_xy: FloatArray, pose: Pose) -> FloatArray:
-        """Viewing rays in the world, (..., 3), of points in the picture, (..., 2).
-
-        Their component along the optical axis is 1: multiplied by a depth, they give a point.
-        """
-        across = np.asarray(points_xy)
-        ends = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
-        return ends @ self.rays_from_xy.T @ pose.camera_from_world
-
 
 class Sensor:
     """Converts light to frames.

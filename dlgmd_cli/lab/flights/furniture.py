@@ -59,11 +59,6 @@ class Placement:
     at_m: FloatArray
     axes: FloatArray
 
-    @property
-    def scale(self) -> float:
-        """Scale relative to the catalogue."""
-        return float(np.linalg.norm(self.axes[:, 0]))
-
     def world(self, points_m: npt.ArrayLike) -> FloatArray:
         """Points, (..., 3), from object to world coordinates."""
         return self.at_m + np.asarray(points_m, float) @ self.axes.T
@@ -168,7 +163,8 @@ def _parts(
             *ends, radius = part["capsule"]
             texture = skins[part["skin"]].texture
             middles = at.world(np.reshape(ends, (2, 3)))
-            bodies.append(Capsule(name, middles, at.scale * radius, texture, 0.85, motion))
+            thick = float(np.linalg.norm(at.axes[:, 0])) * radius
+            bodies.append(Capsule(name, middles, thick, texture, 0.85, motion))
         else:
             shown = _SHOWN[part.get("shows", "all")]
             sides = {side: skins[part.get(side, part["skin"])] for side in shown}

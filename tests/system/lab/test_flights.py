@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bodies import project
 from flightscenes import SMALL, Quick, scene_of
 
 from dlgmd_cli.lab.flights.camera import Camera
@@ -146,7 +147,7 @@ def test_the_person_crosses_the_picture():
     for frame in range(0, scene.n_frames(options), 15):
         bodies = [body for body in placed(stage.world.bodies, frame / 30) if body.name == "person"]
         middles = [(body.reach(np.eye(3)) - body.reach(-np.eye(3))) / 2 for body in bodies]
-        across.append(camera.project(np.mean(middles, axis=0), stage.path.pose(frame / 30))[0])
+        across.append(project(camera, np.mean(middles, axis=0), stage.path.pose(frame / 30))[0])
     assert across[0] > 45 and across[-1] < 20 and (np.diff(across) < 0.2).all()
 
 

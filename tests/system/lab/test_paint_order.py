@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from bodies import rays_of
 
 from dlgmd_cli.lab.flights.camera import Camera, Pose, rotation
 from dlgmd_cli.lab.flights.painter import Renderer
@@ -28,7 +29,7 @@ def first_met(bodies, pose):
     """The number of the body that is met first from the middle of each pixel; 0 for none."""
     height, width = CAMERA.shape
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = CAMERA.rays(np.stack([columns, rows], -1), pose)
+    rays = rays_of(CAMERA, np.stack([columns, rows], -1), pose)
     nearest, number = np.full(CAMERA.shape, np.inf), np.zeros(CAMERA.shape)
     for index, body in enumerate(bodies, 1):
         for face in body.faces:

@@ -212,15 +212,6 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     assert 13 in [row.frame for row in sheet.rows] and record["collision_frame"] == 13
 
 
-def test_a_sheet_is_replaced_only_when_told(synth):
-    Path("quick-sheet.png").write_bytes(b"mine")
-    result = synth()
-    assert result.exit_code == 2 and "quick-sheet.png: already exists" in result.stderr
-    assert [path.read_bytes() for path in Path().iterdir()] == [b"mine"]
-    assert synth("--overwrite").exit_code == 0
-    assert cv2.imread("quick-sheet.png") is not None
-
-
 def test_a_sheet_that_cannot_be_written_keeps_all_files_away(synth, monkeypatch):
     def full(sheet, path, dpi):
         raise OSError(28, "No space left on device")

@@ -355,8 +355,8 @@ def test_the_fastest_point_is_that_of_finite_differences(time_s):
     closeness, body = lines.cast(lines.grid, pose, offsets(time_s))
     points = pose.position_m + lines.grid @ pose.camera_from_world / closeness[:, None]
     before, after = (
-        CAMERA.project(
-            points + (offsets(time_s + dt) - offsets(time_s))[body], path.pose(time_s + dt)
+        bodies.project(
+            CAMERA, points + (offsets(time_s + dt) - offsets(time_s))[body], path.pose(time_s + dt)
         )
         for dt in (-h, h)
     )

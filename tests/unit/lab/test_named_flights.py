@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import project
 from flightscenes import cruise, hover, scene_of, yaw
 
 from dlgmd_cli.lab.flights.camera import Camera
@@ -37,7 +38,7 @@ def test_ball_and_capsules_is_the_scene_of_the_papers_fig_8():
             first, later = (
                 body.moved(np.array(body.motion(t))).ends_m.mean(axis=0) for t in (0, 1)
             )
-            before, after = (camera.project(each, stage.path.pose(0.0)) for each in (first, later))
+            before, after = (project(camera, each, stage.path.pose(0.0)) for each in (first, later))
             assert after[1] == pytest.approx(before[1])
             speeds.append((after - before)[0] / 30)
     assert sorted(speeds) == pytest.approx([1.6, 3.2, 4.8, 6.4], rel=1e-6)
