@@ -22,8 +22,7 @@ from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
     from dlgmd_cli.lab.flights.dataset import FlightSet
-    from dlgmd_cli.lab.stimuli.base import Scene
-    from dlgmd_cli.lab.stimuli.clip import DrawSheet
+    from dlgmd_cli.lab.stimuli.clip import Clip, DrawSheet
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
@@ -161,7 +160,7 @@ def synth(
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
     from dlgmd_cli.lab.flights.scenes import find_scene
-    from dlgmd_cli.lab.stimuli.clip import choose_codec
+    from dlgmd_cli.lab.stimuli.clip import Clip, choose_codec
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
@@ -171,14 +170,15 @@ def synth(
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
+    clip = Clip(scene, options, out, codec, scene.name, draw)
     if count is None:
-        _render_one(scene, options, codec, out, overwrite, draw)
+        _render_one(clip, overwrite)
         return
     if not scene.is_flight:
         raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
     from dlgmd_cli.lab.flights.dataset import FlightSet
 
-    _render_fleet(FlightSet(scene, options, count, out, codec, draw), jobs, overwrite)
+    _render_fleet(FlightSet(clip, count), jobs, overwrite)
 
 
 def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
@@ -201,25 +201,16 @@ def _list() -> None:
         print_table((kind, "shows"), [(s.name.ljust(width), s.description) for s in scenes])
 
 
-def _render_one(
-    scene: "Scene[Any]",
-    options: Any,
-    codec: str,
-    out: Path,
-    overwrite: bool,
-    draw: "DrawSheet | None",
-) -> None:
-    from dlgmd_cli.lab.stimuli.clip import write_clip
+def _render_one(clip: "Clip", overwrite: bool) -> None:
     from dlgmd_cli.results.store import locked
 
+    scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
-    is_smoothed = codec == "mpeg4" and not scene.is_flight and options.noise > 0.0
+    is_smoothed = clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0
     if is_smoothed and not settings().quiet:
         say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
-    with locked(out), progress(scene.name, scene.n_frames(options)) as on_frame:
-        paths = write_clip(
-            scene, options, out, codec, overwrite=overwrite, on_frame=on_frame, draw_sheet=draw
-        )
+    with locked(clip.folder), progress(scene.name, scene.n_frames(options)) as on_frame:
+        paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     for path in paths:
         print_path(path)
 
@@ -229,7 +220,7 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
     from dlgmd_cli.results.store import locked
 
     is_interrupted = False
-    with locked(flights.folder):
+    with locked(flights.like.folder):
         present = flights.present()
         missing = [number for number in range(flights.count) if number not in present]
         flights.check(missing, overwrite=overwrite)
@@ -250,7 +241,8 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
     if n_present < flights.count:
         raise Failed(
             f"{flights.count - n_present} of {flights.count} flights failed; the other {n_present} "
-            f"are in {flights.folder}. Fix what is named above, then run the same command again."
+            f"are in {flights.like.folder}. Fix what is named above, then run the same command "
+            "again."
         )
 
 
@@ -258,12 +250,12 @@ def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwri
     """Render flights, and report those that fail."""
     n_present = flights.count - len(missing)
     n_jobs = min(jobs, max(1, len(missing)))
-    with progress(flights.scene.name, flights.count, "flight") as on_flight:
+    with progress(flights.like.name, flights.count, "flight") as on_flight:
         on_flight(n_present)
         done = flights.render(missing, n_jobs, overwrite=overwrite)
         for n_done, (number, error) in enumerate(done, start=n_present + 1):
             if error is not None:
-                name = flights.name_of(number)
+                name = flights.clip(number).name
                 say(str(error) if name in error.what else f"{name}: {error}")
             on_flight(n_done)
 
@@ -279,6 +271,6 @@ def _label(flights: "FlightSet", overwrite: bool) -> int:
 
 def _kept(flights: "FlightSet", n_present: int) -> str:
     return (
-        f"{flights.folder} holds {n_present} of {flights.count} flights; "
+        f"{flights.like.folder} holds {n_present} of {flights.count} flights; "
         "run the same command again for the others."
     )

@@ -377,6 +377,7 @@ def truth_rows(stage: Stage, camera: Camera, fps: float, n_frames: int) -> Itera
         left_s = math.nan
         if contact_s is not None and time <= contact_s + _SAME_S:
             left_s = max(contact_s - time, 0.0)
-        where = *state.position_m.tolist(), state.roll_deg, state.pitch_deg, state.yaw_deg
+        x, y, z = state.position_m.tolist()
+        angles = state.roll_deg, state.pitch_deg, state.yaw_deg
         seen = distance, left_s, angle, rate, speeds.fastest(state, time) / fps
-        yield FlightTruth(index, time, *where, *seen, stage.path.phase(time))
+        yield FlightTruth(index, time, x, y, z, *angles, *seen, stage.path.phase(time))

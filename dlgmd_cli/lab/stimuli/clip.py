@@ -16,7 +16,7 @@ import cv2
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import OutputExistsError
-from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, OptionsT, Scene, invalid
+from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, Scene, invalid
 from dlgmd_cli.results.csv import cell, text_cell, write_rows
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import refuse_existing, replacing
@@ -82,122 +82,123 @@ class ContactSheet:
 DrawSheet = Callable[[ContactSheet, Path], object]
 
 
-def clip_paths(
-    scene: Scene[Any], codec: str, folder: Path, name: str, *, sheet: bool = False
-) -> tuple[Path, ...]:
-    """The files of a clip: frames, truth, the record of a flight, and the sheet if wanted."""
-    paths = [folder / f"{name}{_SUFFIXES[codec]}", folder / f"{name}.csv"]
-    if scene.is_flight:
-        paths.append(folder / f"{name}.yaml")
-    return (*paths, folder / f"{name}-sheet.png") if sheet else tuple(paths)
-
-
-def write_clip(
-    scene: Scene[OptionsT],
-    options: OptionsT,
-    folder: Path,
-    codec: str | None = None,
-    *,
-    name: str | None = None,
-    overwrite: bool = False,
-    on_frame: Callable[[int], None] = lambda n_rendered: None,
-    draw_sheet: DrawSheet | None = None,
-) -> tuple[Path, ...]:
-    """Render a scene to ``folder/NAME.mp4`` and its ground truth to ``folder/NAME.csv``.
+@dataclass(frozen=True)
+class Clip:
+    """A scene to be rendered to ``folder/NAME.mp4``, and its ground truth to ``folder/NAME.csv``.
 
     A flight also gets ``folder/NAME.yaml`` with its options, phases and collision.
 
-    Parameters
+    Attributes
     ----------
-    codec : str, optional
-        See `choose_codec`; the scene's default unless given.
-    name : str, optional
-        Stem of the files; the scene's name unless given.
-    overwrite : bool
-        Replace earlier files. A folder with files other than numbered pictures is never replaced.
-    on_frame : callable, optional
-        Called after each frame with the number of frames rendered.
+    codec : str
+        See `choose_codec`.
+    name : str
+        Stem of the files.
     draw_sheet : callable, optional
         Draws the contact sheet ``NAME-sheet.png``; without it there is none.
-
-    Returns
-    -------
-    tuple of Path
-        The video or folder, the truth, the record of a flight, and the sheet if there is one.
-
-    Raises
-    ------
-    ParameterError
-        If the scene cannot be rendered, or a video cannot store it, with these options.
-    OutputExistsError, OutputError
-        If a file may not be replaced, or cannot be written.
-    Interrupted
-        If the user asks to stop. Incomplete files are removed.
     """
-    codec = codec or choose_codec(playable=scene.is_flight)
-    n_frames = scene.n_frames(options)
-    check_codec(codec, options)
-    name = name or scene.name
-    paths = clip_paths(scene, codec, folder, name, sheet=draw_sheet is not None)
-    refuse_existing_clip(paths, codec, overwrite=overwrite)
-    facts = scene.record(options)
-    stills: dict[int, Any] = dict.fromkeys(chosen_frames(n_frames, facts.get("collision_frame")))
-    record = paths[2].name if scene.is_flight else ""
-    with replacing(folder, record=record, what=paths[0]) as stage:
-        temporary = [stage / path.name for path in paths]
-        images = _watched(scene.frames(options), stills, on_frame)
-        if codec == "png":
-            _write_pictures(temporary[0], images, n_digits(n_frames))
-        else:
-            shape, fps = options.shape, options.fps
-            write_video(temporary[0], images, shape, fps, codec=codec, target=paths[0])
-        rows = list(scene.truth(options))
-        write_truth(temporary[1], scene.truth_type, rows)
-        if scene.is_flight:
-            first: dict[str, Any] = {"scene": scene.name, "seed": options.seed, **facts}
-            if draw_sheet is not None:
-                first["sheet"] = paths[-1].name
-            document = {**first, **identity(scene, options, codec)}
-            temporary[2].write_text(yaml_text(document), encoding="utf-8")
-        if draw_sheet is not None:
-            shown = [rows[index] for index in stills]
-            sheet = ContactSheet(name, options, n_frames, facts, [*stills.values()], shown)
-            draw_sheet(sheet, temporary[-1])
-    return paths
 
+    scene: Scene[Any]
+    options: ClipOptions
+    folder: Path
+    codec: str
+    name: str
+    draw_sheet: DrawSheet | None = None
 
-def identity(scene: Scene[OptionsT], options: OptionsT, codec: str) -> dict[str, Any]:
-    """Everything that determines the files of a clip."""
-    return {
-        "scene": scene.name,
-        "seed": options.seed,
-        "options": options.to_dict(),
-        "codec": codec,
-        "versions": versions(*(["pyav"] if codec == "h264" else [])),
-    }
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Its files: frames, truth, the record of a flight, and the sheet if wanted."""
+        ends = [_SUFFIXES[self.codec], ".csv"]
+        ends += [".yaml"] if self.scene.is_flight else []
+        ends += ["-sheet.png"] if self.draw_sheet is not None else []
+        return tuple(self.folder / f"{self.name}{end}" for end in ends)
 
+    def identity(self) -> dict[str, Any]:
+        """Everything that determines the files."""
+        return {
+            "scene": self.scene.name,
+            "seed": self.options.seed,
+            "options": self.options.to_dict(),
+            "codec": self.codec,
+            "versions": versions(*(["pyav"] if self.codec == "h264" else [])),
+        }
 
-def refuse_existing_clip(paths: tuple[Path, ...], codec: str, *, overwrite: bool) -> None:
-    """Raise OutputExistsError if a file of a clip already exists and may not be replaced."""
-    frames, *others = paths
-    if codec != "png":
-        others.insert(0, frames)
-    elif os.path.lexists(frames):
-        why, mend = "", "Choose another --out."
-        if frames.is_symlink() or not frames.is_dir():
-            why = "this is not a folder of pictures"
-        elif strays := [
-            entry.name
-            for entry in frames.iterdir()
-            if not _PICTURE.fullmatch(entry.name) or not entry.is_file()
-        ]:
-            why = f"this folder holds other files, such as {min(strays)}"
-        elif not overwrite:
-            why, mend = "already exists", "Add --overwrite to replace it."
-        if why:
-            raise OutputExistsError(str(frames), why, mend)
-    for path in others:
-        refuse_existing(path, overwrite=overwrite)
+    def refuse_existing(self, *, overwrite: bool) -> None:
+        """Raise OutputExistsError if a file already exists and may not be replaced."""
+        frames, *others = self.paths
+        if self.codec != "png":
+            others.insert(0, frames)
+        elif os.path.lexists(frames):
+            why, mend = "", "Choose another --out."
+            if frames.is_symlink() or not frames.is_dir():
+                why = "this is not a folder of pictures"
+            elif strays := [
+                entry.name
+                for entry in frames.iterdir()
+                if not _PICTURE.fullmatch(entry.name) or not entry.is_file()
+            ]:
+                why = f"this folder holds other files, such as {min(strays)}"
+            elif not overwrite:
+                why, mend = "already exists", "Add --overwrite to replace it."
+            if why:
+                raise OutputExistsError(str(frames), why, mend)
+        for path in others:
+            refuse_existing(path, overwrite=overwrite)
+
+    def write(
+        self,
+        *,
+        overwrite: bool = False,
+        on_frame: Callable[[int], None] = lambda n_rendered: None,
+    ) -> tuple[Path, ...]:
+        """Render and write all files; returns `paths`.
+
+        Parameters
+        ----------
+        overwrite : bool
+            Replace earlier files. A folder with files other than numbered pictures is never
+            replaced.
+        on_frame : callable, optional
+            Called after each frame with the number of frames rendered.
+
+        Raises
+        ------
+        ParameterError
+            If the scene cannot be rendered, or a video cannot store it, with these options.
+        OutputExistsError, OutputError
+            If a file may not be replaced, or cannot be written.
+        Interrupted
+            If the user asks to stop. Incomplete files are removed.
+        """
+        scene, options, paths = self.scene, self.options, self.paths
+        n_frames = scene.n_frames(options)
+        check_codec(self.codec, options)
+        self.refuse_existing(overwrite=overwrite)
+        facts = scene.record(options)
+        chosen = chosen_frames(n_frames, facts.get("collision_frame"))
+        stills: dict[int, Any] = dict.fromkeys(chosen)
+        record = paths[2].name if scene.is_flight else ""
+        with replacing(self.folder, record=record, what=paths[0]) as stage:
+            temporary = [stage / path.name for path in paths]
+            images = _watched(scene.frames(options), stills, on_frame)
+            if self.codec == "png":
+                _write_pictures(temporary[0], images, n_digits(n_frames))
+            else:
+                shape, fps = options.shape, options.fps
+                write_video(temporary[0], images, shape, fps, codec=self.codec, target=paths[0])
+            rows = list(scene.truth(options))
+            write_truth(temporary[1], scene.truth_type, rows)
+            if scene.is_flight:
+                first: dict[str, Any] = {"scene": scene.name, "seed": options.seed, **facts}
+                if self.draw_sheet is not None:
+                    first["sheet"] = paths[-1].name
+                document = {**first, **self.identity()}
+                temporary[2].write_text(yaml_text(document), encoding="utf-8")
+            if self.draw_sheet is not None:
+                shown = [rows[index] for index in stills]
+                sheet = ContactSheet(self.name, options, n_frames, facts, [*stills.values()], shown)
+                self.draw_sheet(sheet, temporary[-1])
+        return paths
 
 
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:

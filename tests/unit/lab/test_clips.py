@@ -19,7 +19,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.truth import FlightTruth
-from dlgmd_cli.lab.stimuli.clip import choose_codec, n_digits, write_clip, write_truth
+from dlgmd_cli.lab.stimuli.clip import Clip, choose_codec, n_digits, write_truth
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.writer import best_codec, write_video
 
@@ -40,6 +40,11 @@ def threads():
     before = cv2.getNumThreads()
     yield cv2.setNumThreads
     cv2.setNumThreads(before)
+
+
+def write_clip(scene, options, folder, codec=None, *, name=None, **more):
+    codec = codec or choose_codec(playable=scene.is_flight)
+    return Clip(scene, options, folder, codec, name or scene.name).write(**more)
 
 
 def record_of(path):
