@@ -16,7 +16,7 @@ from conftest import read_video
 from flightscenes import SHAPE, Quick, stage_of
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
+from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.truth import FlightTruth
 from dlgmd_cli.lab.stimuli.clip import Clip, choose_codec, n_digits, write_truth
@@ -140,23 +140,6 @@ def test_in_a_truth_nan_is_empty_and_text_is_no_formula(tmp_path):
     assert header.split(",") == list(values)
     found = next(csv.DictReader([header, line]))
     assert found["phase"] == "./=1,\\n" and found["time_to_contact_s"] == ""
-
-
-@pytest.mark.parametrize(
-    ("given", "lossless", "why"),
-    [
-        ({"--size": (47, 64)}, False, "64x47 is odd, .* Choose 64x48"),
-        ({"--size": (48, 63)}, True, "63x48 is odd, .* Choose 64x48"),
-        ({"--fps": 30000 / 1001}, True, r"more than three decimals.* Choose 29\.97"),
-        ({"--fps": 119.999}, False, r"MPEG-4 cannot hold 119\.999"),
-    ],
-)
-def test_what_no_video_can_hold_is_refused_before_anything_is_written(
-    tmp_path, given, lossless, why
-):
-    with pytest.raises(ParameterError, match=why):
-        write_clip(CUBE, CUBE.configure(given), tmp_path / "x", choose_codec(lossless=lossless))
-    assert not (tmp_path / "x").exists()
 
 
 # Pictures

@@ -3,9 +3,6 @@
 import pytest
 from flightscenes import DURATION_S, Quick
 
-from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.scenes import SCENES
-
 
 @pytest.fixture
 def scene():
@@ -13,28 +10,6 @@ def scene():
 
 
 # Options
-
-
-@pytest.mark.parametrize(
-    ("given", "why"),
-    [
-        ({"--exposure": 33.4}, "'--exposure': 33.4 ms is longer than a frame"),
-        ({"--rolling-shutter": 33.4}, "'--rolling-shutter': 33.4 ms is longer than a frame"),
-        ({"--exposure": float("nan")}, "'--exposure': nan is not"),
-        ({"--noise": -0.1}, "'--noise': -0.1 is not"),
-        ({"--gamma": 4.1}, "'--gamma': 4.1 is more"),
-        ({"--agile": 1}, "'--agile': 1 is not true or false"),
-        ({"--contrast": 0.5}, r"^--contrast: quick has no such option\. It takes "),
-        ({"--frames": 20}, r"'--frames': the flight ends after 19 frames\. Choo"),
-        ({"--fps": 600.0}, r"'--fps': the flight has 361 frames, and .* 180 at most"),
-    ],
-)
-def test_options_that_no_flight_can_have(scene, monkeypatch, given, why):
-    monkeypatch.setattr("dlgmd_cli.lab.flights.scenes.MAX_FRAMES", 180)
-    with pytest.raises(ParameterError, match=why):
-        scene.configure(given)
-    with pytest.raises(ParameterError, match="looming-cube has no such option"):
-        SCENES["looming-cube"].configure({"--exposure": 1.0})
 
 
 def test_options_at_their_limits(scene):

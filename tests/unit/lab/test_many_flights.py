@@ -231,23 +231,3 @@ def test_an_interrupt_before_the_first_flight_leaves_nothing(synth):
     result = synth(at_0="interrupt")
     assert result.exit_code == 130 and result.stderr == "Interrupted.\n"
     assert result.stdout == "" and not OUT.exists()
-
-
-# Usage
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("looming-cube --count 2", "--count works only with flights, and looming-cube is not one."),
-        ("quick --count 0", "Invalid value for '--count': 0 is not at least 1"),
-        ("quick --count 2 --frames 20", "'--frames': the flight ends after 19 frames"),
-        ("quick --count 2 --size 33x16", "'--size': 33x16 is odd"),
-        (f"quick --count 2 --seed {2**63 - 1}", "'--seed': 9223372036854775808 is more than"),
-    ],
-)
-def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    result = dlgmd("synth", "--out", "new", *arguments.split())
-    assert result.exit_code == 2 and message in result.stderr
-    assert not Path("new").exists()
