@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli import cancel
-from dlgmd_cli.errors import WorkerError
+from dlgmd_cli.errors import DlgmdError, WorkerError
 from dlgmd_cli.lab.reproduce.clips import Clip, run_clip
 from dlgmd_cli.parameters import FORMULATIONS
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.pool import results_of
 
 # Replaces the formulation of claims that are not about the D-LGMD.
 ANY = "any"
@@ -69,12 +69,12 @@ def by_formulation(value: Callable[[str], float | list[float]]) -> dict[str, lis
 
 
 def needed(exhibits: Iterable[Exhibit], plan: Plan) -> Needs:
-    """What exhibits need, each once: a clip is rendered once for all models. Timed calls last."""
+    """What exhibits need, each once: a clip is rendered once for all models."""
     found: Needs = {}
     for exhibit in exhibits:
         for key, need in exhibit.needs(plan).items():
             found[key] = {**found.get(key, {}), **need} if isinstance(key, Clip) else need
-    return dict(sorted(found.items(), key=lambda item: _is_timed(item[0])))
+    return found
 
 
 def compute(needs: Needs, n_processes: int, on_result: Callable[[int, str], None]) -> Data:
@@ -85,18 +85,15 @@ def compute(needs: Needs, n_processes: int, on_result: Callable[[int, str], None
     """
     data: dict[Any, Any] = {}
     shared = [item for item in needs.items() if not _is_timed(item[0])]
-    if n_processes > 1 and len(shared) > 1:
-        for (key, _), outcome in run_tasks(_result, shared, min(n_processes, len(shared))):
-            if isinstance(outcome.error, WorkerError):
-                raise WorkerError(_name(key), outcome.error.why, outcome.error.mend)
-            data[key] = outcome.result()
-            on_result(len(data), _name(key))
-    for key, need in needs.items():
-        if key not in data:
-            cancel.check()
-            data[key] = _result((key, need))
-            on_result(len(data), _name(key))
-    cancel.check()
+    timed = [item for item in needs.items() if _is_timed(item[0])]
+    each = results_of(_result, shared, min(n_processes, len(shared)))
+    for (key, _), found in chain(each, results_of(_result, timed, 1)):
+        if isinstance(found, WorkerError):
+            raise WorkerError(_name(key), found.why, found.mend)
+        if isinstance(found, DlgmdError):
+            raise found
+        data[key] = found
+        on_result(len(data), _name(key))
     return data
 
 
