@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import DLGMD, load_set
-from dlgmd_cli.lab.stimuli.pan import pan_frames
+from dlgmd_cli.lab.benchmark import pan_frames
 from dlgmd_cli.models.kernels import connect
 
 SIZES = [(1080, 1920), (540, 960), (270, 480), (108, 192), (22, 38)]

@@ -27,6 +27,8 @@ from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
 
 REFERENCE_FPS = 30.0
+# Parameters of models by label.
+Models = dict[str, Parameters]
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,6 @@ class Clip:
     def of(cls, scene: str, **flags: Any) -> "Clip":
         """A scene; `object_size=40` stands for ``--object-size 40``."""
         return cls(scene, tuple((f"--{key.replace('_', '-')}", v) for key, v in flags.items()))
-
-
-@dataclass(frozen=True)
-class ModelSpec:
-    """The parameters of a model, and the linear scale of its frames."""
-
-    params: Parameters
-    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -77,28 +71,27 @@ def model(name: str, formulation: str = "default", **changes: Any) -> Parameters
     return load_set(name.removeprefix("set"), formulation=formulation, **changes)
 
 
-def all_formulations(*names: str, **changes: Any) -> dict[str, ModelSpec]:
+def all_formulations(*names: str, **changes: Any) -> Models:
     """Sets of the D-LGMD in every formulation, by labels such as `set9/released`."""
-    return {
-        f"{name}/{f}": ModelSpec(model(name, f, **changes)) for name in names for f in FORMULATIONS
-    }
+    return {f"{name}/{f}": model(name, f, **changes) for name in names for f in FORMULATIONS}
 
 
-def other_models(*names: str) -> dict[str, ModelSpec]:
+def other_models(*names: str) -> Models:
     """Models that the D-LGMD is compared with, by name."""
-    return {name: ModelSpec(model(name)) for name in names}
+    return {name: model(name) for name in names}
 
 
-def run_clip(clip: Clip, models: Mapping[str, ModelSpec]) -> ClipResults:
-    """Render a clip once, and run every model over it.
+def run_clip(clip: Clip, models: Models, scales: Mapping[str, float] | None = None) -> ClipResults:
+    """Render a clip once, and run every model over it, on frames scaled by `scales` if given.
 
     If the scene has a collision, the results' peaks end there.
     """
     with open_clip(clip) as video:
         (width, height), steppers = video.size_wh, []
-        for one in models.values():
-            size_wh = max(1, round(width * one.scale)), max(1, round(height * one.scale))
-            steppers.append(Stepper(one.params, engine="opencv", size_wh=size_wh))
+        for label, params in models.items():
+            scale = scales[label] if scales else 1.0
+            size_wh = max(1, round(width * scale)), max(1, round(height * scale))
+            steppers.append(Stepper(params, engine="opencv", size_wh=size_wh))
         collected = [RowList() for _ in steppers]
         for frame, found in responses(video, steppers):
             for rows, response in zip(collected, found, strict=True):
@@ -157,12 +150,12 @@ _HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
 LAST_APART = 42
 
 
-def object_sums(clip: Clip, models: Mapping[str, ModelSpec]) -> dict[str, Series]:
+def object_sums(clip: Clip, models: Models) -> dict[str, Series]:
     """Sums of P and S within a box around each object, by label.
 
     Shape (2, n_frames, 5): the ball, then the capsules. NaN until the model's first valid frame.
     """
-    steppers = [Stepper(one.params, engine="opencv") for one in models.values()]
+    steppers = [Stepper(params, engine="opencv") for params in models.values()]
     sums: dict[str, list[Series]] = {label: [] for label in models}
     with open_clip(clip) as video:
         for frame, each in responses(video, steppers, layers=lambda frame: True):

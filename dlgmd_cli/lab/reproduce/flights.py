@@ -7,21 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.lab.benchmark import (
-    PAPER_DA,
-    PAPER_S,
-    PAPER_SIZE_WH,
-    RADII,
-    SCALES,
-    TABLE_IV_SET,
-    measure,
-    rendered_pan,
-)
+from dlgmd_cli.lab import benchmark
+from dlgmd_cli.lab.benchmark import RADII, SCALES, TABLE_IV_SET
 from dlgmd_cli.lab.plots.panels import Panel, plot_panels
 from dlgmd_cli.lab.reproduce.clips import (
     Clip,
     ClipResults,
-    ModelSpec,
+    Models,
     all_formulations,
     model,
     other_models,
@@ -55,7 +47,7 @@ def _flight(group: int, seed: int) -> Clip:
     return Clip.of(f"group{group}", size=SIZE, seed=seed)
 
 
-def _needs(models: Mapping[str, ModelSpec], *groups: int) -> Callable[[Plan], Needs]:
+def _needs(models: Models, *groups: int) -> Callable[[Plan], Needs]:
     """The models, which see the flights of some groups, one per seed."""
     return lambda plan: {_flight(group, seed): models for group in groups for seed in plan.seeds}
 
@@ -293,16 +285,14 @@ def _da_needs(plan: Plan) -> Needs:
     # One call per formulation, to run in parallel: rendering the clip again costs less than a
     # model. Two seeds at most.
     needs, scales = {}, _scales(plan)
-    width, height = (round(side * scales[0]) for side in PAPER_SIZE_WH)
+    shrunk = {_point(r, x): x / scales[0] for r in RADII for x in scales}
+    width, height = (round(side * scales[0]) for side in benchmark.PAPER_SIZE_WH)
     for seed in plan.seeds[:2]:
         clip = Clip.of("group2", size=(height, width), seed=seed)
         for f in FORMULATIONS:
-            models = {
-                _point(r, x): ModelSpec(model(f"set{TABLE_IV_SET}", f, r=r), x / scales[0])
-                for r in RADII
-                for x in scales
-            }
-            needs[_da_name(f, seed)] = partial(run_clip, clip, models)
+            by_radius = {r: model(f"set{TABLE_IV_SET}", f, r=r) for r in RADII}
+            models = {_point(r, x): by_radius[r] for r in RADII for x in scales}
+            needs[_da_name(f, seed)] = partial(run_clip, clip, models, shrunk)
     return needs
 
 
@@ -349,7 +339,7 @@ def table4_da(plan: Plan, data: Data) -> Evidence:
         "table4-da-rising": of(rising),
     }
     rows = [
-        (r, x, PAPER_DA[r, x], *(float(tables[f][0][row, column]) for f in FORMULATIONS))
+        (r, x, benchmark.PAPER_DA[r, x], *(float(tables[f][0][row, column]) for f in FORMULATIONS))
         for row, r in enumerate(RADII)
         for column, x in enumerate(scales)
     ]
@@ -376,9 +366,10 @@ def time_model(formulation: str, *, quick: bool) -> list[dict[str, Any]]:
     """The rows of `dlgmd bench`; if `quick`, only three combinations of radius and scale."""
     params, rows = load_set(TABLE_IV_SET, formulation=formulation), []
     points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
-    with rendered_pan(24 if quick else 48) as path:
+    with benchmark.rendered_pan(24 if quick else 48) as path:
         for radii, scales in points:
-            rows += measure(partial(open_video, path), params, radii=radii, scales=scales)["rows"]
+            open_at = partial(open_video, path)
+            rows += benchmark.measure(open_at, params, radii=radii, scales=scales)["rows"]
     return rows
 
 
@@ -387,7 +378,7 @@ def table4_time(plan: Plan, data: Data) -> Evidence:
     timed = {f: data[f"{TIMING}, {f}"] for f in FORMULATIONS}
 
     def paper_s(row: Mapping[str, Any]) -> float:
-        return PAPER_S[row["radius"], row["scale"]]
+        return benchmark.PAPER_S[row["radius"], row["scale"]]
 
     values = by_formulation(lambda f: min(paper_s(row) / row["whole_s"] for row in timed[f]))
     rows = [

@@ -9,7 +9,7 @@ import pytest
 from conftest import N_FRAMES
 
 from dlgmd_cli.lab import benchmark
-from dlgmd_cli.lab.stimuli.pan import pan_frames
+from dlgmd_cli.lab.benchmark import pan_frames
 
 ONE_CELL = ["--radius", 2, "--scale", 0.5, "--repeat", 1]
 

@@ -20,7 +20,7 @@ from dlgmd_cli.lab.reproduce.claims import (
     load_claims,
     select,
 )
-from dlgmd_cli.lab.reproduce.clips import Clip, ModelSpec, all_formulations, model, other_models
+from dlgmd_cli.lab.reproduce.clips import Clip, all_formulations, model, other_models
 from dlgmd_cli.lab.reproduce.plan import TIMING, Evidence, Exhibit, Plan, compute, needed
 from dlgmd_cli.lab.reproduce.report import Report, Section, number
 from dlgmd_cli.parameters import FORMULATIONS
@@ -109,7 +109,7 @@ def test_clips_are_rendered_once_for_all_their_models():
     assert set(results) == {"lgmd", *all_formulations("set3")}
     assert np.array_equal(
         results["set3/default"].mp,
-        clips.run_clip(clip, {"x": ModelSpec(model("set3"))}).results["x"].mp,
+        clips.run_clip(clip, {"x": model("set3")}).results["x"].mp,
         equal_nan=True,
     )
     assert stimuli.onset(results["lgmd"]) > 0 and data[clip].truth["frame"][-1] == 74
