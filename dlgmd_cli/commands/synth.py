@@ -22,7 +22,7 @@ from dlgmd_cli.threads import n_processors
 
 if TYPE_CHECKING:
     from dlgmd_cli.lab.flights.dataset import FlightSet
-    from dlgmd_cli.lab.stimuli.clip import Clip, DrawSheet
+    from dlgmd_cli.lab.stimuli.clip import DrawSheet, Rendering
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
@@ -160,7 +160,7 @@ def synth(
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
     from dlgmd_cli.lab.flights.scenes import find_scene
-    from dlgmd_cli.lab.stimuli.clip import Clip, choose_codec
+    from dlgmd_cli.lab.stimuli.clip import Rendering, choose_codec
 
     scene = find_scene(scene_name)
     options = scene.configure(_by_flag(given))
@@ -170,7 +170,7 @@ def synth(
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Clip(scene, options, out, codec, scene.name, draw)
+    clip = Rendering(scene, options, out, codec, scene.name, draw)
     if count is None:
         _render_one(clip, overwrite)
         return
@@ -201,7 +201,7 @@ def _list() -> None:
         print_table((kind, "shows"), [(s.name.ljust(width), s.description) for s in scenes])
 
 
-def _render_one(clip: "Clip", overwrite: bool) -> None:
+def _render_one(clip: "Rendering", overwrite: bool) -> None:
     from dlgmd_cli.results.store import locked
 
     scene, options = clip.scene, clip.options

@@ -8,7 +8,7 @@ from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
 from dlgmd_cli.files import remove_leftovers
-from dlgmd_cli.lab.stimuli.clip import Clip, check_codec, n_digits
+from dlgmd_cli.lab.stimuli.clip import Rendering, check_codec, n_digits
 from dlgmd_cli.pool import results_of
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import differences, read_record
@@ -19,7 +19,7 @@ from dlgmd_cli.results.store import refuse_existing, write_files
 class FlightSet:
     """Flights like `like` in its folder; flight i has the seed `like.options.seed` + i."""
 
-    like: Clip
+    like: Rendering
     count: int
 
     def __post_init__(self) -> None:
@@ -31,7 +31,7 @@ class FlightSet:
         """The file of labels."""
         return self.like.folder / LABELS
 
-    def clip(self, number: int) -> Clip:
+    def clip(self, number: int) -> Rendering:
         """One of the flights."""
         options = replace(self.like.options, seed=self.like.options.seed + number)
         name = f"{self.like.scene.name}-{number:0{n_digits(self.count)}d}"
@@ -100,7 +100,7 @@ class FlightSet:
             raise OutputExistsError(str(path), f"lists other videos, such as {strays[0]}", mend)
 
 
-def _differing(clip: Clip, facts: dict[str, Any]) -> list[str]:
+def _differing(clip: Rendering, facts: dict[str, Any]) -> list[str]:
     """Differences between a record and the requested flight; empty if it is complete."""
     wanted = clip.identity()
     differing = differences(facts, options=wanted.pop("options"), settings=wanted)

@@ -83,7 +83,7 @@ DrawSheet = Callable[[ContactSheet, Path], object]
 
 
 @dataclass(frozen=True)
-class Clip:
+class Rendering:
     """A scene to be rendered to ``folder/NAME.mp4``, and its ground truth to ``folder/NAME.csv``.
 
     A flight also gets ``folder/NAME.yaml`` with its options, phases and collision.

@@ -19,7 +19,7 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError
 from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
 from dlgmd_cli.lab.flights.truth import FlightTruth
-from dlgmd_cli.lab.stimuli.clip import Clip, choose_codec, n_digits, write_truth
+from dlgmd_cli.lab.stimuli.clip import Rendering, choose_codec, n_digits, write_truth
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.writer import best_codec, write_video
 
@@ -44,7 +44,7 @@ def threads():
 
 def write_clip(scene, options, folder, codec=None, *, name=None, **more):
     codec = codec or choose_codec(playable=scene.is_flight)
-    return Clip(scene, options, folder, codec, name or scene.name).write(**more)
+    return Rendering(scene, options, folder, codec, name or scene.name).write(**more)
 
 
 def record_of(path):
