@@ -94,11 +94,15 @@ def main() -> None:
     # OpenCV and FFmpeg would report damage line by line, in addition to our own warning.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # The largest picture that is decoded, see `video.base.MAX_SIDE`. OpenCV reads it when loaded.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_WIDTH", "8192")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_HEIGHT", "8192")
     # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
     # as they are loaded, and crash where the system refuses. Here, matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
+    _keep_stderr_to_python()
     # For models of one's own; last, so that no file here replaces a library.
     sys.path.append(os.path.abspath(""))
     # Not every terminal can encode the characters of file names and the model's symbols.
@@ -106,6 +110,18 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     cli(prog_name="dlgmd")
+
+
+def _keep_stderr_to_python() -> None:
+    """Take stderr from C libraries: libpng and libjpeg print lines about damaged pictures."""
+    stream = sys.stderr
+    if isinstance(stream, io.TextIOWrapper):
+        own = os.dup(2)
+        sys.stderr = os.fdopen(own, "w", 1, stream.encoding, stream.errors)
+        sys.__stderr__ = sys.stderr  # type: ignore[misc]
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 2)
+        os.close(nothing)
 
 
 def _occupy_standard_streams() -> None:

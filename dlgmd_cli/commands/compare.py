@@ -12,7 +12,6 @@ import click
 from dlgmd_cli.commands.console import (
     INFINITE_DISTINGUISHABILITY,
     Command,
-    end_if_interrupted,
     print_json,
     print_path,
     print_table,
@@ -155,7 +154,7 @@ def compare(
         look = {"annotations": annotations, "column": column, "width": output.width}
         one.commit(_files(results, record, output, look))
     _show(record, one.folder, output.as_json)
-    end_if_interrupted(one.folder, len(found[0]), complete=record["complete"])
+    one.end(len(found[0]), complete=record["complete"])
 
 
 def _warnings(setups: "Sequence[Setup]", results: "Mapping[str, Result]") -> list[str]:

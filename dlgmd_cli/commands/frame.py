@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.commands.console import note, warn, warn_undrawn
+from dlgmd_cli.commands.console import end_if_interrupted, note, warn, warn_undrawn
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.errors import SourceError
 
 if TYPE_CHECKING:
     from dlgmd_cli.commands.options import Output
@@ -40,7 +41,8 @@ class Job:
     def warn(self, warnings: Sequence[str]) -> None:
         """Print warnings about the input, and note which of its frames were processed."""
         for warning in warnings:
-            warn(f"{self.input_path}: {warning}")
+            if warning != self.video.progress.blind:  # how `end` ends
+                warn(f"{self.input_path}: {warning}")
         if self.options.fps in (None, "all") and (sampling := self.video.sampling()):
             note(f"{self.input_path}: {sampling}")
 
@@ -51,6 +53,12 @@ class Job:
         assert self.record is not None
         undrawn = store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
         warn_undrawn(self.folder, undrawn)
+
+    def end(self, n_frames: int, *, complete: bool) -> None:
+        """End with code 130 if the user asked to stop; raise SourceError if nothing was seen."""
+        end_if_interrupted(self.folder, n_frames, complete=complete)
+        if self.video.progress.blind:
+            raise SourceError(self.input_path, self.video.progress.blind)
 
 
 @contextmanager

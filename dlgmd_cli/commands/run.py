@@ -8,7 +8,6 @@ import click
 from dlgmd_cli.commands.console import (
     Command,
     detail,
-    end_if_interrupted,
     print_json,
     print_path,
     print_table,
@@ -58,7 +57,7 @@ def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) 
         runs.require_response(one.video, [setup], [result], options)
         one.commit(result.files(output.formats, output.dpi))
     _show(result, one.folder, output.as_json)
-    end_if_interrupted(one.folder, len(result), complete=result.record["complete"])
+    one.end(len(result), complete=result.record["complete"])
 
 
 def details(result: "Result") -> list[str]:

@@ -211,7 +211,8 @@ class Programs:
             self._arguments,
             env={**os.environ, **texts},
             stdin=subprocess.DEVNULL,
-            stdout=2,
+            stdout=sys.__stderr__,
+            stderr=sys.__stderr__,
             start_new_session=True,  # Ctrl-C must not end it
         )
         self._running.append(one)

@@ -233,21 +233,12 @@ class Result:
 
     def doubts(self) -> list[str]:
         """Warnings about an implausible result, one line each."""
-        lines = []
-        if len(self) > 1 and not (self.p_sum > 0.0).any():
-            line = "no frame differs from the one before it: a still scene"
-            if self.record.get("input", {}).get("decoder") == "opencv":
-                line += (
-                    ", or interlaced video, which OpenCV may not convert; if so, read it with "
-                    "--decoder pyav, or de-interlace it with ffmpeg -vf yadif"
-                )
-            lines.append(line)
-        if self.n_valid and not np.isfinite(self.level).any():
-            lines.append(
-                "the membrane potential never changes by more than rounding, so it cannot be "
-                "normalised by its own sequence; there are no spikes"
-            )
-        return lines
+        if not self.n_valid or np.isfinite(self.level).any():
+            return []
+        return [
+            "the membrane potential never changes by more than rounding, so it cannot be "
+            "normalised by its own sequence; there are no spikes"
+        ]
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""

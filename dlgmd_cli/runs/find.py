@@ -14,8 +14,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names
 from dlgmd_cli.results.store import failure_text, is_url, place
+from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.images import read_image
 from dlgmd_cli.video.opening import fingerprint
@@ -217,12 +219,15 @@ class _Search:
         if any(_is_figure(path) for path in some):
             why = "its pictures are figures"
         else:
-            images = [read_image(path) for path in some]
-            sizes = {None if image is None else image.shape[:2] for image in images}
-            if None in sizes:
-                why = "some of its pictures cannot be read"
-            elif len(sizes) > 1:
-                why = "its pictures are not of one size"
+            sizes = set()
+            for path in some:
+                try:
+                    sizes.add(read_image(path).shape[:2])
+                except Unreadable as error:
+                    why = f"{path.name} {error}"
+                    break
+            if len(sizes) > 1:
+                why = why or "its pictures are not of one size"
         if why:
             self._no_sequences.append(f"{folder}: left out, {why}")
         return not why
@@ -252,7 +257,7 @@ class _Search:
 
 def _is_figure(path: Path) -> bool:
     """Whether a picture is a figure by Matplotlib."""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_regular(path, "rb") as file:
         return _MATPLOTLIB in file.read(1000)
     return False
 

@@ -37,6 +37,9 @@ PIXEL_FORMATS = {
     "rgb24": 3.0,
 }
 FALLBACK_FPS = 30.0
+# Larger pictures, in px, are not decoded: a small file can state any size.
+MAX_SIDE = 8192
+TOO_LARGE = f"is larger than {MAX_SIDE}x{MAX_SIDE} px"
 MAX_PLAUSIBLE_FPS = 1000.0
 _MAX_DECODER_THREADS = 16
 _LITTLE_MEMORY = 64 << 20  # bytes

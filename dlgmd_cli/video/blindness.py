@@ -8,8 +8,10 @@ import numpy.typing as npt
 
 # How long black or equal pictures must last. A cut to black, or a frame sent twice, is shorter.
 BLIND_S = 0.7
-# About so many rows of a picture are compared first.
-_N_ROWS = 90
+# So many rows of a picture are compared first.
+_N_ROWS = 16
+# Number of blind spans that a warning names.
+_N_SHOWN = 3
 
 
 class Blindness:
@@ -17,7 +19,7 @@ class Blindness:
 
     A picture is black if no sample exceeds the level of black, and frozen if every sample equals
     that of the picture before. The noise of a camera prevents both, by night as well. Either must
-    last for 0.7 s. Whole pictures are compared only while some 90 of their rows are equal.
+    last for 0.7 s. Whole pictures are compared only while 16 of their rows are equal.
 
     Attributes
     ----------
@@ -59,3 +61,38 @@ class Blindness:
             self._whole = picture.copy()
             return False
         return True
+
+
+class BlindSpans:
+    """The times at which the pictures of a file show nothing; `step` takes what `Blindness` does.
+
+    Attributes
+    ----------
+    throughout : str
+        `black` or `frozen` if that is so from the first picture to the latest, else empty.
+    """
+
+    def __init__(self) -> None:
+        self._blindness, self._first_s, self.throughout = Blindness(), math.nan, ""
+        self._spans: dict[tuple[str, float], float] = {}
+
+    def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> None:
+        """Judge the next picture."""
+        if math.isnan(self._first_s):
+            self._first_s = time_s
+        kind, since_s = self._blindness.step(picture, time_s, black), self._blindness.since_s
+        self.throughout = kind if since_s == self._first_s else ""
+        if kind:
+            self._spans[kind, since_s] = time_s
+
+    def report(self) -> str:
+        """The warning; empty if there is nothing to tell."""
+        if self.throughout:
+            alike = "black" if self.throughout == "black" else "the same"
+            return f"nothing can be seen: all pictures are {alike}"
+        spans = [
+            f"{kind} from {since_s:.2f} to {end_s:.2f} s"
+            for (kind, since_s), end_s in self._spans.items()
+        ]
+        shown = spans[:_N_SHOWN] + [f"and {len(spans) - _N_SHOWN} more"] * (len(spans) > _N_SHOWN)
+        return f"{', '.join(shown)}: nothing can be seen there" if spans else ""

@@ -11,7 +11,7 @@ import numpy as np
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import PRINTF, is_pattern
-from dlgmd_cli.video.base import StreamInfo, Unreadable
+from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
 
 SUFFIXES = (
@@ -31,11 +31,11 @@ class ImageDecoder:
 
     def __init__(self, paths: list[Path], fps: float) -> None:
         self._paths, self._path, self._fps = paths, paths[0], fps
-        first = read_image(self._path)
-        if first is None:
-            why = "cannot be read as a picture"
+        try:
+            first = read_image(self._path)
+        except Unreadable as error:
             mend = "Remove it from the sequence or convert it to PNG."
-            raise SourceError(str(self._path), why, mend)
+            raise SourceError(str(self._path), str(error), mend) from None
         kind = self._path.suffix[1:].lower()
         self.stream_info: StreamInfo = StreamInfo(
             first.shape[1], first.shape[0], fps, len(paths), codec=kind
@@ -49,9 +49,10 @@ class ImageDecoder:
 
     def picture(self) -> tuple[Image, None]:
         """The picture of the latest timestamp; raises Unreadable."""
-        image = read_image(self._path)
-        if image is None:
-            raise Unreadable(f"{self._path.name} cannot be read as a picture")
+        try:
+            image = read_image(self._path)
+        except Unreadable as error:
+            raise Unreadable(f"{self._path.name} {error}") from None
         height, width = image.shape[:2]
         if (width, height) != self.stream_info[:2]:
             expected = f"{self.stream_info.width}x{self.stream_info.height}"
@@ -62,16 +63,23 @@ class ImageDecoder:
         """Do nothing: no file is kept open."""
 
 
-def read_image(path: Path) -> Image | None:
-    """The picture at `path`: uint8 or uint16, grey or BGR, upright; None if it cannot be read."""
+def read_image(path: Path) -> Image:
+    """The picture at `path`: uint8 or uint16, grey or BGR, upright; raises Unreadable."""
     try:
         # imread cannot open every file name.
         with open_regular(path, "rb") as file:
             data = np.frombuffer(file.read(), np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    except (OSError, cv2.error):
-        return None
-    return image if image is not None and image.dtype in (np.uint8, np.uint16) else None
+    except (OSError, cv2.error) as error:
+        # The command has OpenCV judge the size that the file's header states.
+        if "validateInputImageSize" in str(error):
+            raise Unreadable(TOO_LARGE) from None
+        image = None
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise Unreadable("cannot be read as a picture")
+    if max(image.shape) > MAX_SIDE:
+        raise Unreadable(TOO_LARGE)
+    return image
 
 
 def pictures_at(path: Path) -> list[Path] | None:

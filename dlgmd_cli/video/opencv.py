@@ -11,6 +11,8 @@ import cv2
 
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
+    MAX_SIDE,
+    TOO_LARGE,
     StreamInfo,
     Unreadable,
     decoder_threads,
@@ -42,6 +44,8 @@ class OpenCVDecoder:
         options = [cv2.CAP_PROP_N_THREADS, decoder_threads()]
         with guarded():
             self._capture = capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
+        if max(map(capture.get, (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))) > MAX_SIDE:
+            raise Unreadable(TOO_LARGE)
         height, width = self._first().shape[:2]
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self.stream_info = StreamInfo(

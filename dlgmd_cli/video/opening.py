@@ -18,6 +18,7 @@ from dlgmd_cli.video.base import (
     DECODERS,
     DEFAULT_DECODER,
     FALLBACK_FPS,
+    MAX_SIDE,
     Crop,
     Unreadable,
     openable,
@@ -31,8 +32,6 @@ from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampli
 
 # What can be opened: a path, or images with their frame rate.
 Openable = str | os.PathLike[str] | Iterable[Any]
-
-MAX_SIDE = 8192
 
 # How far a video may exceed the default rate: nominal 30 frames/s can be up to 30.3.
 RATE_TOLERANCE = 1.1
@@ -184,10 +183,9 @@ def _open_file(path: Path, decoder: str) -> Decoder:
     try:
         with openable(path.absolute()) as name:
             return PyAVDecoder(name) if decoder == "pyav" else OpenCVDecoder(name)
-    except Unreadable:
-        why = "no frame could be decoded, damaged file or missing codec"
-        mend = "Try re-encoding it with ffmpeg."
-        raise SourceError(str(path), why, mend) from None
+    except Unreadable as error:
+        why = str(error) or "no frame could be decoded, damaged file or missing codec"
+        raise SourceError(str(path), why, "Try re-encoding it with ffmpeg.") from None
 
 
 def _refuse_streams(name: str) -> None:

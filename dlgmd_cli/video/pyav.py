@@ -12,6 +12,8 @@ import numpy as np
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
+    MAX_SIDE,
+    TOO_LARGE,
     StreamInfo,
     Unreadable,
     decoder_threads,
@@ -79,7 +81,11 @@ class PyAVDecoder:
         # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
         # which most videos do not have.
         stream.thread_type = "AUTO"
-        stream.codec_context.thread_count = decoder_threads()
+        context = stream.codec_context
+        context.thread_count = decoder_threads()
+        if max(context.width, context.height) > MAX_SIDE:
+            self._container.close()
+            raise Unreadable(TOO_LARGE)
         self._frames = self._decoded(av, stream)
         first = next(self._frames, None)
         if first is None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.video.base import Crop
+from dlgmd_cli.video.base import Crop, Unreadable
 from dlgmd_cli.video.images import read_image
 from dlgmd_cli.video.luma import resized
 
@@ -24,10 +24,12 @@ def read_mask(path: str) -> Flags:
 
     Raises ParameterError if it is not a picture.
     """
-    image = read_image(Path(path))
-    if image is None:
-        why = "cannot be read as a picture" if Path(path).is_file() else "does not exist"
-        raise ParameterError("", f"--mask {path} {why}", "Give a PNG whose black is left out.")
+    try:
+        image = read_image(Path(path))
+    except Unreadable as error:
+        why = str(error) if Path(path).exists() else "does not exist"
+        mend = "Give a PNG whose black is left out."
+        raise ParameterError("", f"--mask {path} {why}", mend) from None
     brightest = image.max(axis=2) if image.ndim == 3 else image
     return np.asarray(brightest <= np.iinfo(image.dtype).max // 2)
 

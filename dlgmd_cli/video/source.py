@@ -13,12 +13,18 @@ import numpy.typing as npt
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
+from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
 # A warning is due from this number of repeats on, if they exceed this share of all frames.
 _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
+
+_INTERLACED = (
+    ". Of interlaced video, which OpenCV may not convert, that is not true: read it with --decoder "
+    "pyav, or de-interlace it with ffmpeg -vf yadif"
+)
 
 
 class Decoder(Protocol):
@@ -119,7 +125,8 @@ class Progress:
 
     `n_new` counts the new pictures that were yielded. `n_repeats` counts all repeats of a previous
     frame; None if they were not looked for. After the last frame, `damage` tells where frames are
-    missing or cannot be decoded (these lines are also in `warnings`), and `frame_rates` is set.
+    missing or cannot be decoded, and `blind` says so if all pictures are black or the same (these
+    lines are also in `warnings`), and `frame_rates` is set.
     """
 
     n_decoded: int = 0
@@ -128,6 +135,7 @@ class Progress:
     n_repeats: int | None = None
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
+    blind: str = ""
     frame_rates: FrameRates | None = None
 
 
@@ -245,7 +253,7 @@ class Video:
         self._is_read = True
         decoder, progress, fps = self._decoder, self.progress, self.info.fps
         selection, clock, times = copy.copy(self._selection), FrameClock(fps), array("d")
-        hidden, gaps = self.hidden(self.source_wh), GapDetector()
+        hidden, gaps, spans = self.hidden(self.source_wh), GapDetector(), BlindSpans()
         repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
@@ -268,6 +276,7 @@ class Video:
                     fault = str(error)
                     break
                 image = self._region.of(image)
+                spans.step(image, time_s, levels[0] if levels else 0)
                 # What comes after a gap is new, even if it looks the same.
                 is_repeat = repeats is not None and repeats.step(image) and not is_gap
             progress.n_decoded, progress.last_time_s = index + 1, time_s
@@ -286,7 +295,11 @@ class Video:
         else:
             fault = fault or self._shortfall()
         missing, ending = missing_frames(times, fps), fault and self._ending(fault)
-        reports = (clock.report(), missing, self._repetition(), ending)
+        blind = spans.report()
+        if spans.throughout == "frozen" and self.info.decoder == "opencv":
+            blind += _INTERLACED
+        progress.blind = blind if spans.throughout else ""
+        reports = (clock.report(), missing, self._repetition(), blind, ending)
         progress.warnings += [line for line in reports if line]
         progress.damage = [line for line in (missing, ending) if line]
         progress.frame_rates = frame_rates(times)

@@ -14,6 +14,7 @@ import pytest
 from conftest import HEIGHT, N_FRAMES, WIDTH, looming_frames, write_video
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
@@ -533,3 +534,68 @@ def test_the_host_s_threads_are_restored():
         assert cv2.getNumThreads() == 3
     finally:
         cv2.setNumThreads(before)
+
+
+# What shows nothing, and what is too large
+
+
+def seen(kinds):
+    """Frames that move (`m`), are black (`b`), or repeat the one before (`f`)."""
+    moving, frames = iter(looming_frames(len(kinds))), []
+    for kind in kinds:
+        black = np.zeros((HEIGHT, WIDTH), np.uint8)
+        frames.append({"m": next(moving), "b": black, "f": frames[-1] if frames else None}[kind])
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("kinds", "told"),
+    [
+        ("m" * 40, ""),
+        ("m" * 10 + "b" * 17 + "m" * 10, ""),
+        ("m" * 10 + "b" * 20 + "m" * 10, "black from 0.40 to 1.16 s: nothing can be seen there"),
+        ("m" * 10 + "f" * 20 + "m" * 5, "frozen from 0.36 to 1.16 s: nothing can be seen there"),
+        (("m" * 5 + "b" * 20) * 5, "2.96 s, and 2 more: nothing can be seen there"),
+        ("b" * 30, "nothing can be seen: all pictures are black"),
+        ("m" + "f" * 30, "nothing can be seen: all pictures are the same"),
+    ],
+)
+@pytest.mark.parametrize("repeats", ["keep", "skip"])
+def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
+    video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
+    for path in (video, np.array(seen(kinds))):
+        with open_video(path, decoder=decoder, repeats=repeats, input_fps=25.0) as source:
+            assert len(list(source)) <= len(kinds)
+        lines = [line for line in source.progress.warnings if "nothing can be seen" in line]
+        assert len(lines) == bool(told) and told in "".join(lines)
+        assert source.progress.blind == (lines[0] if "all" in told else "")
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+def test_a_result_of_nothing_seen_is_kept_and_no_success(dlgmd, tmp_path, command):
+    video = write_video(tmp_path / "x.avi", seen("b" * 30))
+    result = dlgmd(command, video, "--no-plots")
+    assert result.exit_code == 1 and "dlgmd-out/x" in result.stdout
+    assert result.stderr.splitlines()[-1].startswith(f"Error: {video}: nothing can be seen")
+    assert result.stderr.count("nothing can be seen") == 1
+    assert (tmp_path / f"dlgmd-out/x/{command}.yaml").exists()
+
+
+@pytest.mark.parametrize("size", [(16000, 16000), (9000, 40)])
+def test_too_large_a_video_is_not_decoded(tmp_path, decoder, size):
+    Image.new("L", (8, 8)).save(
+        tmp_path / "x.gif", save_all=True, append_images=[Image.new("L", (8, 8), 9)]
+    )
+    data = bytearray((tmp_path / "x.gif").read_bytes())
+    data[6:10] = struct.pack("<HH", *size)  # of the whole picture, of which frames are parts
+    (tmp_path / "x.gif").write_bytes(data)
+    with pytest.raises(SourceError, match="is larger than 8192x8192 px"):
+        open_video(tmp_path / "x.gif", decoder=decoder)
+
+
+def test_too_large_a_picture(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((4, 8193), np.uint8))
+    with pytest.raises(SourceError, match=r"1\.png: is larger than 8192x8192 px"):
+        open_video(tmp_path)
+    with pytest.raises(ParameterError, match=r"1\.png is larger than 8192x8192 px"):
+        open_video(np.zeros((3, 9, 9), np.uint8), mask=tmp_path / "1.png")
