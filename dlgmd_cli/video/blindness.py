@@ -25,12 +25,14 @@ class Blindness:
     ----------
     since_s : float
         Time of the first of the latest black or equal pictures.
+    suspected : str
+        `black` or `frozen`, if the latest picture is, however long that has lasted; else empty.
     """
 
     def __init__(self) -> None:
         self._rows: npt.NDArray[Any] | None = None
         self._whole: npt.NDArray[Any] | None = None
-        self._last_s, self.since_s, self._suspected = math.nan, math.nan, ""
+        self._last_s, self.since_s, self.suspected = math.nan, math.nan, ""
 
     def step(self, picture: npt.NDArray[Any], time_s: float, black: int = 0) -> str:
         """Judge the next picture: `black` or `frozen` once that has lasted for 0.7 s, else empty.
@@ -43,16 +45,19 @@ class Blindness:
         is_equal = self._is_equal(picture, rows)
         is_black = rows.max() <= black and picture.max() <= black
         suspected = "black" if is_black else "frozen" if is_equal else ""
-        if suspected != self._suspected:
+        if suspected != self.suspected:
             # The picture that the first equal one repeats is part of the run.
             self.since_s = self._last_s if suspected == "frozen" else time_s
-            self._suspected = suspected
+            self.suspected = suspected
         self._last_s = time_s
         return suspected if time_s - self.since_s >= BLIND_S else ""
 
     def _is_equal(self, picture: npt.NDArray[Any], rows: npt.NDArray[Any]) -> bool:
         """Whether a picture equals the one before; a change beyond its rows is seen one late."""
-        if self._rows is None or not np.array_equal(rows, self._rows):
+        if self._rows is None:
+            self._rows, self._whole = rows.copy(), picture.copy()
+            return False
+        if not np.array_equal(rows, self._rows):
             self._rows, self._whole = rows.copy(), None
             return False
         if self._whole is None:
@@ -81,7 +86,8 @@ class BlindSpans:
         if math.isnan(self._first_s):
             self._first_s = time_s
         kind, since_s = self._blindness.step(picture, time_s, black), self._blindness.since_s
-        self.throughout = kind if since_s == self._first_s else ""
+        is_always = since_s == self._first_s < time_s
+        self.throughout = self._blindness.suspected if is_always else ""
         if kind:
             self._spans[kind, since_s] = time_s
 
