@@ -1,5 +1,6 @@
 """Whatever befalls a run, it ends with a whole result or one clear line, and nothing else."""
 
+import multiprocessing
 import os
 import random
 import shlex
@@ -22,6 +23,7 @@ from disturbed import (
     faults_of,
     files_of,
     hidden_in,
+    session_of,
     small_disk,
     small_files,
     started,
@@ -32,6 +34,7 @@ from dlgmd_cli.commands.app import cli
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.result import read_result
 
 pytestmark = [
     pytest.mark.slow,
@@ -111,10 +114,10 @@ def then_as_ever(out, path, whole):
     assert len(found) == 4 and hidden_in(out) == []
 
 
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_signal_at_any_moment(tmp_path, long_clip, whole, name):
     moments, out = random.Random(name), tmp_path / "out"
-    for case in range(2 * N_SIGNALS if name == "SIGKILL" else N_SIGNALS):
+    for case in range(N_SIGNALS):
         if case % 2 == 0:
             shutil.rmtree(out, ignore_errors=True)
         command = ("run", long_clip, "--out", out, "--no-plots", "--overwrite")
@@ -125,14 +128,69 @@ def test_a_signal_at_any_moment(tmp_path, long_clip, whole, name):
                 process.send_signal(getattr(signal, name))
             _, said = process.communicate(timeout=PATIENCE_S)
         assert process.returncode in (0, 130, -getattr(signal, name))
-        if process.returncode < 0 and name != "SIGKILL":  # while Python itself ends
+        if process.returncode < 0:  # while Python itself ends
             assert read_record(out / "long" / store.RUN)["complete"] is True
         assert "Traceback" not in said and "Error" not in said
         assert faults_of(out, whole) == []
-        if name != "SIGKILL" and out.exists():
+        if out.exists():
             assert hidden_in(out) == []
         if case % 2:
             then_as_ever(out, long_clip, whole)
+
+
+# What is killed, and the record that its folder ends with.
+KILLED = {
+    "run clip.avi --no-plots --overwrite": "clip/run.yaml",
+    "compare clip.avi --set 3 --model lgmd --no-plots --overwrite": "clip/compare.yaml",
+    "synth receding-cube --size 64x48 --frames 20 --overwrite": "receding-cube.csv",
+    "batch clip.avi clip2.avi --no-plots --force --jobs 1": "clip/run.yaml",
+    "live clip.avi --realtime --overwrite --record": "run.yaml",
+}
+
+
+def call(command):
+    """Run a command in a process that was forked for it, and leads a session of its own."""
+    os.setsid()
+    os._exit(CliRunner().invoke(cli, command.split(), prog_name="dlgmd").exit_code)
+
+
+@pytest.mark.parametrize("command", KILLED)
+def test_kills(tmp_path, monkeypatch, command):
+    """The old result is whole, or the new one, or there is none; and the next command works."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
+    for name in ("clip.avi", "clip2.avi"):
+        write_video(tmp_path / name, looming_frames(20, 64, 48), fps=100.0)
+    moments, record = random.Random(command), tmp_path / "out" / KILLED[command]
+    command += " out" if command.endswith("--record") else " --out out"
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["test_faults", "dlgmd_cli.runs.run", "dlgmd_cli.live.watch"])
+    took_s, n_killed, truth = [], 0, None
+    for number in range(-2, 20):
+        began, process = time.monotonic(), context.Process(target=call, args=(command,))
+        process.start()
+        process.join(moments.uniform(0.0, took_s[-1]) if number >= 0 else None)
+        took_s.append(time.monotonic() - began if number < 0 else took_s[-1])
+        if number == -1:
+            truth = files_of(tmp_path / "out")
+        if number < 0:
+            assert process.exitcode == 0 and record.exists()
+            continue
+        process.kill()
+        process.join()
+        n_killed += process.exitcode == -signal.SIGKILL
+        wait_until(lambda process=process: not session_of(process.pid))
+        if "live" in command and record.exists():  # what came before, whatever its record counts
+            read_result(record.parent)
+        elif record.exists():
+            found = files_of(tmp_path / "out")
+            assert {name: data for name, data in found.items() if name in truth} == truth
+        if number % 4 == 3:
+            result = CliRunner().invoke(cli, command.split(), prog_name="dlgmd")
+            assert result.exit_code == 0, result.output
+            assert hidden_in(tmp_path / "out") == []
+            assert "live" in command or files_of(tmp_path / "out") == truth
+    assert n_killed > 10
 
 
 def test_a_disk_that_is_full(tmp_path, clip, whole):

@@ -27,7 +27,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform == "win32", reason="limits differ there"),
 ]
-N_EACH = 400 if os.environ.get("DLGMD_THOROUGH") else 70
+N_EACH = 400 if os.environ.get("DLGMD_THOROUGH") else 65
 LIMIT_S, LIMIT_BYTES = 30.0, 2 << 30
 RUN = "run {} --no-plots --overwrite"
 AFRESH = "run mjpg.avi --no-plots --overwrite"

@@ -114,6 +114,16 @@ def test_a_frame_unlike_the_first_ends_the_input():
 
 
 def test_files_of_other_arrays_are_refused(tmp_path):
+    np.save(tmp_path / "x.npy", np.zeros((9, 9, 9), np.uint8))
+    whole = (tmp_path / "x.npy").read_bytes()
+    for changed in (
+        whole.replace(b"'descr'", b'"""escr '),
+        whole.replace(b"(9", b"(("),
+        whole[:80],
+    ):
+        (tmp_path / "x.npy").write_bytes(changed)
+        with pytest.raises(SourceError, match="not an array of numbers"):
+            open_video(tmp_path / "x.npy")
     for name, array in (("flat", np.zeros((3, 4))), ("objects", np.array([{}, {}], object))):
         np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
         with pytest.raises(SourceError, match=r"shape \(3, 4\)|cannot be read"):
