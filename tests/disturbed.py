@@ -114,6 +114,16 @@ def session_of(pid):
     return found
 
 
+def workers_of(pid):
+    """The processes of a batch's pool."""
+    found = []
+    for one in session_of(pid):
+        with suppress(OSError):
+            if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
+                found.append(one)
+    return found
+
+
 def wait_until(is_so, limit_s=LINGER_S):
     """Wait for something that must come about soon."""
     began = time.monotonic()

@@ -25,6 +25,7 @@ from disturbed import (
     small_files,
     started,
     wait_until,
+    workers_of,
 )
 from faulty import faulty
 
@@ -181,16 +182,6 @@ def test_all_killed_at_once(long):
                 os.killpg(process.pid, signal.SIGKILL)
         long.judge()
         long.then_as_ever()
-
-
-def workers_of(pid):
-    """The processes of a batch's pool."""
-    found = []
-    for one in session_of(pid):
-        with suppress(OSError):
-            if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
-                found.append(one)
-    return found
 
 
 def test_a_worker_killed_costs_one_video(long):

@@ -1,12 +1,12 @@
 """The models at more sizes, parameters and engines than the fast tests have time for."""
 
+import math
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from draws import connections
 from engine_checks import assert_engines_agree, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -20,6 +20,26 @@ from dlgmd_cli.parameters import DlgmdParameters
 pytestmark = pytest.mark.slow
 
 thoroughly = settings(deadline=None, max_examples=100)
+
+
+@st.composite
+def connections(draw, *, sigmas, max_r, max_a, longest=math.inf):
+    """What kernels follow from, by key, as far as the latency in frames allows."""
+    values = {
+        "alpha": draw(st.floats(-0.5, 5.0)),
+        "beta": draw(st.floats(0.0, 3.0)),
+        "lam": draw(st.floats(0.0, 2.0)),
+        "sigma_e": draw(st.floats(*sigmas)),
+        "sigma_i": draw(st.floats(*sigmas)),
+        "r": draw(st.integers(1, max_r)),
+        "a": draw(st.floats(0.0, max_a)),
+        "formulation": draw(st.sampled_from(slow.FORMULATIONS)),
+    }
+    r, alpha, beta, lam = (values[key] for key in ("r", "alpha", "beta", "lam"))
+    assume(slow.latency(0, 0, alpha, beta, lam) >= 0.0)
+    assume(beta + math.exp(-lam * lam * 2 * r * r) > 0.02)
+    assume(slow.latency(r, r, alpha, beta, lam) <= longest)
+    return values
 
 
 # Plans

@@ -65,6 +65,12 @@ READERS = {
     "f/*.yaml": [SYNTH],
     "f/labels.csv": [SYNTH],
 }
+# What takes time, memory or the stack of a reader that knows no bounds.
+BOMBS = [
+    b"[" * 50_000,
+    b"a: &a [x,x,x]\n"
+    + b"".join(b"%c: &%c [*%c,*%c,*%c]\n" % (n + 1, n + 1, n, n, n) for n in range(97, 120)),
+]
 STRANGE = ["nan", "-1", "0", "1e999", "9" * 400, "x", "", "[]", "{a: b}", "~", "\x1b[2J", "1e9"]
 
 
@@ -104,6 +110,8 @@ def whole(tmp_path_factory):
 
 def mutant(data, name, random):
     """The content of a file, changed in a few places; of text, whole values or lines too."""
+    if name.endswith("yaml") and random.random() < 0.1:
+        return BOMBS[random.integers(2)]
     if name.endswith(("yaml", "csv")) and random.random() < 0.8:
         words = re.split(rb"([\s,:\[\]{}]+)", data)
         for place in random.integers(0, len(words), random.integers(1, 4)):

@@ -1,12 +1,12 @@
 """The pool of processes, where waiting is part of the test."""
 
-import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from disturbed import environment, session_of, wait_until
 from pooltasks import work
 
 from dlgmd_cli.errors import WorkerError
@@ -32,14 +32,6 @@ def test_processes_that_start_while_the_pool_ends_are_silent(capfd):
     assert capfd.readouterr().err == ""
 
 
-def _is_alive(stat):
-    """Whether a process runs, by its file in /proc."""
-    try:
-        return ") Z " not in stat.read_text()
-    except OSError:
-        return False
-
-
 PARENT = """
 from pooltasks import work
 from dlgmd_cli.pool import run_tasks
@@ -52,15 +44,15 @@ if __name__ == "__main__":
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
 def test_processes_end_when_their_parent_is_killed(tmp_path):
     (tmp_path / "parent.py").write_text(PARENT)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(
-        [sys.executable, "parent.py"], cwd=tmp_path, env=environment, stdout=subprocess.PIPE
+        [sys.executable, "parent.py"],
+        cwd=tmp_path,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        start_new_session=True,
     ) as parent:
-        child = Path("/proc", str(int(parent.stdout.readline())), "stat")
+        child = int(parent.stdout.readline())
         time.sleep(0.5)  # it is in the midst of the next task by now
-        assert _is_alive(child)
+        assert child in session_of(parent.pid)
         parent.kill()
-    deadline = time.monotonic() + 10.0
-    while _is_alive(child) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert time.monotonic() < deadline
+    wait_until(lambda: not session_of(parent.pid))

@@ -1,5 +1,6 @@
-"""The model against the authors' released code, on the authors' own frames."""
+"""The model and `dlgmd run` against the authors' released code, on the authors' own frames."""
 
+import csv
 import functools
 
 import numpy as np
@@ -68,3 +69,25 @@ def test_sharpness_of_interpolated_latency():
 def test_radial_latency_sharpens_the_answer_to_a_looming_ball():
     measured = banded_sharpness("default")
     assert max(measured[3:6]) < min(measured[:3])
+
+
+@pytest.mark.parametrize("number", [1, 9])
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_the_files_of_a_run_have_the_numbers_of_the_released_code(
+    dlgmd, tmp_path, each_engine, sequence, number
+):
+    options = ["--formulation", "released", "--scale", 1, "--engine", each_engine, "--no-plots"]
+    result = dlgmd("run", reference_dir() / sequence, "--set", number, *options)
+    assert result.exit_code == 0, result.output
+    with (reference_dir() / f"released_{sequence}_set{number}.csv").open() as file:
+        reference = list(csv.DictReader(file))
+    first = int(reference[0]["t"])
+    for table, column, name in (("attenuation", "s_sum", "s_sum"), ("mp", "mp", "g_sum")):
+        with (tmp_path / f"dlgmd-out/{sequence}/{table}.csv").open() as file:
+            cells = [row[column] for row in csv.DictReader(file)]
+        assert not any(cells[:first])
+        expected = [float(row[name]) for row in reference]
+        # The released code computes in single precision.
+        assert [float(cell) for cell in cells[first:]] == pytest.approx(
+            expected, rel=1e-5, abs=1e-5
+        )

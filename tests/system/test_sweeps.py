@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner
 from conftest import looming_frames, write_video
+from disturbed import session_of, started, wait_until, workers_of
 
-import dlgmd_cli
+from dlgmd_cli.commands.app import cli
 
 pytestmark = [
     pytest.mark.slow,
@@ -25,43 +26,22 @@ LONG = ["sweep", "--x", "sigma_e=0.2:2:0.1", "--y", "sigma_i=0.5:6:0.25", "--no-
 N_POINTS = 19 * 23
 
 
-def process(*arguments):
-    root = Path(dlgmd_cli.__file__).parents[1]
-    return subprocess.Popen(
-        [sys.executable, "-m", "dlgmd_cli", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(root)},
-        start_new_session=True,
-    )
-
-
 def n_lines(folder=CUBES):
     path = Path(folder, "sweep.csv")
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-def until(condition, running):
-    deadline = time.monotonic() + 60
-    while not condition() and running.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.005)
+def until_some_are_done(running):
+    wait_until(lambda: n_lines() > 30 or running.poll() is not None, 60)
     assert running.poll() is None, running.communicate()
-
-
-def children_of(pid):
-    """The processes that another one started."""
-    files = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for file in files for child in file.read_text().split()]
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     """The table of the long sweep, computed by one process."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    done = process(*LONG, "--jobs", 1, "--out", folder)
-    _, errors = done.communicate(timeout=300)
-    assert done.returncode == 0, errors
+    result = CliRunner().invoke(cli, [*LONG, "--jobs", "1", "--out", str(folder)])
+    assert result.exit_code == 0, result.output
     return (folder / "sweep-translating-cubes/sweep.csv").read_bytes()
 
 
@@ -79,10 +59,10 @@ def check_continues(dlgmd, undisturbed, jobs):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_interrupted_sweep_continues(dlgmd, undisturbed, jobs):
-    running = process(*LONG, "--jobs", jobs)
-    until(lambda: n_lines() > 30, running)
-    os.killpg(running.pid, signal.SIGINT)  # as a terminal does
-    _, errors = running.communicate(timeout=60)
+    with started(*LONG, "--jobs", jobs, cwd=".") as running:
+        until_some_are_done(running)
+        os.killpg(running.pid, signal.SIGINT)  # as a terminal does
+        _, errors = running.communicate(timeout=60)
     assert running.returncode == 130, errors
     match = re.fullmatch(
         rf"\S+sweep-translating-cubes holds (\d+) of {N_POINTS} points; "
@@ -95,32 +75,24 @@ def test_an_interrupted_sweep_continues(dlgmd, undisturbed, jobs):
 
 
 def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
-    running = process(*LONG, "--jobs", 2)
-    until(lambda: n_lines() > 30, running)
-    children = children_of(running.pid)
-    running.kill()
-    running.communicate(timeout=60)
-    assert len(children) >= 2
+    with started(*LONG, "--jobs", 2, cwd=".") as running:
+        until_some_are_done(running)
+        assert len(session_of(running.pid)) >= 3
+        running.kill()
+        running.wait()
+        wait_until(lambda: not session_of(running.pid), 30)
     with Path(CUBES, "sweep.csv").open("ab") as table:
         table.write(b"2,6,1,-3.")
-    deadline = time.monotonic() + 30
-    while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert not any(Path(f"/proc/{pid}").exists() for pid in children)
     assert check_continues(dlgmd, undisturbed, 2) > 6
 
 
 def test_a_process_that_is_killed_loses_no_point_that_was_done(dlgmd, undisturbed):
-    running = process(*LONG, "--jobs", 2)
-    until(lambda: n_lines() > 30, running)
-    # Amid its task: one that is killed while it takes a task leaves the pool's lock taken.
-    time.sleep(0.05)
-    for pid in children_of(running.pid):
-        command = Path(f"/proc/{pid}/cmdline").read_bytes()
-        if b"spawn_main" in command:
-            os.kill(pid, signal.SIGKILL)
-            break
-    _, errors = running.communicate(timeout=60)
+    with started(*LONG, "--jobs", 2, cwd=".") as running:
+        until_some_are_done(running)
+        # Amid its task: one that is killed while it takes a task leaves the pool's lock taken.
+        time.sleep(0.05)
+        os.kill(workers_of(running.pid)[0], signal.SIGKILL)
+        _, errors = running.communicate(timeout=60)
     assert running.returncode == 1, errors
     kept, error = errors.splitlines()
     assert re.fullmatch(rf"\S+ holds \d+ of {N_POINTS} points; the same .* from there\.", kept)
