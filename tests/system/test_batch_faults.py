@@ -245,14 +245,6 @@ def test_files_that_may_not_grow(short, n_bytes):
     short.then_as_ever()
 
 
-def test_places_that_cannot_be_written(short):
-    video = short.videos / short.names[0]
-    for out in (video / "out", video, Path("/dev/null/out"), Path("/proc/out"), Path("/sys/out")):
-        result = short.run(out=out)
-        assert result.exit_code == 1 and "cannot be written (" in result.stderr
-        assert result.stderr.count("\n") == 1
-
-
 def test_videos_that_change_after_they_were_found(short, monkeypatch):
     from dlgmd_cli.runs import find
 

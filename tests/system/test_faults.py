@@ -221,11 +221,14 @@ def test_files_that_may_not_grow(tmp_path, clip, whole, n_bytes, options):
     then_as_ever(out, clip, whole)
 
 
-def test_places_that_cannot_be_written(tmp_path, clip):
+@pytest.mark.parametrize("command", ["run", "batch"])
+def test_places_that_cannot_be_written(clip, command):
     places = [clip / "out", clip, Path("/dev/null/out"), Path("/proc/out"), Path("/sys/out")]
     for out in places:
-        result = run(clip, "--out", out, "--no-plots")
+        arguments = [command, str(clip), "--out", str(out), "--no-plots"]
+        result = CliRunner().invoke(cli, arguments, prog_name="dlgmd")
         assert result.exit_code == 1 and "cannot be written (" in one_line(result)
+        assert result.stderr.count("\n") == 1
 
 
 def by_shell(tmp_path, script, *words):
@@ -250,6 +253,18 @@ def test_memory_that_is_short(tmp_path, clip, whole, memory_kb):
     else:
         found = files_of(tmp_path / "out")
         assert len(found) == 4 and found.items() <= whole.items()
+
+
+@pytest.mark.parametrize("n_files", [5, 10, 16])
+@pytest.mark.parametrize("command", ["run", "batch"])
+def test_descriptors_that_are_short(tmp_path, clip, whole, command, n_files):
+    result = by_shell(tmp_path, f"ulimit -n {n_files} && {{}}", command, clip)
+    found = files_of(tmp_path / "out")
+    if result.returncode == 0:
+        assert len(found) == 4 and found.items() <= whole.items()
+    else:
+        assert result.returncode == 1 and not found and one_line(result)
+    assert command == "batch" or (result.returncode == 0) == (n_files > 5)
 
 
 @pytest.mark.parametrize("n_threads", [2, 4, 8])
