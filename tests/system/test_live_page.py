@@ -5,9 +5,9 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 
 import pytest
+from browsing import Reader
 from conftest import read_video, write_video
 
 pytestmark = pytest.mark.slow
@@ -85,25 +85,8 @@ def watch(clip):
         process.communicate()
 
 
-class Reader:
-    """Who looks at the page; `faults` are errors, and requests that leave the server."""
-
-    def __init__(self, browser, url, **look):
-        self.page, self.faults = browser.new_context(**look).new_page(), []
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", lambda said: said.type == "error" and self.faults.append(said.text))
-        origin = url.partition("?")[0]
-        self.page.on(
-            "request", lambda one: one.url.startswith((origin, "data:")) or self.faults.append(one)
-        )
-        self.page.goto(url)
-
-    def until(self, condition):
-        """Wait for a condition; the page's policy forbids Playwright's own way."""
-        end = time.monotonic() + 30
-        while not self.page.evaluate(condition):
-            assert time.monotonic() < end, condition
-            time.sleep(0.05)
+class Watcher(Reader):
+    """Who looks at the page of a live source."""
 
     def sees_motion(self):
         """Wait until the picture has changed three times."""
@@ -122,7 +105,7 @@ class Reader:
 def test_page(browser, watch, place, look):
     process, url = watch(place)
     assert ("?token=" in url) == (place != "0")
-    reader = Reader(browser, url, **look)
+    reader = Watcher(browser, url, **look)
     page = reader.page
     reader.until("find('state').textContent === 'No alarm'")
     reader.until("find('name').textContent.endsWith('<b>flights.avi')")
@@ -152,7 +135,7 @@ def test_page(browser, watch, place, look):
 
 def test_page_goes_on_by_itself(browser, watch):
     process, url = watch("0")
-    reader = Reader(browser, url)
+    reader = Watcher(browser, url)
     reader.sees_motion()
     reader.until("rows.length > 30")
     process.send_signal(signal.SIGINT)
@@ -168,7 +151,7 @@ def test_page_goes_on_by_itself(browser, watch):
 
 def test_page_that_nobody_sees_asks_for_nothing(browser, watch):
     _, url = watch("0")
-    reader = Reader(browser, url)
+    reader = Watcher(browser, url)
     reader.sees_motion()
     change = """hidden => {
         Object.defineProperty(document, "hidden", {value: hidden, configurable: true});
@@ -188,7 +171,7 @@ def test_a_lost_source_is_told(browser, watch):
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
     _, url = watch("0", f"http://someone:secret@127.0.0.1:{port}/video")
-    reader = Reader(browser, url)
+    reader = Watcher(browser, url)
     reader.until("find('state').textContent === 'Waiting for the first frame'")
     reader.until("find('message').textContent.includes('the source is lost')")
     text = reader.page.text_content("body main")

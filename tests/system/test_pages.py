@@ -3,9 +3,9 @@
 import csv
 import os
 import shutil
-import time
 
 import pytest
+from browsing import Reader
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("plotly", reason="pages need Plotly")
@@ -23,28 +23,12 @@ def page_file(dlgmd, tmp_path):
     return tmp_path / "page.html"
 
 
-class Reader:
-    """Who looks at a page; `faults` are errors, and requests that leave the file."""
+class Viewer(Reader):
+    """Who looks at a film and its curves."""
 
     def __init__(self, browser, path, **look):
-        context = browser.new_context(accept_downloads=True, **look)
-        self.page, self.faults = context.new_page(), []
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", lambda said: self.faults.append(said.text))
-        self.page.on("request", self._requested)
-        self.page.goto(f"file://{path}")
+        super().__init__(browser, f"file://{path}", **look)
         self.until("film.readyState >= 2 && plot._fullLayout !== undefined")
-
-    def _requested(self, request):
-        if not request.url.startswith(("file:", "blob:", "data:")):
-            self.faults.append(request.url)
-
-    def until(self, condition):
-        """Wait for a condition; the page's policy forbids Playwright's own way."""
-        end = time.monotonic() + 20
-        while not self.page.evaluate(condition):
-            assert time.monotonic() < end, condition
-            time.sleep(0.02)
 
     def at(self, row):
         """Wait until film, slider and the line in the curves are all at a row."""
@@ -59,7 +43,7 @@ class Reader:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_all_move_together(browser, page_file, scheme):
-    reader = Reader(
+    reader = Viewer(
         browser, page_file, viewport={"width": 1280, "height": 860}, color_scheme=scheme
     )
     page = reader.page
@@ -90,7 +74,7 @@ def test_all_move_together(browser, page_file, scheme):
 
 
 def test_labels_are_saved(browser, page_file, tmp_path):
-    reader = Reader(browser, page_file)
+    reader = Viewer(browser, page_file)
     page = reader.page
     page.keyboard.press("End")
     page.keyboard.press("ArrowLeft")
@@ -111,7 +95,7 @@ def test_labels_are_saved(browser, page_file, tmp_path):
 
 
 def test_on_a_phone(browser, page_file):
-    reader = Reader(
+    reader = Viewer(
         *(browser, page_file),
         viewport={"width": 390, "height": 844},
         is_mobile=True,
@@ -138,12 +122,11 @@ def test_hostile_names(browser, dlgmd, tmp_path):
     dlgmd("run", tmp_path / name, "--no-plots")
     made = dlgmd("view", tmp_path / "dlgmd-out", "--out", "all.html")
     assert made.exit_code == 0, made.output
-    page, faults = browser.new_page(), []
-    page.on("dialog", lambda dialog: (faults.append("dialog"), dialog.dismiss()))
-    page.on("console", lambda said: faults.append(said.text))
-    page.goto(f"file://{tmp_path}/all.html")
+    reader = Reader(browser, f"file://{tmp_path}/all.html", allowed=("file:",))
+    page = reader.page
+    page.on("dialog", lambda dialog: (reader.faults.append("dialog"), dialog.dismiss()))
     page.click("h2 a")
     assert page.text_content("h1") == name
     page.click("text=All videos")
     assert page.text_content("h2") == name
-    assert not faults
+    assert not reader.faults
