@@ -244,7 +244,7 @@ def test_sound_that_goes_on_is_no_damage(tmp_path):
         container.mux(video.encode(None))
     with open_video(path, decoder="pyav") as source:
         assert source.info.n_frames == len(list(source)) == 20
-        assert source.progress.warnings == []
+        assert source.progress.damage == []
 
 
 def test_sound_alone(tmp_path, decoder):

@@ -338,7 +338,7 @@ def test_too_short(dlgmd, clips):
 def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     result = dlgmd("run", "still.avi", "--normalise", "sequence")
-    assert result.exit_code == 0 and "the membrane potential never changes" in result.stderr
+    assert result.exit_code == 1 and "the membrane potential never changes" in result.stderr
 
 
 @pytest.mark.parametrize("name", ["..avi", "...avi"])
