@@ -41,8 +41,7 @@ class Job:
     def warn(self, warnings: Sequence[str]) -> None:
         """Print warnings about the input, and note which of its frames were processed."""
         for warning in warnings:
-            if warning != self.video.progress.blind:  # how `end` ends
-                warn(f"{self.input_path}: {warning}")
+            warn(f"{self.input_path}: {warning}")
         if self.options.fps in (None, "all") and (sampling := self.video.sampling()):
             note(f"{self.input_path}: {sampling}")
 

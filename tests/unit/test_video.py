@@ -577,7 +577,6 @@ def test_a_result_of_nothing_seen_is_kept_and_no_success(dlgmd, tmp_path, comman
     result = dlgmd(command, video, "--no-plots")
     assert result.exit_code == 1 and "dlgmd-out/x" in result.stdout
     assert result.stderr.splitlines()[-1].startswith(f"Error: {video}: nothing can be seen")
-    assert result.stderr.count("nothing can be seen") == 1
     assert (tmp_path / f"dlgmd-out/x/{command}.yaml").exists()
 
 
