@@ -329,9 +329,6 @@ class Sweep:
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})
             self.facts = input_record(video, video.size_wh, rows)
             self.warnings = list(video.progress.warnings)
-        pictures = _mapped(clips[0])["grey"]
-        if all(np.array_equal(one, pictures[0]) for one in pictures):
-            self.warnings.append("no frame differs from the one before it")
         return clips
 
     def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
