@@ -144,7 +144,7 @@ def _unusual_by_pyav(folder, frames):
         "alpha.mov": ("recovers", "qtrle", {"pixels": "argb"}),
         "alpha_png.mov": ("recovers", "png", {"pixels": "rgba"}),
         "alpha.webm": ("recovers", "libvpx-vp9", {"pixels": "yuva420p"}),
-        "interlaced.mkv": ("recovers", "libx264", {"options": {"x264-params": "tff=1"}}),
+        "interlaced.mkv": ("either", "libx264", {"options": {"x264-params": "tff=1"}}),
         "no_index.mp4": ("recovers", "libx264", {"container": {"movflags": "frag_keyframe"}}),
     }
     made = [

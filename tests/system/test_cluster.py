@@ -143,8 +143,10 @@ def test_what_is_no_address(dlgmd, folder, address):
     ("content", "why"),
     [
         (None, "cannot be read"),
-        *((content, "it is not a scheduler file") for content in ("", "[1]", '{"x": 1}')),
-        *((content, "it holds no address") for content in ('{"address": 3}', '{"address": "x"}')),
+        *(
+            (content, "it is not a scheduler file")
+            for content in ("", "[1]", '{"x": 1}', '{"address": 3}', '{"address": "x"}')
+        ),
     ],
 )
 def test_what_is_no_scheduler_file(dlgmd, folder, tmp_path, content, why):
