@@ -189,7 +189,7 @@ def test_memory_does_not_grow(tmp_path):
         for number in range(n_frames):
             process.stdin.write(frames[number % 50])
             process.stdin.flush()
-            time.sleep(0.0005)  # so that most frames are answered
+            time.sleep(0.001)  # so that most frames are answered, unless the machine is busy
             if number == n_early:
                 early_kb = resident_kb()
         late_kb = resident_kb()
@@ -197,8 +197,8 @@ def test_memory_does_not_grow(tmp_path):
         reader.join()
         assert process.wait() == 0
     n_rows = len(read_result(tmp_path))
-    assert n_rows > n_frames / 4
-    # A frame kept of each would take 25 MB, a few numbers of each 1 MB.
+    assert n_rows > n_frames / 8
+    # A frame kept of each would take 4 MB at least, a few numbers of each 1 MB.
     assert late_kb - early_kb < 3_000, (n_rows, early_kb, late_kb)
 
 
