@@ -121,23 +121,23 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
     old = ("compare.csv", "mp.csv", "mp.svg", "run.yaml")
     assert bucket.names() == [f"out/v/{name}" for name in old]
     del files["mp.svg"]
-    order, write_file = [], store.write_file
+    order, put_file = [], place.fs.put_file
 
-    def watched(path, write):
-        order.append((path.name, "out/v/run.yaml" in bucket.names()))
-        write_file(path, write)
+    def watched(local, remote):
+        order.append((remote.rpartition("/")[2], "out/v/run.yaml" in bucket.names()))
+        put_file(local, remote)
 
-    monkeypatch.setattr(store, "write_file", watched)
+    monkeypatch.setattr(place.fs, "put_file", watched)
     store.commit(place, store.RUN, files)
     assert order == [("mp.csv", False), ("run.yaml", False)]
     assert bucket.names() == [f"out/v/{name}" for name in ("compare.csv", "mp.csv", "run.yaml")]
 
-    def broken(path, write):
-        if path.name == "run.yaml":
+    def broken(local, remote):
+        if remote.endswith("run.yaml"):
             raise ConnectionError("the line is dead")
-        write_file(path, write)
+        put_file(local, remote)
 
-    monkeypatch.setattr(store, "write_file", broken)
+    monkeypatch.setattr(place.fs, "put_file", broken)
     with pytest.raises(OutputError, match=r"out/v: cannot be written \(the line is dead\)"):
         store.commit(place, store.RUN, files)
     assert bucket.names() == ["out/v/compare.csv", "out/v/mp.csv"]
