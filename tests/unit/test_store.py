@@ -247,3 +247,17 @@ def test_a_mask_that_is_a_pipe_is_one_line(dlgmd, clips, tmp_path):
     os.mkfifo(tmp_path / "mask.png")
     result = dlgmd("run", clips / "loom.avi", "--mask", "mask.png")
     assert result.exit_code == 2 and result.stderr.count("Error: ") == 1
+
+
+def test_the_record_goes_first_and_comes_last(tmp_path, monkeypatch):
+    make_result([0, 1, 2]).save(tmp_path)
+    arrived, replace = [], Path.replace
+
+    def watched(self, target):
+        arrived.append((Path(target).name, (tmp_path / store.RUN).exists()))
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", watched)
+    make_result([0, 1, 3]).save(tmp_path)
+    assert arrived[-1] == (store.RUN, False) and len(arrived) == 4
+    assert not any(has_record for _, has_record in arrived)
