@@ -29,7 +29,7 @@ _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no 
 class Recording:
     """Writes the files of a result as `dlgmd run` does, a row with each answer; a context manager.
 
-    The record, run.yaml, is there from the first frame on and says ``complete: false`` until the
+    The record, run.yaml, is there from the first row on and says ``complete: false`` until the
     context ends without an exception: the rows of a killed process can be read. (After a power
     failure, the last seconds may be missing.) `mp_seq` and the summary need the whole sequence:
     they are empty until then, and stay so in recordings of more than some three hours.
@@ -80,9 +80,12 @@ class Recording:
             return
         with self._failing():
             if answer.is_of_frame and not answer.is_repeat:
-                if not self._files:
+                is_first = not self._files
+                if is_first:
                     self._begin()
                 self._write_rows(answer)
+                if is_first:  # a record without rows is not a result
+                    self._write_record(complete=False)
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record(complete=False)
 
@@ -111,7 +114,7 @@ class Recording:
             for file in self._files.values():
                 with suppress(OSError):
                     file.close()
-            if not self._n_rows:  # a record without rows is not a result
+            if not self._n_rows:
                 with suppress(OSError):
                     store.remove(self._folder, store.files_of(store.RUN))
 
@@ -123,7 +126,6 @@ class Recording:
             file = (self._folder / name).open("w", encoding="utf-8", newline="")
             self._files[name] = file
             file.write(",".join(header) + "\n")
-        self._write_record(complete=False)
 
     def _write_rows(self, answer: Answer) -> None:
         """Write a row to each file and flush it. Columns are attributes of the detection."""
