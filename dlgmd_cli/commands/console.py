@@ -216,7 +216,9 @@ def errors_as_one_line() -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise Failed(f"the output cannot be written ({reason}).") from None
-    except MemoryError:
+    except (MemoryError, SystemError):  # the latter from C code that has no memory to say why
+        if settings().debug:
+            raise
         raise Failed(_NO_MEMORY) from None
     except Exception as error:
         if settings().debug:

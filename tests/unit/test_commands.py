@@ -179,6 +179,7 @@ def test_a_full_stdout_is_one_line(word):
         ("ImportError('x.so: failed to map segment from shared object')", "not enough memory"),
         ("ImportError('x.so: cannot allocate memory in static TLS block')", "not enough memory"),
         ("MemoryError", "not enough memory"),
+        ("SystemError", "not enough memory"),
         ('RuntimeError("can\'t start new thread")', "no more threads"),
     ],
 )
