@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, Unreadable, openable
 from dlgmd_cli.video.images import pictures_at
 from dlgmd_cli.video.luma import to_grey
@@ -107,9 +108,9 @@ def survey(
     `on_frame` is called after each frame with the number of frames done. Raises Interrupted if the
     stop flag is set.
     """
-    is_video = pictures_at(Path(path)) is None
     n_gaps, pixel_range = 0, PixelRange()
     with open_video(path, decoder=decoder, input_fps=input_fps, repeats="skip") as video:
+        is_video = video.info.decoder != NAME and pictures_at(Path(path)) is None
         details = _details(Path(path)) if is_video else None
         with opencv_threads(1):
             for picture in video.pictures():

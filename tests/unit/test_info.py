@@ -154,6 +154,13 @@ def test_pictures_have_no_rate(dlgmd, pictures):
     assert any("--input-fps" in line for line in facts["advice"])
 
 
+def test_an_array_has_no_rate(dlgmd, tmp_path):
+    np.save(tmp_path / "x.npy", np.stack(panning(10)))
+    facts = facts_of(dlgmd, tmp_path / "x.npy")
+    assert facts["fps_stated"] is None and facts["codec"] == "array"
+    assert not any("'av'" in line for line in facts["advice"])
+
+
 def test_bars_and_a_display_are_proposed(dlgmd, boxes, tmp_path):
     result = dlgmd("info", boxes, "--write-mask", "mask.png")
     assert result.exit_code == 0, result.output
