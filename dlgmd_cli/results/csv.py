@@ -89,15 +89,18 @@ def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]
     write_rows(path, COMPARISON, rows())
 
 
-def read_columns(path: Path, header: tuple[str, ...]) -> dict[str, Series]:
+def read_columns(
+    path: Path, header: tuple[str, ...], *, complete: bool = True
+) -> dict[str, Series]:
     """Read the columns of a CSV of numbers, shape (n,) with n >= 1; empty cells are NaN.
 
-    Columns that an older file lacks, and those that only a newer version knows, are left out.
+    Columns that an older file lacks, and those that only a newer version knows, are left out. If
+    the file is not `complete`, its last row may be cut off, as on a full disk; it is left out, too.
 
     Raises ResultError if the file cannot be read, is another table, or does not contain frames in
     order.
     """
-    found, rows = _read(path, header)
+    found, rows = _read(path, header, complete=complete)
     return {name: one for name, one in _checked(path, found, rows).items() if name in header}
 
 
@@ -123,13 +126,17 @@ def read_rows(path: Path, mend: str = "") -> list[list[str]]:
         raise ResultError(str(path), f"cannot be read ({reason})", mend) from None
 
 
-def _read(path: Path, header: tuple[str, ...]) -> tuple[tuple[str, ...], list[list[str]]]:
+def _read(
+    path: Path, header: tuple[str, ...], *, complete: bool = True
+) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header of a table that should have `header`, and the cells of every line below it."""
     first, *rows = read_rows(path, _REMAKE) or [[]]
     found = tuple(first)
     is_whole = _NEEDED.intersection(header) <= set(found) and found[:1] == header[:1]
     if not is_whole or len(set(found)) < len(found):
         raise ResultError(str(path), f"its columns are not {','.join(header)}", _REMAKE)
+    if not complete and rows and len(rows[-1]) < len(found):
+        del rows[-1]
     for number, row in enumerate(rows, start=2):
         if len(row) != len(found):
             raise ResultError(str(path), f"line {number} does not have {len(found)} cells", _REMAKE)

@@ -323,8 +323,9 @@ def read_result(folder: str | Path) -> Result:
     require(folder / store.RUN, record, "input.fps", "input.frames")
     columns: dict[str, Series] = {}
     names = ("mp.csv", "attenuation.csv")
-    tables = [csv.read_columns(folder / name, csv.TABLES[name]) for name in names]
-    if record.get("complete") is False:
+    whole = record.get("complete") is not False
+    tables = [csv.read_columns(folder / name, csv.TABLES[name], complete=whole) for name in names]
+    if not whole:
         # 'dlgmd live' may have been killed when a row was in the first file only.
         n_rows = min(len(table["frame"]) for table in tables)
         tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]

@@ -883,6 +883,8 @@ def test_a_recording_that_cannot_be_written_ends_alone(tmp_path, monkeypatch, ca
     assert n_answers == 20 and recording.has_failed
     with open(tmp_path / "r/mp.csv", "a", encoding="ascii") as file:
         file.write("10,1,0,0,,,\n")  # as of a process that is killed between two files
+    with open(tmp_path / "r/attenuation.csv", "a", encoding="ascii") as file:
+        file.write("10,0.")  # as of a disk that is full within a row
     assert len(caplog.messages) == 1 and "No space left on device" in caplog.text
     result = read_result(tmp_path / "r")
     assert len(result) == 10 and not result.record["complete"]
