@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import re
 import shutil
@@ -13,6 +14,7 @@ from conftest import looming_frames, write_video, yaml_of
 from dlgmd_cli import cancel
 from dlgmd_cli.pool import DONE, FAILED, Outcome
 from dlgmd_cli.results import store
+from dlgmd_cli.runs import batch
 from dlgmd_cli.runs.batch import COLUMNS
 
 QUICK = ("--no-plots", "--jobs", 2)
@@ -413,6 +415,7 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
                 files = {"summary.csv": full}
         return write_files(folder, files, **options)
 
+    monkeypatch.setattr(batch, "_SHARE_OF_TIME", math.inf)  # no write is postponed
     monkeypatch.setattr(store, "write_files", refusing)
     refused = {2, 3}  # in between: it is written later
     assert "Error: 2 of 4 videos failed" in dlgmd("batch", flights, *QUICK).stderr
