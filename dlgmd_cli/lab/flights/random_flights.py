@@ -291,18 +291,16 @@ def _draw_things(rng: Rng, path: Path, manner: Manner, size_m: tuple[float, floa
         bodies = [body.moved((manner["clear_m"] + deep_m) * away) for body in bodies]
         boxes = np.array([box_of(body)[:, :2] for body in bodies])
         is_inside = (boxes[:, 0] > walls[0]).all() and (boxes[:, 1] < walls[1]).all()
-        nearest = Nearest(bodies)
-        clear_m = min(
-            nearest.distances(path.state(time).position_m, time).min()
-            for time in np.arange(0.0, path.duration_s, _SAMPLE_S)
-        )
-        if is_inside and clear_m > 0.8 * manner["clear_m"] and not _meet(bodies, found):
+        if is_inside and not _meet(bodies, found) and _is_clear(path, bodies, manner):
             found += bodies
     return found
 
 
 def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, float]) -> list[Body]:
-    """People who walk past, each in a straight line; they stop at x and |y| of `ends_m`."""
+    """People who walk past, each in a straight line; they stop at x and |y| of `ends_m`.
+
+    Those who would come too near are left out.
+    """
     found: list[Body] = []
     most = np.array(ends_m) - _OFF_WALL_M
     least = np.array([2.0 * _OFF_WALL_M, -most[1]])
@@ -331,8 +329,16 @@ def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, floa
 
         scale = rng.uniform(0.9, 1.05)
         where = placement(at.tolist(), math.degrees(angle), scale)
-        found += furniture("person", rng, where, motion=motion)
+        person = furniture("person", rng, where, motion=motion)
+        found += person if _is_clear(path, person, manner) else []
     return found
+
+
+def _is_clear(path: Path, bodies: Sequence[Body], manner: Manner) -> bool:
+    """Whether bodies always leave a path nearly the free space of a manner."""
+    nearest, times = Nearest(bodies), np.arange(0.0, path.duration_s, _SAMPLE_S).tolist()
+    found = [nearest.distances(path.state(time).position_m, time).min() for time in times]
+    return bool(min(found) > 0.8 * manner["clear_m"])
 
 
 def _meet(bodies: Sequence[Body], others: Sequence[Body]) -> bool:
