@@ -47,7 +47,7 @@ class FlightSet:
             clip = self.clip(number)
             facts = read_record(clip.paths[2])
             if facts and not _differing(clip, facts):
-                words = facts.get("target", ""), RENDERED, facts.get("manner", "")
+                words = facts.get("target") or "", RENDERED, facts.get("manner", "")
                 labels[number] = Label(clip.paths[0].name, facts["collision_frame"], *words)
         return labels
 

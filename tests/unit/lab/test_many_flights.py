@@ -141,6 +141,13 @@ def test_files_of_others_are_refused(synth):
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
+def test_a_record_without_a_target_is_a_label_without_one(synth):
+    synth(count=1)
+    record = OUT / "quick-0000.yaml"
+    record.write_text(record.read_text().replace("target: wall", "target: ~\nmanner: walk"))
+    assert synth(count=1).exit_code == 0 and labels() == HEADER + "quick-0000.mp4,,,rendered,walk\n"
+
+
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
