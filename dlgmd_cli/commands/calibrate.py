@@ -92,7 +92,7 @@ def calibrate(
     labels_path: Path,
     setup: "Setup",
     given: dict[str, Any],
-    rules: dict[str, float],
+    rules: dict[str, Any],
     folds: int,
     searched: tuple[str, ...],
     n_trials: int,
@@ -118,8 +118,7 @@ def calibrate(
     Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
     from dlgmd_cli.lab.evaluation import calibration
-    from dlgmd_cli.lab.evaluation.cases import read_cases, run_cases
-    from dlgmd_cli.lab.evaluation.report import scores_json
+    from dlgmd_cli.lab.evaluation.cases import of_kind, read_cases, run_cases
     from dlgmd_cli.lab.evaluation.search import Search, parse_range
     from dlgmd_cli.results import store
     from dlgmd_cli.runs.setup import input_options as recorded
@@ -129,17 +128,18 @@ def calibrate(
     if not name.strip(". ") or Path(name).name != name:
         raise click.UsageError(f"--name: {printable(name)!r} is not the name of a file.")
     options = recorded(setup, given)
-    wanted = calibration.Rules(rules["horizon_s"], rules["max_false_per_min"], folds)
+    wanted = calibration.Rules(**rules, folds=folds)
     ranges = dict(parse_range(text, setup.params) for text in searched)
     path = Path(out) / f"{name}.yaml"
     store.refuse_existing(path, overwrite=overwrite)
     cases = read_cases(labels_path)
+    of_kind(cases, wanted.max_false_kind)  # raises if there are none
     with ExitStack() as opened:
         opened.enter_context(store.locked(Path(out)))
         search = None
         if ranges:
             asked = {
-                "cases": [[case.name, *case.collisions] for case in cases],
+                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
                 "rules": asdict(wanted),
                 "ranges": {key: one.text() for key, one in ranges.items()},
                 "model": setup.settings(),
@@ -158,7 +158,7 @@ def calibrate(
             choices = [{"n_sp": one.n_sp, "excitation": one.threshold} for one in result.choices]
             found_out = {
                 "parameters": result.setup.settings(),
-                **{key: scores_json(one) for key, one in result.scores.items()},
+                **{key: _json(one) for key, one in result.scores.items()},
                 "folds": choices,
             }
             print_json({"preset": str(path), **found_out, "failed": evaluation.failed})
@@ -204,25 +204,39 @@ def _preset(
     n_trials: int,
 ) -> str:
     """The YAML of the preset; comments say on what it was calibrated, and how well it does."""
+    from dlgmd_cli.lab.evaluation.report import ALL
     from dlgmd_cli.results.record import yaml_text
 
-    held, rules = found.scores["held_out"], experiment.rules
+    scores, rules = found.scores, experiment.rules
+    held = scores["held_out"][ALL]
     searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
     trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
     n_folds = max(experiment.folds) + 1
+    kinds = [(kind, own) for kind, own in scores["held_out"].items() if kind != ALL]
+    limited = rules.max_false_kind
+    where = f" on videos of the kind {printable(limited)}" if limited else ""
     lines = [
         f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held['videos']} "
         f"videos, {held['collisions']} collisions, {held['minutes']:.2f} minutes.",
-        f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute; alarms "
-        f"up to {rules.horizon_s:g} s before a collision are hits.",
+        f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute{where}.",
+        f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
         f"Calibrated: kappa (LGMD: t_mp) and n_sp{trials}.",
         f"Held out ({n_folds} folds): {_sentence(held)}.",
-        f"On the same videos: {_sentence(found.scores['same_videos'])}.",
+        *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
+        f"On the same videos: {_sentence(scores['same_videos'][ALL])}.",
     ]
     settings = found.setup.settings()
     kept = {k: v for k, v in experiment.options.to_record().items() if k in _KEPT}
     document = {**settings, **({"options": kept} if kept else {})}
     return yaml_text(document, "".join(f"# {line}\n" for line in lines))
+
+
+def _json(scores: "Mapping[str, Scores]") -> dict[str, Any]:
+    """The scores of all videos, and of each kind, as JSON values."""
+    from dlgmd_cli.lab.evaluation.report import ALL, scores_json
+
+    by_kind = {kind: scores_json(one) for kind, one in scores.items() if kind != ALL}
+    return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
 
 def _sentence(scores: "Scores") -> str:
@@ -234,7 +248,7 @@ def _sentence(scores: "Scores") -> str:
 
 
 def _show(found: "Calibration", experiment: "Experiment") -> None:
-    from dlgmd_cli.lab.evaluation.report import interval_text
+    from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
     names = {
         "held_out": f"held out ({max(experiment.folds) + 1} folds)",
@@ -242,8 +256,9 @@ def _show(found: "Calibration", experiment: "Experiment") -> None:
         "before": f"before ({experiment.setup.label})",
     }
     rows = [
-        (title, *(interval_text(found.scores[key], name) for name in _SHOWN))
+        (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in _SHOWN))
         for key, title in names.items()
+        for kind, own in found.scores[key].items()
     ]
     print_table(("", "recall", "false/min", "lead s", "AUC"), rows)
     own, before = found.setup.settings(), experiment.setup.settings()

@@ -1,5 +1,6 @@
 """`dlgmd evaluate`: score how well alarms announce labelled collisions."""
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.checks import Spec
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.console import (
     Command,
@@ -20,6 +22,7 @@ from dlgmd_cli.commands.console import (
 )
 from dlgmd_cli.commands.options import (
     Output,
+    Parsed,
     engine_option,
     formulation_option,
     input_options,
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
 
 RECORD = "evaluate.yaml"
 FIGURES = ("trade-off", "leads")
+FALSE_PER_MIN = Spec(float, 0, math.inf)
 # Options that only matter when models are run.
 _NOT_WITH_RESULTS = {
     *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size", "fps"),
@@ -49,9 +53,22 @@ _NOT_WITH_RESULTS = {
 labels_argument = click.argument(
     "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
 )
+
+
+def _rate(text: str) -> tuple[float, str | None]:
+    """`1` -> (1.0, None), and `1:real` -> (1.0, "real")."""
+    rate, _, kind = text.partition(":")
+    return FALSE_PER_MIN.parse(rate, ""), kind.strip() or None
+
+
+def _rules(horizon_s: float, max_false_per_min: tuple[float, str | None]) -> dict[str, Any]:
+    rate, kind = max_false_per_min
+    return {"horizon_s": horizon_s, "max_false_per_min": rate, "max_false_kind": kind}
+
+
 rule_options = option_group(
     "rules",
-    dict,
+    _rules,
     click.option(
         "--horizon",
         "horizon_s",
@@ -63,11 +80,12 @@ rule_options = option_group(
     ),
     click.option(
         "--max-false-per-min",
-        type=numeric(),
-        default=1.0,
+        type=Parsed("F[:KIND]", _rate),
+        default="1",
         show_default=True,
-        metavar="F",
-        help="False alarms per minute that the best threshold may have.",
+        metavar="F[:KIND]",
+        help="False alarms per minute that the best threshold may have; on videos of a kind, if "
+        "one is given, as 1:real.",
     ),
 )
 
@@ -99,7 +117,7 @@ def evaluate(
     setups: "list[Setup]",
     given: dict[str, Any],
     results: Path | None,
-    rules: dict[str, float],
+    rules: dict[str, Any],
     baselines: bool,
     jobs: int | None,
     output: Output,
@@ -107,7 +125,8 @@ def evaluate(
     """Score how well alarms announce labelled collisions.
 
     LABELS.csv has the columns video (a path relative to the file), collision_frame (empty: no
-    collision) and, optionally, target. A video with several collisions has several rows.
+    collision) and, optionally, target, kind (such as rendered or real) and manner. A video with
+    several collisions has several rows.
 
     An alarm counts at the frame that raises it. Within --horizon before a collision, it is a hit,
     and its lead is the time left. Up to 3 frames after a collision, it is at contact: neither a hit
@@ -117,13 +136,15 @@ def evaluate(
 
     Each model is scored at its default threshold and at the best one: the threshold with the
     highest recall at no more than --max-false-per-min. The best threshold is chosen on the same
-    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos.
+    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos; that
+    of the false alarms is widened to the exact Poisson interval, which none at all has, too.
 
-    Writes into OUT evaluate.csv (one row per model, threshold and target), curves.csv (recall and
-    false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
+    Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
+    target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
+    and for each kind), alarms.csv (every alarm and every missed collision), figures
     of the trade-off and of the leads, and evaluate.yaml.
     """
-    from dlgmd_cli.lab.evaluation.cases import read_cases, stored_results
+    from dlgmd_cli.lab.evaluation.cases import of_kind, read_cases, stored_results
     from dlgmd_cli.lab.evaluation.report import make_report
     from dlgmd_cli.results import store
     from dlgmd_cli.results.record import record_text
@@ -131,6 +152,7 @@ def evaluate(
     if results is not None:
         _refuse_models()
     cases = read_cases(labels_path)
+    of_kind(cases, rules["max_false_kind"])  # raises if there are none
     click.get_current_context().with_resource(store.locked(output.out))
     names = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
     for name in ("evaluate.csv", "curves.csv", "alarms.csv", *names, RECORD):
@@ -237,17 +259,21 @@ def _described(one: "Candidate") -> dict[str, Any]:
     return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}
 
 
-def _figures(report: "Report", rules: dict[str, float], output: Output) -> "Mapping[str, Write]":
-    from dlgmd_cli.lab.evaluation.report import DEFAULT
+def _figures(report: "Report", rules: dict[str, Any], output: Output) -> "Mapping[str, Write]":
+    from dlgmd_cli.lab.evaluation.report import ALL, DEFAULT
     from dlgmd_cli.lab.plots.evaluation import leads, trade_off
     from dlgmd_cli.plots.style import figure_files
 
-    curves = {label: (one.false_alarms_per_min, one.recall) for label, one in report.curves.items()}
-    points = {}
-    for label in curves:
-        row = report.row(label, DEFAULT)
-        if row is not None:
-            points[label] = row["false_alarms_per_min"], row["recall"]
+    curves, points = {}, {}
+    for label, own in report.curves.items():
+        for kind, one in own.items():
+            title = label if kind == ALL else f"{label}, {kind}"
+            if not report.main(label, kind=kind)["collisions"] and kind != ALL:
+                continue  # nothing to announce
+            curves[title] = one.false_alarms_per_min, one.recall
+            row = report.row(label, DEFAULT, kind=kind)
+            if row is not None:
+                points[title] = row["false_alarms_per_min"], row["recall"]
     most, horizon_s, width = rules["max_false_per_min"], rules["horizon_s"], output.width
     figures = {
         "evaluate-trade-off": partial(trade_off, curves, points, most, width),
@@ -257,37 +283,44 @@ def _figures(report: "Report", rules: dict[str, float], output: Output) -> "Mapp
 
 
 def _show(report: "Report") -> None:
-    """Print the tables: all videos, then hits and false alarms by target."""
+    """Print the tables: all videos and each kind, then hits and false alarms by group."""
     from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
-    header = ("model", "threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
+    header = ("threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
     names = ("recall", "false_alarms_per_min", "precision", "lead_s", "auc")
+    kinds = report.names("kind")
     rows = [
         (
             row["model"],
+            *((row["kind"],) if kinds else ()),
             f"{row['at']} {row['threshold']:.4g}",
             *(interval_text(row, name) for name in names),
             str(row["at_contact"]),
         )
         for row in report.rows
-        if row["target"] == ALL
+        if row["target"] == row["manner"] == ALL
     ]
-    print_table(header, rows)
+    print_table(("model", *(("kind",) if kinds else ()), *header), rows)
     first = report.rows[0]
     click.echo(
         f"{first['videos']} videos, {first['collisions']} collisions, {first['minutes']:.2f} "
         "minutes before contact or the end."
     )
-    if not report.targets:
-        return
+    for word in ("target", "manner"):
+        _show_groups(report, word)
+
+
+def _show_groups(report: "Report", word: str) -> None:
+    """Print the hits and false alarms by target or manner, if there are any."""
     lines = []
-    for target in report.targets:
-        mains = [report.main(label, target) for label in report.curves]
+    for name in report.names(word):
+        mains = [report.main(label, **{word: name}) for label in report.curves]
         cells = [
             f"{'{hits}/{collisions}'.format(**row) if row['collisions'] else '–'}, "
             f"{row['false_alarms_per_min']:.1f}"
             for row in mains
         ]
-        lines.append((target, str(mains[0]["videos"]), *cells))
-    click.echo("Collisions announced, and false alarms per minute, by target:")
-    print_table(("target", "videos", *report.curves), lines)
+        lines.append((name, str(mains[0]["videos"]), *cells))
+    if lines:
+        click.echo(f"Collisions announced, and false alarms per minute, by {word}:")
+        print_table((word, "videos", *report.curves), lines)

@@ -151,6 +151,11 @@ def synth(
 
     With --count, writes DIR/SCENE-0000.mp4 and so on, and DIR/labels.csv. Flights that already
     exist are kept: after an interruption, run the same command again to continue.
+
+    Half of the flights of 'random' hit something. The others are as hard as real footage. Column
+    manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, turns, close
+    (past things), low (over tiles and lines), people (who walk past), light (shadows and exposure)
+    or walk (a camera in the hand).
     """
     if count is None and jobs is not None:
         raise click.UsageError("--jobs works only with --count. Add it.")

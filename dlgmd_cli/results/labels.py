@@ -8,9 +8,9 @@ from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.csv import read_rows, text_cell, write_rows
 
 LABELS = "labels.csv"
-COLUMNS = ("video", "collision_frame", "target")
-# The required columns.
-_NEEDED = COLUMNS[:2]
+COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
+# The columns that are required, and those of words, which may be missing or empty.
+_NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,15 @@ class Label:
 
     `video` is the path of the video or folder of pictures, relative to the table.
     `collision_frame` is the first frame at or after the collision; None if there is none. `target`
-    is the object that is hit or approached; empty if unknown.
+    is the object that is hit or approached, `kind` the kind of footage, such as `rendered` or
+    `real`, and `manner` how it was flown; empty if unknown.
     """
 
     video: str
     collision_frame: int | None = None
     target: str = ""
+    kind: str = ""
+    manner: str = ""
 
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
@@ -33,7 +36,7 @@ def write_labels(path: Path, labels: Iterable[Label]) -> None:
         [
             text_cell(one.video),
             "" if one.collision_frame is None else str(one.collision_frame),
-            text_cell(one.target),
+            *(text_cell(getattr(one, word)) for word in WORDS),
         ]
         for one in labels
     )
@@ -60,11 +63,11 @@ def read_labels(path: Path) -> list[Label]:
 def _label(path: Path, number: int, row: dict[str, str]) -> Label:
     video, frame = row.get("video", ""), row.get("collision_frame")
     if video and frame is not None:
-        target = row.get("target", "").strip()
+        words = (row.get(word, "").strip() for word in WORDS)
         if not frame:
-            return Label(video, None, target)
+            return Label(video, None, *words)
         if frame.isascii() and frame.isdigit() and len(frame) <= 9:
-            return Label(video, int(frame), target)
+            return Label(video, int(frame), *words)
     why = f"line {number} is not a label"
     mend = "Write a video and the number of a frame, or nothing after the comma."
     raise ResultError(str(path), why, mend)

@@ -178,6 +178,7 @@ _Kind = Callable[[Any], bool] | dict[str, Any] | list[Any]
 # or are parameters, which the model's class checks.
 _KINDS: dict[str, _Kind] = {
     **dict.fromkeys(("model", "preset", "engine", "label", "scene", "codec", "sheet"), _is_text),
+    "manner": _is_text,
     **dict.fromkeys(("schema", "set", "seed"), _is_whole),
     **dict.fromkeys(("width", "height"), _is_side),
     **dict.fromkeys(("width_px", "model_fps"), _is_rate),

@@ -224,14 +224,17 @@ def test_numbers_read_back_as_float32():
 
 
 def test_labels(tmp_path):
-    labels = [Label("a.mp4", 12, "wall"), Label("b/c.mp4"), Label("-d.mp4", 0), Label("a.mp4", 40)]
+    labels = [Label("a.mp4", 12, "wall"), Label("b/c.mp4"), Label("-d.mp4", 0)]
+    labels.append(Label("a.mp4", 40, "", "real", "walk"))
     write_labels(tmp_path / "labels.csv", labels)
-    assert (tmp_path / "labels.csv").read_text().splitlines()[0] == "video,collision_frame,target"
+    header = (tmp_path / "labels.csv").read_text().splitlines()[0]
+    assert header == "video,collision_frame,target,kind,manner"
     assert read_labels(tmp_path / "labels.csv") == [*labels[:2], Label("./-d.mp4", 0), labels[3]]
     # As a spreadsheet may write it: a byte order mark, other columns, another order.
-    text = "\ufeffnote,collision_frame,video\nat night,7,a.mp4\n,,b.mp4\n"
+    text = "\ufeffnote,kind,collision_frame,video\nat night,real,7,a.mp4\n,,,b.mp4\n"
     (tmp_path / "labels.csv").write_text(text, encoding="utf-8")
-    assert read_labels(tmp_path / "labels.csv") == [Label("a.mp4", 7), Label("b.mp4")]
+    found = [Label("a.mp4", 7, kind="real"), Label("b.mp4")]
+    assert read_labels(tmp_path / "labels.csv") == found
     for text, why in (
         ("\ufeff".encode("utf-16"), "not a CSV file"),
         (b"video\na.mp4\n", "no labels"),

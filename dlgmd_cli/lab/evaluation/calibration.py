@@ -5,7 +5,7 @@ by cross-validation: the videos are split into folds, and each fold is scored wi
 does best on the others. The preset has the choice that does best on all videos.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError
-from dlgmd_cli.lab.evaluation.cases import Case, run_cases, signal_of, strength_at
+from dlgmd_cli.lab.evaluation.cases import Case, of_kind, run_cases, signal_of, strength_at
+from dlgmd_cli.lab.evaluation.report import ALL, groups
 from dlgmd_cli.lab.evaluation.scoring import Scores, Signal, Tally, curve, score, tally, thresholds
 from dlgmd_cli.models.detection import Flags, absolute
 from dlgmd_cli.parameters import Parameters
@@ -59,6 +60,8 @@ class Rules:
         An alarm up to so many seconds before a collision announces it.
     max_false_per_min : float
         Allowed rate of false alarms.
+    max_false_kind : str or None
+        Kind of the videos on which it is allowed; None for all.
     folds : int
         Number of folds of the cross-validation.
     seed : int
@@ -67,6 +70,7 @@ class Rules:
 
     horizon_s: float = 1.0
     max_false_per_min: float = 1.0
+    max_false_kind: str | None = None
     folds: int = 5
     seed: int = 0
 
@@ -84,7 +88,12 @@ class Experiment:
     @cached_property
     def folds(self) -> list[int]:
         """The fold of each video."""
-        return fold_of([bool(case.collisions) for case in self.cases], self.rules)
+        return fold_of([(bool(case.collisions), case.kind) for case in self.cases], self.rules)
+
+    @cached_property
+    def counted(self) -> Flags:
+        """The videos on which the rate of false alarms is limited."""
+        return of_kind(self.cases, self.rules.max_false_kind)
 
     def signals(self, setup: Setup) -> list[Signal]:
         """Run a setup over all videos; returns their signals."""
@@ -97,7 +106,7 @@ class Experiment:
 
     def choose(self, setup: Setup) -> Choices:
         """Run a setup over all videos, and choose its thresholds."""
-        return choose(self.signals(setup), self.folds, self.rules)
+        return choose(self.signals(setup), self.folds, self.rules, self.counted)
 
 
 @dataclass(frozen=True)
@@ -110,14 +119,15 @@ class Calibration:
         The model with the parameters that do best on all videos.
     choices : tuple of Choice
         For each fold, the choice made without it.
-    scores : dict of str to Scores
-        `held_out`: each fold with the choice made without it. `same_videos`: the final parameters
-        on the videos that they were chosen on. `before`: the original parameters.
+    scores : dict of str to dict of str to Scores
+        On `all` videos and on each kind. `held_out`: each fold with the choice made without it.
+        `same_videos`: the final parameters on the videos that they were chosen on. `before`: the
+        original parameters.
     """
 
     setup: Setup
     choices: Choices
-    scores: dict[str, Scores]
+    scores: dict[str, dict[str, Scores]]
 
 
 def calibrate(
@@ -129,7 +139,7 @@ def calibrate(
     signals of the original model.
     """
     rules, folds, old = experiment.rules, experiment.folds, experiment.setup.params
-    trials = trials or [Trial({}, choose(before, folds, rules))]
+    trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted))]
     best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
     setups, signals = {}, {str({}): list(before)}
     for one in (best, *winners):
@@ -141,12 +151,20 @@ def calibrate(
     choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
     own, final = signals[str(best.values)], setups[str(best.values)]
     at = strength_at(old.t_mp, old.kappa)
-    scores = {
-        "held_out": score_held_out(
+    tallies = {
+        "held_out": tally_held_out(
             [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
         ),
-        "same_videos": score([tally_of(one, overall, rules.horizon_s) for one in own]),
-        "before": score([tally(one, old.n_sp, at, rules.horizon_s) for one in before]),
+        "same_videos": [tally_of(one, overall, rules.horizon_s) for one in own],
+        "before": [tally(one, old.n_sp, at, rules.horizon_s) for one in before],
+    }
+    scores = {
+        name: {
+            group: score([found[i] for i in members])
+            for (word, group), members in groups(experiment.cases).items()
+            if word == "kind" or group == ALL
+        }
+        for name, found in tallies.items()
     }
     return Calibration(replace(final, params=with_choice(final.params, overall)), choices, scores)
 
@@ -164,22 +182,25 @@ def best_trial(trials: Sequence[Trial], number: int = 0) -> Trial:
     return max(trials, key=lambda trial: trial.found[number].rank)
 
 
-def fold_of(has_collision: Sequence[bool], rules: Rules) -> list[int]:
-    """The fold of each video; videos with and without a collision are spread evenly."""
+def fold_of(sorts: Sequence[Hashable], rules: Rules) -> list[int]:
+    """The fold of each video; those of a sort (with or without a collision) are spread evenly."""
     rng, n_dealt = np.random.default_rng(rules.seed), 0
-    found = np.zeros(len(has_collision), int)
-    n_folds = min(rules.folds, len(has_collision))
-    for kind in (True, False):
-        members = rng.permutation(np.flatnonzero(np.asarray(has_collision) == kind))
+    found = np.zeros(len(sorts), int)
+    n_folds = min(rules.folds, len(sorts))
+    for sort in sorted({*sorts}, reverse=True):  # type: ignore[type-var]
+        members = rng.permutation([i for i, own in enumerate(sorts) if own == sort])
         found[members] = (n_dealt + np.arange(len(members))) % n_folds
         n_dealt += len(members)
     return [int(one) for one in found]
 
 
-def choose(signals: Sequence[Signal], folds: Sequence[int], rules: Rules) -> Choices:
+def choose(
+    signals: Sequence[Signal], folds: Sequence[int], rules: Rules, counted: Flags | None = None
+) -> Choices:
     """Make the best choice on all signals, and for each fold on all others.
 
-    Of equal choices, that with the fewest spikes.
+    Of equal choices, that with the fewest spikes. `counted`, (videos,) bool, tells the videos on
+    which false alarms are limited.
     """
     tables = {}
     for n_sp in N_SP:
@@ -189,7 +210,8 @@ def choose(signals: Sequence[Signal], folds: Sequence[int], rules: Rules) -> Cho
     def best(chosen: Flags) -> Choice:
         found = []
         for n_sp, (at, tallies) in tables.items():
-            one = curve([tallies[i] for i in np.flatnonzero(chosen)], at)
+            own = None if counted is None else counted[chosen]
+            one = curve([tallies[i] for i in np.flatnonzero(chosen)], at, own)
             place = one.best(rules.max_false_per_min)
             found.append(Choice(n_sp, float(at[place]), one.rank(place)))
         return max(found, key=lambda one: (one.rank, -one.n_sp))
@@ -198,18 +220,18 @@ def choose(signals: Sequence[Signal], folds: Sequence[int], rules: Rules) -> Cho
     return best(own >= 0), *(best(own != fold) for fold in range(max(folds) + 1))
 
 
-def score_held_out(
+def tally_held_out(
     signals: Sequence[Sequence[Signal]],
     folds: Sequence[int],
     choices: Choices,
     horizon_s: float,
-) -> Scores:
-    """Score each fold with the choice that was made without it.
+) -> list[Tally]:
+    """Count the alarms of each fold with the choice that was made without it.
 
     `signals` has, for each fold, the signals of all videos with the parameters chosen without it.
     """
     by_video = enumerate(folds)
-    return score([tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in by_video])
+    return [tally_of(signals[fold][i], choices[fold], horizon_s) for i, fold in by_video]
 
 
 def tally_of(signal: Signal, choice: Choice, horizon_s: float) -> Tally:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
+from dlgmd_cli.checks import shown
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, SourceError
 from dlgmd_cli.lab.evaluation.scoring import CONTACT_FRAMES, Signal
 from dlgmd_cli.models.detection import Flags, Series, absolute
 from dlgmd_cli.parameters import FlowDivergenceParameters, Parameters
@@ -42,12 +43,16 @@ class Case:
         The frames of its collisions, increasing; empty if there is none.
     targets : tuple of str
         The target of each label, in the order of the collisions.
+    kind, manner : str
+        The kind of footage, and how it was flown, see `Label`.
     """
 
     name: str
     path: str
     collisions: tuple[int, ...]
     targets: tuple[str, ...]
+    kind: str = ""
+    manner: str = ""
 
     def of_target(self, wanted: Collection[str]) -> Flags:
         """Which collisions are with one of these targets."""
@@ -77,7 +82,22 @@ def _case(path: Path, video: str, labels: Sequence[Label]) -> Case:
     ordered = sorted(labels, key=lambda one: one.collision_frame or 0)
     collisions = tuple(one.collision_frame for one in ordered if one.collision_frame is not None)
     where = str(path.parent / video)
-    return Case(video, where, collisions, tuple(one.target for one in ordered))
+    targets = tuple(one.target for one in ordered)
+    return Case(video, where, collisions, targets, ordered[0].kind, ordered[0].manner)
+
+
+def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
+    """Which videos are of a kind; all of them for None. Raises ParameterError if none is."""
+    if kind is None:
+        return np.ones(len(cases), np.bool_)
+    kinds = {case.kind for case in cases} - {""}
+    if kind not in kinds:
+        mend = (
+            f"Choose from {', '.join(sorted(kinds))}." if kinds else "Add the column kind to them."
+        )
+        why = f"no video in the labels is of the kind {shown(kind)}"
+        raise ParameterError("Invalid value for '--max-false-per-min'", why, mend)
+    return np.array([case.kind == kind for case in cases], np.bool_)
 
 
 @dataclass

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.lab.evaluation.cases import Case, Evaluation
+from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, of_kind
 from dlgmd_cli.lab.evaluation.scoring import (
     COUNTS,
     HIT,
@@ -28,49 +28,59 @@ from dlgmd_cli.results.store import Write
 
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 DEFAULT, BEST = "default", "best"
-# The words in a row of scores.
-_WORDS = ("model", "at", "target")
-CURVE_COLUMNS = ("model", "threshold", "excitation", "recall", "false_alarms_per_min", "lead_s")
+# By what the videos are grouped, and the words in a row of scores.
+GROUPED = ("target", "kind", "manner")
+_WORDS = ("model", "at", *GROUPED)
+CURVE_COLUMNS = (
+    "model",
+    "kind",
+    "threshold",
+    "excitation",
+    "recall",
+    "false_alarms_per_min",
+    "lead_s",
+)
 ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 
 
 # The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
 # `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
 # allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
-# a target's name. `threshold` is that of the normalised potential, `excitation` that of the mean
+# a target's name. `kind` and `manner`: `all`, or those of the labels; only one of the three is not
+# `all`. `threshold` is that of the normalised potential, `excitation` that of the mean
 # excitation; the other columns are those of `score`.
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Report:
-    """All rows, those of target `all` first, and the curve and the leads of each candidate.
+    """All rows, those of all videos first, and the curves and the leads of each candidate.
 
-    The leads, in seconds, are those at the default threshold, or, for a baseline, at the best one;
-    NaN for collisions that are not announced.
+    It has a curve for `all` videos and for each kind. The leads, in seconds, are those at the
+    default threshold, or, for a baseline, at the best one; NaN for collisions that are not
+    announced.
     """
 
     evaluation: Evaluation
     horizon_s: float
     rows: list[Row]
-    curves: dict[str, Curve]
+    curves: dict[str, dict[str, Curve]]
     leads_s: dict[str, Series]
 
-    def row(self, label: str, at: str, target: str = ALL) -> Row | None:
-        """The row of a candidate, threshold and target, or None."""
-        asked = label, at, target
-        return next((r for r in self.rows if tuple(r[word] for word in _WORDS) == asked), None)
+    def row(self, label: str, at: str, **group: str) -> Row | None:
+        """The row of a candidate and threshold, of all videos or of a group, or None."""
+        asked = {"model": label, "at": at, **dict.fromkeys(GROUPED, ALL), **group}
+        return next((r for r in self.rows if all(r[word] == asked[word] for word in _WORDS)), None)
 
-    def main(self, label: str, target: str = ALL) -> Row:
+    def main(self, label: str, **group: str) -> Row:
         """The row at the default threshold, or, for a baseline, at the best one."""
-        found = self.row(label, DEFAULT, target) or self.row(label, BEST, target)
+        found = self.row(label, DEFAULT, **group) or self.row(label, BEST, **group)
         assert found is not None
         return found
 
-    @property
-    def targets(self) -> list[str]:
-        """The groups of targets but `all`, in the order of the rows."""
-        return list(dict.fromkeys(row["target"] for row in self.rows if row["target"] != ALL))
+    def names(self, word: str) -> list[str]:
+        """The groups by target, kind or manner but `all`, in the order of the rows."""
+        return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
 
     def counts(self) -> dict[str, Any]:
         """Numbers of videos, collisions and minutes, and the videos that failed."""
@@ -96,13 +106,15 @@ class Report:
 
     def _curve_rows(self) -> Iterator[list[str]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""
-        for label, found in self.curves.items():
+        every = [(label, *one) for label, own in self.curves.items() for one in own.items()]
+        for label, kind, found in every:
             columns = np.stack([found.recall, found.false_alarms_per_min, found.lead_s])
             changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
             for i in np.flatnonzero(np.concatenate(([True], changes))):
                 strength = float(found.threshold[i])
                 level = self.evaluation.candidates[label].level(strength)
-                yield [text_cell(label), *map(cell, [level, strength, *columns[:, i]])]
+                words = text_cell(label), text_cell(kind)
+                yield [*words, *map(cell, [level, strength, *columns[:, i]])]
 
     def _alarm_rows(self) -> Iterator[list[str]]:
         """The rows of alarms.csv: every alarm that is not ignored, and every missed collision."""
@@ -143,51 +155,83 @@ class Report:
             if best is not None and best is not row:
                 found[label]["best"] = facts(best)
             found[label]["recall_by_target"] = {
-                target: defined(self.main(label, target)["recall"])
-                for target in sorted(self.targets)
+                target: defined(self.main(label, target=target)["recall"])
+                for target in sorted(self.names("target"))
             }
+            for word in ("kind", "manner"):
+                found[label][f"by_{word}"] = {
+                    name: scores_json(self.main(label, **{word: name})) for name in self.names(word)
+                }
         return found
 
 
-def groups(cases: Sequence[Case]) -> dict[str, dict[int, Flags]]:
-    """For each group of targets, its videos by number, and flags of the collisions in the group."""
+def groups(cases: Sequence[Case]) -> dict[tuple[str, str], dict[int, Flags]]:
+    """For each group, its videos by number, and flags of the collisions in the group.
+
+    The keys are by what the videos are grouped, and the group's name: `all` first, then the groups
+    of targets, kinds and manners. A kind or manner that all videos have is no group.
+    """
     every = {target for case in cases for target in case.targets}
     chosen = {ALL: every}
     if WALL in every and every - {WALL, ""}:
         chosen[WITHOUT_WALLS] = every - {WALL}
     chosen |= {target: {target} for target in sorted(every - {""})}
-    return {
-        name: {
+    found = {
+        ("target", name): {
             i: case.of_target(targets)
             for i, case in enumerate(cases)
             if targets.intersection(case.targets)
         }
         for name, targets in chosen.items()
     }
+    for word in ("kind", "manner"):
+        names = [getattr(case, word) for case in cases]
+        for name in sorted({*names} - {""}) if len({*names}) > 1 else ():
+            found[word, name] = {
+                i: np.ones(len(cases[i].collisions), np.bool_)
+                for i, own in enumerate(names)
+                if own == name
+            }
+    return found
 
 
-def make_report(evaluation: Evaluation, horizon_s: float, max_false_per_min: float) -> Report:
-    """Score every candidate of an evaluation, which has at least one video."""
+def make_report(
+    evaluation: Evaluation,
+    horizon_s: float,
+    max_false_per_min: float,
+    max_false_kind: str | None = None,
+) -> Report:
+    """Score every candidate of an evaluation, which has at least one video.
+
+    The allowed rate of false alarms is that on all videos, or on those of one kind; raises
+    ParameterError if there are none.
+    """
     rows: list[Row] = []
-    curves: dict[str, Curve] = {}
+    curves: dict[str, dict[str, Curve]] = {}
     leads_s: dict[str, Series] = {}
-    members = groups(evaluation.cases)
+    members, counted = groups(evaluation.cases), of_kind(evaluation.cases, max_false_kind)
     for label, candidate in evaluation.candidates.items():
         signals, n_sp = evaluation.signals(label), candidate.n_sp
         levels = thresholds(signals, n_sp, horizon_s)
-        curves[label] = curve([tally(one, n_sp, levels, horizon_s) for one in signals], levels)
-        best = float(levels[curves[label].best(max_false_per_min)])
+        every = [tally(one, n_sp, levels, horizon_s) for one in signals]
+        curves[label] = {
+            name: curve([every[i] for i in own], levels)
+            for (word, name), own in members.items()
+            if word == "kind" or name == ALL
+        }
+        best = float(levels[curve(every, levels, counted).best(max_false_per_min)])
         at = {BEST: (candidate.level(best), best)}
         if candidate.threshold is not None:
             at = {DEFAULT: candidate.threshold, **at}
         for name, (level, strength) in at.items():
             tallies = [tally(one, n_sp, strength, horizon_s) for one in signals]
             leads_s.setdefault(label, np.concatenate([one.lead_s[:, 0] for one in tallies]))
-            for target, wanted in members.items():
+            for (word, group), wanted in members.items():
                 chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
-                own = {"model": label, "at": name, "target": target, "threshold": level}
-                rows.append({**own, "excitation": strength, "n_sp": n_sp, **score(chosen)})
-    rows.sort(key=lambda row: row["target"] != ALL)
+                own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
+                at_level = {"threshold": level, "excitation": strength, "n_sp": n_sp}
+                rows.append({**own, **at_level, **score(chosen)})
+    rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
     return Report(evaluation, horizon_s, rows, curves, leads_s)
 
 

@@ -11,6 +11,7 @@ An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of
 The minutes end at the first collision, or with the video: after a collision no alarm is false.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ FALSE, EARLY, HIT, AT_CONTACT, IGNORED = range(5)
 KINDS = ("false", "early", "hit", "contact", "ignored")
 # Bootstrap resamples of the videos, and the confidence level of the intervals.
 N_RESAMPLES, CONFIDENCE = 1000, 0.95
+_N_HALVINGS = 60
 # Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
 # alarms are few, and each counts.
 MAX_THRESHOLDS = 4000
@@ -284,12 +286,16 @@ def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_
     return np.unique(np.concatenate((edges[:1], (edges[1:] + edges[:-1]) / 2, [top])))
 
 
-def curve(tallies: Sequence[Tally], at: Series) -> Curve:
-    """The curve of videos that were tallied at the same thresholds."""
+def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) -> Curve:
+    """The curve of videos that were tallied at the same thresholds.
+
+    With `counted`, (videos,) bool, the rate of false alarms is that of these videos alone.
+    """
     leads_s = np.concatenate([one.lead_s for one in tallies])
-    n_false = np.sum([one.n_false for one in tallies], axis=0)
     recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
-    minutes = sum(one.minutes for one in tallies)
+    own = [one for i, one in enumerate(tallies) if counted is None or counted[i]]
+    n_false = np.sum([one.n_false for one in own], axis=0) + np.zeros(len(at))
+    minutes = sum(one.minutes for one in own)
     return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), _medians(leads_s))
 
 
@@ -317,6 +323,13 @@ def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
         probability that the peak strength before a collision exceeds one elsewhere, see
         `peaks`. Each is followed by its bounds, `recall_low` and `recall_high`, from
         `N_RESAMPLES` resamples of the videos. NaN where undefined.
+
+    Notes
+    -----
+    The bounds of the false alarms are the wider ones of those resamples and of the exact Poisson
+    interval, `poisson_interval`. False alarms come in bunches: most are in a few videos, which only
+    resampling of videos shows. But it gives 0 to 0 where no video has any, and is too narrow for
+    few videos; the Poisson interval is right there, since a rare alarm is one of a kind.
     """
     n = len(tallies)
     leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
@@ -337,7 +350,37 @@ def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
     for name, drawn in values.items():
         found[name] = float(drawn[0])
         found[f"{name}_low"], found[f"{name}_high"] = _interval(drawn)
+    if minutes > 0.0:
+        low, high = (bound / minutes for bound in poisson_interval(int(n_false)))
+        rate = "false_alarms_per_min"
+        found[f"{rate}_low"] = min(low, found[f"{rate}_low"])
+        found[f"{rate}_high"] = max(high, found[f"{rate}_high"])
     return found
+
+
+def poisson_interval(count: int) -> tuple[float, float]:
+    """The exact (Garwood) interval of the mean of a Poisson variable that was `count`.
+
+    At each bound, a count as far away as this one, or farther, has half of the probability that the
+    confidence level leaves.
+    """
+    factorials = np.array([math.lgamma(k + 1.0) for k in range(count + 1)])
+
+    def at_most(most: int, mean: float) -> float:
+        """Probability of at most `most`."""
+        k = np.arange(most + 1)
+        return float(np.exp(k * math.log(mean) - mean - factorials[: most + 1]).sum())
+
+    def mean_of(most: int, probability: float) -> float:
+        """The mean at which `at_most` falls to a probability."""
+        low, high = 0.0, 2.0 * count + 20.0
+        for _ in range(_N_HALVINGS):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
+        return (low + high) / 2.0
+
+    tail = (1.0 - CONFIDENCE) / 2.0
+    return (mean_of(count - 1, 1.0 - tail) if count else 0.0), mean_of(count, tail)
 
 
 def _measured(

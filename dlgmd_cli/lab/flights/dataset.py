@@ -14,6 +14,9 @@ from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.store import refuse_existing, write_files
 
+# The kind of footage in the labels.
+RENDERED = "rendered"
+
 
 @dataclass(frozen=True)
 class FlightSet:
@@ -44,8 +47,8 @@ class FlightSet:
             clip = self.clip(number)
             facts = read_record(clip.paths[2])
             if facts and not _differing(clip, facts):
-                frame, target = facts["collision_frame"], facts.get("target", "")
-                labels[number] = Label(clip.paths[0].name, frame, target)
+                words = facts.get("target") or "", RENDERED, facts.get("manner", "")
+                labels[number] = Label(clip.paths[0].name, facts["collision_frame"], *words)
         return labels
 
     def check(self, missing: Iterable[int], *, overwrite: bool) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dlgmd_cli.lab.flights.camera import Camera, FloatArray, FloatImage, Pose
-from dlgmd_cli.lab.flights.solids import IntArray, Outline, Surfaces, Window, World
+from dlgmd_cli.lab.flights.solids import IntArray, Outline, Shade, Surfaces, Window, World
 from dlgmd_cli.lab.flights.visibility import PaintOrder, visible_outlines
 
 # Rounding tolerance for the height of a window.
@@ -117,7 +117,7 @@ class Renderer:
 
     def __init__(self, world: World, camera: Camera) -> None:
         self.world, self.camera = world, camera
-        self._surfaces = Surfaces([*world.bodies, world.room])
+        self._surfaces = Surfaces([*world.bodies, world.room, *world.shadows])
         self._order = PaintOrder(world.bodies)
 
     def render(
@@ -133,10 +133,11 @@ class Renderer:
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
         seen = visible_outlines(self._surfaces, self.camera, pose, offsets)
-        room = seen.pop(len(self.world.bodies), [])
+        # The room, and the shadows on it.
+        behind = [seen.pop(index) for index in sorted(seen) if index >= len(self.world.bodies)]
         extents = {index: _extent(each) for index, each in seen.items()}
         order = self._order.back_to_front(pose.position_m, extents)
-        painted = [room, *(seen[index] for index in order)]
+        painted = [*behind, *(seen[index] for index in order)]
         picture = _paint(painted, self.camera, rows or (0, self.camera.shape[0]))
         light = self.world.light(time_s)
         if light != 1.0:
@@ -165,12 +166,15 @@ def _paint(
                 x, y, x_end, y_end = window
                 texture = outline.sample(window, camera.focal_px)
                 texture *= np.float32(outline.gain)
+                was = before[y - top : y_end - top, x - left : x_end - left]
+                if isinstance(outline.texture, Shade):
+                    texture *= was
                 share = coverage.share(index, window)
                 target = picture[y:y_end, x:x_end]
                 if share is None:
                     target[...] = texture
                     continue
-                texture -= before[y - top : y_end - top, x - left : x_end - left]
+                texture -= was
                 texture *= share
                 target += texture
         first += len(outlines)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,8 @@ from dlgmd_cli.lab.flights.solids import Solid, World
 REACH_M = 0.1
 # Tolerance for rounding in times.
 _SAME_S = 1e-9
+# Waves in the shake of a camera about each axis.
+_N_WAVES = 8
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,52 @@ class Path:
         return self.state(time_s).pose
 
 
+def shaken(
+    path: Path,
+    rng: np.random.Generator,
+    *,
+    shake_deg_s: float,
+    shake_hz: tuple[float, float],
+    bob_m: float = 0.0,
+    step_hz: float = 0.0,
+) -> Path:
+    """The path of a camera that shakes, and bobs with the steps of who carries it.
+
+    Parameters
+    ----------
+    path : Path
+        The path of what carries the camera.
+    rng : Generator
+        Draws the frequencies and phases. The same ones shake a flight with and without contact in
+        the same way.
+    shake_deg_s : float
+        Root mean square of the added rate of roll, pitch and yaw. Each is a sum of sine waves with
+        equal amplitudes of the rate.
+    shake_hz : (float, float)
+        Lowest and highest frequency of the waves, in Hz.
+    bob_m : float
+        Amplitude of the height, at `step_hz` steps per second, and half of it sideways, along y, at
+        half of the frequency.
+    """
+    low, high = shake_hz
+    pulses = 2.0 * np.pi * low * (high / low) ** rng.random((_N_WAVES, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, (_N_WAVES, 3))
+    rate = math.radians(shake_deg_s) * math.sqrt(2.0 / _N_WAVES)
+    step = 2.0 * np.pi * step_hz
+    stretches = []
+    for stretch in path.stretches:
+        times = stretch.start_s + stretch.step_s * np.arange(len(stretch.samples))
+        samples = stretch.samples.copy()
+        for axis, amplitude, pulse in ((1, bob_m / 2.0, step / 2.0), (2, bob_m, step)):
+            samples[:, axis] += amplitude * np.sin(pulse * times)
+            samples[:, 3 + axis] += amplitude * pulse * np.cos(pulse * times)
+        waves = times[:, None, None] * pulses + phases
+        samples[:, 6:9] += (rate / pulses * np.sin(waves)).sum(axis=1)
+        samples[:, 9:] += rate * np.cos(waves).sum(axis=1)
+        stretches.append(replace(stretch, samples=samples))
+    return replace(path, stretches=tuple(stretches))
+
+
 @dataclass(frozen=True)
 class Stage:
     """A world, and a flight through it.
@@ -132,6 +180,8 @@ class Stage:
         Duration of the filmed part of the flight.
     agile : bool
         Whether the drone follows commands at once; see `fly`.
+    manner : str
+        How a random flight is flown, see `manners.yaml`.
     """
 
     world: World
@@ -141,3 +191,4 @@ class Stage:
     duration_s: float
     agile: bool = False
     wall: Solid | None = None
+    manner: str = ""

@@ -15,7 +15,7 @@ import numpy as np
 from dlgmd_cli.lab.flights import textures
 from dlgmd_cli.lab.flights.camera import FloatArray, FloatImage
 from dlgmd_cli.lab.flights.furniture import catalogue, furniture_at_wall, placement
-from dlgmd_cli.lab.flights.solids import Body, Face, Solid, Texture, World, quad
+from dlgmd_cli.lab.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
 from dlgmd_cli.lab.flights.textures import Rng, reflectance
 
 Size3 = tuple[float, float, float]
@@ -34,6 +34,7 @@ _LITTLE = ("window", "door", "cupboard", "poster", "stools", "window", "poster",
 _END = ("bookcase", "poster", "cupboard", "door", "cartons", "poster")
 _FLAT = ("poster", "door", "window")
 _SPACE_M = 0.02  # least distance between two pieces
+_OFF_WALL_M = 0.005  # distance of a shadow from its wall
 _AXES = np.vstack([np.eye(3), -np.eye(3)])
 # Shadows: resolution, share of the light lost at the point of contact, decay with distance, and
 # range.
@@ -132,8 +133,8 @@ def room(
 ) -> Solid:
     """Walls, floor and ceiling, with soft shadows of `bodies`.
 
-    `wall` is plaster or brick, `floor` is parquet or carpet, and `lamps` is the number of lamps
-    along x and along y. The faces are in the order of `walls`.
+    `wall` is plaster or brick, `floor` is parquet, carpet, tiles or lines, and `lamps` is the
+    number of lamps along x and along y. The faces are in the order of `walls`.
     """
     tone = rng.uniform(0.4, 0.7)
     faces = []
@@ -151,6 +152,36 @@ def room(
         picture = Texture(reflectance(shaded(image, face, bodies)))
         faces.append(replace(face, texture=picture, gain=_GAINS[side]))
     return Solid("room", faces)
+
+
+def shadow_on(wall: Face, texture: Shade, *, up: float, speed_m_s: float, phase: float) -> Solid:
+    """A shadow on a side of a room, which sweeps to and fro along its width.
+
+    Parameters
+    ----------
+    wall : Face
+        A side of the room, or its floor.
+    texture : Shade
+        Its picture; with a size, see `textures.shadow`.
+    up : float
+        Where it is along the height of the side: 0 at one end, 1 at the other.
+    speed_m_s : float
+        Greatest speed; it moves as a sine of the time.
+    phase : float
+        Phase of the sine, in rad.
+    """
+    lines, whole = np.array([wall.right_m, wall.down_m]), np.array(wall.size_m)
+    own = np.minimum(texture.size_m, whole)
+    units, free = lines / whole[:, None], whole - own
+    corner = wall.origin_m + up * free[1] * units[1] + _OFF_WALL_M * wall.normal
+    right, down = own[:, None] * units
+    half_m = free[0] / 2.0
+    pace = speed_m_s / max(half_m, _OFF_WALL_M)
+
+    def motion(time_s: float) -> FloatArray:
+        return np.asarray(units[0] * (half_m * math.sin(pace * time_s + phase)))
+
+    return Solid("shadow", [quad(corner + half_m * units[0], right, down, texture)], motion)
 
 
 @dataclass
@@ -200,16 +231,20 @@ class Furnishing:
                     at = middle + half + rng.uniform(*gap_m)
                     break
 
-    def finished(self, rng: Rng, wall: str, lamps: tuple[int, int] | None = None) -> World:
+    def finished(
+        self, rng: Rng, wall: str, floor: str | None, lamps: tuple[int, int] | None = None
+    ) -> World:
         """The room with its furniture and the obstacles, in constant light.
 
-        Furniture with the same name as an obstacle is renamed: the name identifies the target.
+        Without a `floor`, it is parquet or carpet. Furniture with the same name as an obstacle is
+        renamed: the name identifies the target.
         """
+        drawn = str(rng.choice(["parquet", "carpet"]))
         inside = room(
             self.size_m,
             rng,
             wall=wall,
-            floor=str(rng.choice(["parquet", "carpet"])),
+            floor=floor or drawn,
             lamps=lamps or (max(1, round(self.size_m[0] / 2.5)), 2),
             bodies=[*self.obstacles, *self.bodies],
         )
@@ -246,6 +281,7 @@ def cluttered_room(
     width_m: float = 5.6,
     free_width_m: float = 2.4,
     end_m: float = 1.1,
+    floor: str | None = None,
     obstacles: Sequence[Body] = (),
 ) -> World:
     """A room full of furniture along its walls.
@@ -265,11 +301,16 @@ def cluttered_room(
         furnishing.line(rng, side, share, (0.3, length_m - 0.1), depth_m=depth)
     near = list(rng.permutation(_FLAT))
     furnishing.line(rng, "near", near, (0.1 - half_m, half_m - 0.1), depth_m=0.2)
-    return furnishing.finished(rng, str(rng.choice(["brick", "plaster", "plaster"])))
+    return furnishing.finished(rng, str(rng.choice(["brick", "plaster", "plaster"])), floor)
 
 
 def simple_room(
-    rng: Rng, *, length_m: float, width_m: float = 5.0, obstacles: Sequence[Body] = ()
+    rng: Rng,
+    *,
+    length_m: float,
+    width_m: float = 5.0,
+    floor: str | None = None,
+    obstacles: Sequence[Body] = (),
 ) -> World:
     """A room with a few pieces at least 1.3 m from the x axis, and a bare far wall."""
     furnishing = Furnishing((length_m, width_m, 2.8), obstacles)
@@ -279,7 +320,7 @@ def simple_room(
         depth_m = width_m / 2 - 1.3
         furnishing.line(rng, side, share, span, depth_m=depth_m, gap_m=(0.3, 1.2))
     furnishing.line(rng, "near", ["door"], (-1.5, 1.5), depth_m=0.2)
-    return furnishing.finished(rng, "plaster")
+    return furnishing.finished(rng, "plaster", floor)
 
 
 def corridor(
@@ -288,6 +329,7 @@ def corridor(
     length_m: float,
     width_m: float = 2.2,
     height_m: float = 2.6,
+    floor: str | None = None,
     obstacles: Sequence[Body] = (),
 ) -> World:
     """A narrow corridor with doors and posters on both sides and a row of lamps."""
@@ -298,4 +340,4 @@ def corridor(
     for side in ("far", "near"):
         furnishing.line(rng, side, ["door"], (-width_m / 2, width_m / 2), depth_m=0.1)
     lamps = (max(1, round(length_m / 2.4)), 1)
-    return furnishing.finished(rng, "plaster", lamps)
+    return furnishing.finished(rng, "plaster", floor, lamps)

@@ -17,7 +17,8 @@ from dlgmd_cli.lab.flights.ball import ball_and_capsules
 from dlgmd_cli.lab.flights.camera import Camera, FloatImage, Sensor
 from dlgmd_cli.lab.flights.painter import Renderer
 from dlgmd_cli.lab.flights.path import Stage
-from dlgmd_cli.lab.flights.stages import named_flight, random_flight
+from dlgmd_cli.lab.flights.random_flights import random_flight
+from dlgmd_cli.lab.flights.stages import named_flight
 from dlgmd_cli.lab.flights.truth import FlightTruth, ImageSpeed, truth_rows
 from dlgmd_cli.lab.stimuli.base import (
     MAX_FRAMES,
@@ -141,6 +142,7 @@ class FlightScene(Scene[FlightOptions]):
             "fps": options.fps,
             "frames": n_frames,
             "agile": stage.agile,
+            **({"manner": stage.manner} if stage.manner else {}),
             "target": stage.target,
             "collision_frame": frame if frame is not None and frame < n_frames else None,
             "collision_time_s": None if stage.contact_s is None else float(stage.contact_s),

@@ -65,6 +65,17 @@ class Texture:
         return tuple(np.pad(level, _MARGIN, mode="edge") for level in levels)
 
 
+class Shade(Texture):
+    """A shadow: the share of the light that passes, (h, w) float32 in 0..1, over `size_m`.
+
+    What lies behind it is multiplied by it.
+    """
+
+    def __init__(self, image: npt.ArrayLike, size_m: tuple[float, float]) -> None:
+        super().__init__(image)
+        self.size_m = size_m
+
+
 @dataclass(frozen=True)
 class Outline:
     """A convex polygon in the picture, and the textured plane that it shows.
@@ -306,12 +317,14 @@ def box_of(body: Body) -> FloatArray:
 class World:
     """A room, whose faces face inwards, and convex bodies in it that do not intersect.
 
-    `light` is the brightness at a time in s; 1 is normal.
+    `light` is the brightness at a time in s; 1 is normal. `shadows` lie on the room's faces, have a
+    `Shade` as their texture, and darken the room, but not the bodies in it.
     """
 
     room: Solid
     bodies: Sequence[Body] = ()
     light: Callable[[float], float] = lambda _: 1.0
+    shadows: Sequence[Solid] = ()
 
 
 class Surfaces:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.lab.flights.camera import FloatImage
+from dlgmd_cli.lab.flights.solids import Shade
 
 Rng = np.random.Generator
 Size = tuple[float, float]  # width and height, in m
@@ -195,6 +196,32 @@ def carpet(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> Float
             canvas.rectangle(x, y, 0.5, 0.5, tone * (1.12 - 0.18 * ((row + column) % 2)))
     pile = layered(rng, canvas, (1.5, 0.3, 0.06, 0.025), fine=1.2)
     return reflectance(canvas.finished(1.0) * (1.0 + 0.16 * pile))
+
+
+def tiles(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.35) -> FloatImage:
+    """Square floor tiles in two tones, of a random contrast, with dark joints."""
+    canvas = Canvas(size_m, px_per_m, 0.3 * tone)
+    side, contrast, joint = rng.uniform(0.2, 0.6), rng.uniform(0.0, 0.8), 0.012
+    for column, x in enumerate(np.arange(0.0, size_m[0], side)):
+        for row, y in enumerate(np.arange(0.0, size_m[1], side)):
+            of_tile = tone * rng.normal(1.0, 0.06) * (1.0 - contrast * ((row + column) % 2))
+            canvas.rectangle(x, y, side - joint, side - joint, of_tile)
+    return reflectance(canvas.finished() * (1.0 + 0.04 * layered(rng, canvas, (0.5, 0.05))))
+
+
+def lines(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.15) -> FloatImage:
+    """Rough dark ground with bright painted lines, across, along and dashed."""
+    canvas = Canvas(size_m, px_per_m, tone)
+    (width, height), paint = size_m, rng.uniform(0.25, 0.6)
+    wide, every = rng.uniform(0.03, 0.12), rng.uniform(0.6, 1.8)
+    for x in np.arange(rng.uniform(0.0, every), width, every):
+        canvas.rectangle(x, 0.0, wide, height, paint)
+    for y in rng.uniform(0.0, height, 3):
+        canvas.rectangle(0.0, y, width, wide, paint)
+    y = rng.uniform(0.3, 0.7) * height
+    for x in np.arange(0.0, width, 1.2):
+        canvas.rectangle(x, y, 0.7, wide, paint)
+    return reflectance(canvas.finished() * (1.0 + 0.18 * layered(rng, canvas, (0.8, 0.1, 0.03))))
 
 
 def cloth(rng: Rng, size_m: Size, px_per_m: float, tone: float = 0.3) -> FloatImage:
@@ -419,6 +446,23 @@ def ceiling_panels(
         canvas.rectangle(x - long / 2 - 0.04, y - wide / 2 - 0.04, long + 0.08, wide + 0.08, 0.35)
         canvas.rectangle(x - long / 2, y - wide / 2, long, wide, 0.95)
     return canvas.finished()
+
+
+def shadow(rng: Rng, size_m: Size, px_per_m: float) -> Shade:
+    """A shadow with a soft rim: of one thing, or of several bars. It does not reach its edges."""
+    canvas = Canvas(size_m, px_per_m, 1.0)
+    width, height = size_m
+    dark = rng.uniform(0.25, 0.6)
+    if rng.random() < 0.5:
+        around = np.sort(rng.uniform(0.0, 2.0 * math.pi, 9))
+        reach = rng.uniform(0.25, 0.4, 9)
+        ring = np.stack([reach * np.cos(around), reach * np.sin(around)], -1)
+        canvas.polygon((0.5 + ring) * size_m, dark)
+    else:
+        for x in np.arange(0.12, 0.8, rng.uniform(0.12, 0.3)):
+            canvas.rectangle(x * width, 0.12 * height, 0.07 * width, 0.76 * height, dark)
+    soft = cv2.GaussianBlur(canvas.image, (0, 0), rng.uniform(0.01, 0.03) * max(canvas.shape))
+    return Shade(soft, size_m)
 
 
 def _recess(canvas: Canvas, box: tuple[float, float, float, float], tone: float) -> None:

@@ -16,7 +16,7 @@ from dlgmd_cli.lab.evaluation.calibration import (
     best_trial,
     choose,
     fold_of,
-    score_held_out,
+    tally_held_out,
     tally_of,
     with_choice,
     with_values,
@@ -55,7 +55,7 @@ def judged(signals, max_false_per_min=0.0):
     rules = Rules(max_false_per_min=max_false_per_min)
     folds = fold_of([bool(one.contacts_s) for one in signals], rules)
     overall, *others = choose(signals, folds, rules)
-    held_out = score_held_out([signals] * 5, folds, others, rules.horizon_s)
+    held_out = score(tally_held_out([signals] * 5, folds, others, rules.horizon_s))
     same = score([tally_of(one, overall, rules.horizon_s) for one in signals])
     return [overall, *others], held_out, same, folds
 
@@ -101,6 +101,13 @@ def test_folds_are_even(n_with, n_without, n_folds):
         counts = np.bincount(chosen, minlength=min(n_folds, len(has)))
         assert counts.max() - counts.min() <= 1
     assert fold_of(has, Rules(folds=n_folds)) == folds.tolist()
+
+
+def test_folds_are_even_over_kinds():
+    sorts = [(True, "real")] * 10 + [(True, "rendered")] * 20 + [(False, "real")] * 5
+    folds = np.array(fold_of(sorts, Rules()))
+    for first, last in ((0, 10), (10, 30), (30, 35)):
+        assert np.bincount(folds[first:last]).tolist() == [(last - first) // 5] * 5
 
 
 @pytest.mark.parametrize("params", [DlgmdParameters(), DlgmdParameters(t_mp=1.0), LgmdParameters()])
@@ -191,6 +198,23 @@ def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
     found = json.loads(dlgmd("evaluate", labels, *more).stdout)["models"]["mine"]
     for key in ("recall", "false_alarms_per_min", "lead_s", "auc", "minutes", "n_sp"):
         assert found[key] == pytest.approx(same[key] if key in same else facts["parameters"][key])
+
+
+def test_each_kind_is_scored_and_one_limits_the_false_alarms(dlgmd, footage, tmp_path):
+    rows = (footage / "labels.csv").read_text().splitlines()
+    kinds = ["kind", "real", "rendered", "real", "rendered", "real", "rendered"]
+    labels = footage / "kinds.csv"
+    labels.write_text("\n".join(map(",".join, zip(rows, kinds, strict=True))))
+    common = ["calibrate", labels, "--set", 3, "--jobs", 1, "--max-false-per-min", "2:real"]
+    result = dlgmd(*common)
+    assert result.exit_code == 0, result.output
+    shown = [line.split()[0] for line in result.stdout.splitlines()[3:12]]
+    assert shown == ["held", "real", "rendered", "on", "real", "rendered", "before", *shown[1:3]]
+    text = (tmp_path / "dlgmd-out/calibrated.yaml").read_text(encoding="utf-8")
+    assert "2 false alarms per minute on videos of the kind real." in text
+    assert "# Held out, real: recall" in text and "# Held out, rendered: recall" in text
+    facts = json.loads(dlgmd(*common, "--overwrite", "--json").stdout)
+    assert [one["videos"] for one in facts["held_out"]["by_kind"].values()] == [3, 3]
 
 
 def test_a_search_from_the_command_line(dlgmd, footage, tmp_path):

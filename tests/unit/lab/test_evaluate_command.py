@@ -12,7 +12,7 @@ from conftest import looming_frames, write_video
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, read_cases
+from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, of_kind, read_cases
 from dlgmd_cli.lab.evaluation.report import groups
 from dlgmd_cli.lab.evaluation.scoring import alarms
 
@@ -55,6 +55,7 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
     rows = table("ev/evaluate.csv")
+    assert {row["kind"] for row in rows} == {"all"} == {row["manner"] for row in rows}
     at = [(r["model"], r["at"]) for r in rows if r["target"] == "all"]
     both = [(label, kind) for label in ("set3", "set9") for kind in ("default", "best")]
     assert at == [*both, ("ΣP alone", "best"), ("flow divergence", "best")]
@@ -93,7 +94,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     assert facts["intervals"]["recall"][0] <= facts["recall"] <= facts["intervals"]["recall"][1]
     for row, other in zip(table("ev0/evaluate.csv"), table("ev1/evaluate.csv"), strict=True):
         for key, text in row.items():
-            if key in ("model", "at", "target"):
+            if key in ("model", "at", "target", "kind", "manner"):
                 assert text == other[key]
             else:
                 assert float(text or NAN) == pytest.approx(
@@ -180,8 +181,55 @@ def test_several_collisions_of_a_video_and_groups_of_targets(tmp_path):
     assert cases[0] == Case("a.mp4", str(tmp_path / "a.mp4"), (40, 90), ("chair", "wall"))
     found = {name: {i: m.tolist() for i, m in one.items()} for name, one in groups(cases).items()}
     assert found == {
-        "all": {0: [True, True], 1: [], 2: [True]},
-        "all without walls": {0: [True, False], 1: [], 2: [True]},
-        "chair": {0: [True, False], 1: []},
-        "wall": {0: [False, True]},
+        ("target", "all"): {0: [True, True], 1: [], 2: [True]},
+        ("target", "all without walls"): {0: [True, False], 1: [], 2: [True]},
+        ("target", "chair"): {0: [True, False], 1: []},
+        ("target", "wall"): {0: [False, True]},
     }
+
+
+def test_groups_of_kinds_and_manners():
+    """A kind that all have is no group, and neither is an unknown manner."""
+    cases = [Case("a", "a", (5,), ("",), "real", "walk"), Case("b", "b", (), ("",), "real", "")]
+    assert list(groups(cases)) == [("target", "all"), ("manner", "walk")]
+    cases = [*cases, Case("c", "c", (), ("",), "rendered", "walk")]
+    found = groups(cases)
+    assert list(found)[1:3] == [("kind", "real"), ("kind", "rendered")]
+    assert [*found["kind", "real"]] == [0, 1] and [*found["manner", "walk"]] == [0, 2]
+    assert of_kind(cases, "rendered").tolist() == [False, False, True]
+    assert of_kind(cases, None).all()
+
+
+def test_kinds_and_manners_have_rows_of_their_own(dlgmd, footage, tmp_path):
+    labels = footage / "kinds.csv"
+    labels.write_text(
+        "video,collision_frame,kind,manner\nnear.avi,20,rendered,\ntwice.avi,52,real,walk\n"
+        "still.avi,,rendered,\n"
+    )
+    more = ("--max-false-per-min", "0:rendered", "--no-baselines", "--format", "svg")
+    result = dlgmd("evaluate", labels, *SETS[2:], *more, "--out", "ev")
+    assert result.exit_code == 0, result.output
+    rows = table("ev/evaluate.csv")
+    by_kind = {(r["at"], r["kind"]): r for r in rows if r["manner"] == "all"}
+    assert [by_kind["default", kind]["videos"] for kind in ("all", "real", "rendered")] == [*"312"]
+    assert int(by_kind["best", "rendered"]["false_alarms"]) == 0
+    assert {row["manner"] for row in rows} == {"all", "walk"}
+    assert {row["kind"] for row in table("ev/curves.csv")} == {"all", "real", "rendered"}
+    assert recorded()["max_false_per_min"] == 0 and recorded()["max_false_kind"] == "rendered"
+    assert " rendered " in result.stdout and "by manner" in result.stdout
+    assert ", rendered" in (tmp_path / "ev" / "evaluate-trade-off.svg").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("limit", "why"),
+    [
+        ("1:real", "no video in the labels is of the kind 'real'. Add the column kind to them."),
+        ("x:real", "'x' is not a number"),
+        ("-1", "-1"),
+    ],
+)
+def test_a_limit_that_cannot_be(dlgmd, footage, limit, why):
+    for command in ("evaluate", "calibrate"):
+        result = dlgmd(command, footage / "labels.csv", "--max-false-per-min", limit)
+        assert result.exit_code == 2 and "'--max-false-per-min'" in result.stderr
+        assert why in result.stderr

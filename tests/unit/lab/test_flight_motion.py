@@ -7,6 +7,7 @@ import pytest
 from flightscenes import accelerate, cruise, decelerate, hover, pitch, roll, stand, take_off, yaw
 
 from dlgmd_cli.lab.flights.drone import RESTITUTION, SPIN_UP_S, fly
+from dlgmd_cli.lab.flights.path import shaken
 
 START = (1.0, -2.0, 1.5)
 GRAVITY, DRAG = 9.81, 0.35
@@ -215,9 +216,40 @@ def test_phases_have_no_gaps_and_begin_on_the_frames_that_they_are_said_to():
     assert thirds.phases[3][1] > 9 / 30 and thirds.phase(9 / 30) == "cruise"
 
 
-def test_finite_differences_of_the_pose_are_the_velocities():
+SHAKE = {"shake_deg_s": 20.0, "shake_hz": (0.5, 6.0), "bob_m": 0.03, "step_hz": 2.0}
+
+
+def shaky(path, **options):
+    return shaken(path, np.random.default_rng(7), **{**SHAKE, **options})
+
+
+def test_a_shaken_camera_turns_as_fast_and_bobs_as_far_as_it_should():
+    still = flown(hover(60))
+    times = np.arange(0.0, 60.0, 0.02)
+    path = shaky(still)
+    spin = np.degrees(along(path, times, "angular_velocity_rad_s"))
+    assert np.sqrt((spin**2).mean(axis=0)) == pytest.approx([20.0] * 3, rel=0.2)
+    assert 45 < np.abs(spin).max() < 20 * 4 * 3**0.5
+    bob = along(path, times) - START
+    assert np.abs(bob).max(axis=0) == pytest.approx([0.0, 0.015, 0.03], abs=1e-3)
+    is_up = bob[:, 2] > 0
+    assert np.count_nonzero(is_up[1:] & ~is_up[:-1]) == pytest.approx(60 * 2, abs=1)
+
+
+def test_a_shake_leaves_the_way_and_the_contact_as_they_are():
+    contact_s = 2.0
+    free, hit = (flown(*MIXED, jitter=3.0, contact_s=when) for when in (None, contact_s))
+    calm = {"bob_m": 0.0}
+    assert same_until(shaky(free, **calm), shaky(hit, **calm), contact_s)
+    times = np.linspace(0.0, hit.duration_s, 50)
+    np.testing.assert_array_equal(along(shaky(hit, **calm), times), along(hit, times))
+    assert same_until(shaky(free, shake_deg_s=0.0, **calm), free, free.duration_s)
+
+
+@pytest.mark.parametrize("change", [lambda path: path, shaky])
+def test_finite_differences_of_the_pose_are_the_velocities(change):
     step_s = 3e-4
-    path = flown(*MIXED, jitter=1.0, seed=2, yaw_deg=200, contact_s=4.0)
+    path = change(flown(*MIXED, jitter=1.0, seed=2, yaw_deg=200, contact_s=4.0))
     for t in np.random.default_rng(1).uniform(0.01, 5.4, 60):
         if abs(t - 4.0) <= step_s:  # contact, where the velocity jumps
             continue

@@ -11,11 +11,13 @@ from flightscenes import SHORT, Quick
 from dlgmd_cli.lab.flights.scenes import SCENES
 
 OUT = Path("flights")
-HEADER = "video,collision_frame,target\n"
+HEADER = "video,collision_frame,target,kind,manner\n"
 # Seeds 1 and 3 collide, in frames 12 and 13.
 LABELS_OF_4 = HEADER + (
-    "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\nquick-0002.mp4,,wall\nquick-0003.mp4,13,wall\n"
+    "quick-0000.mp4,,wall,rendered,\nquick-0001.mp4,12,wall,rendered,\n"
+    "quick-0002.mp4,,wall,rendered,\nquick-0003.mp4,13,wall,rendered,\n"
 )
+LABELS_OF_2 = "".join(LABELS_OF_4.splitlines(keepends=True)[:3])
 
 
 @pytest.fixture
@@ -72,7 +74,7 @@ def test_a_flight_is_the_one_of_its_seed(synth, dlgmd):
 
 def test_folders_of_pictures(synth):
     assert synth("--png", "--frames", 2, count=2).exit_code == 0
-    assert labels() == HEADER + "quick-0000,,wall\nquick-0001,,wall\n"
+    assert labels() == HEADER + "quick-0000,,wall,rendered,\nquick-0001,,wall,rendered,\n"
 
 
 def test_every_scene_goes_to_other_processes():
@@ -85,7 +87,7 @@ def test_every_scene_goes_to_other_processes():
 
 def test_what_is_there_is_not_rendered_again(synth):
     synth(count=2)
-    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+    assert labels() == LABELS_OF_2
     before = identities()
     result = synth()
     assert result.exit_code == 0 and result.stderr == "2 of 4 flights were already there.\n"
@@ -139,6 +141,13 @@ def test_files_of_others_are_refused(synth):
     assert [path.name for path in OUT.iterdir()] == ["quick-0003.csv"]
 
 
+def test_a_record_without_a_target_is_a_label_without_one(synth):
+    synth(count=1)
+    record = OUT / "quick-0000.yaml"
+    record.write_text(record.read_text().replace("target: wall", "target: ~\nmanner: walk"))
+    assert synth(count=1).exit_code == 0 and labels() == HEADER + "quick-0000.mp4,,,rendered,walk\n"
+
+
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
@@ -162,7 +171,7 @@ def test_a_damaged_flight_is_none(synth, damage, why):
     result = synth(count=2)
     assert result.exit_code == 2 and "quick-0001" in result.stderr and why in result.stderr
     assert synth("--overwrite", count=2).exit_code == 0
-    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+    assert labels() == LABELS_OF_2
 
 
 @pytest.mark.parametrize(
@@ -191,7 +200,7 @@ def test_one_that_fails_keeps_the_others(synth):
     first, last = result.stderr.splitlines()
     assert first.startswith("quick-0001: here: ")
     assert last.startswith("Error: 1 of 4 flights failed; the other 3 are in ")
-    assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall\n", "")
+    assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall,rendered,\n", "")
     assert not list(OUT.glob("quick-0001*"))
     assert synth().exit_code == 0 and labels() == LABELS_OF_4
 
@@ -208,7 +217,7 @@ def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
     assert result.exit_code == 1 and result.stderr.startswith("quick-0001: ")
     assert "'--frames': the flight ends aft" in result.stderr
-    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0002.mp4,,wall\n"
+    assert labels() == HEADER + "quick-0000.mp4,,wall,rendered,\nquick-0002.mp4,,wall,rendered,\n"
 
 
 @pytest.mark.parametrize(
@@ -219,7 +228,7 @@ def test_an_early_end_keeps_what_is_there(synth, fault, code, message):
     result = synth(at_2=fault)
     assert result.exit_code == code and message in result.stderr
     assert f"{OUT} holds 2 of 4 flights; run the same command again" in result.stderr
-    assert labels() == HEADER + "quick-0000.mp4,,wall\nquick-0001.mp4,12,wall\n"
+    assert labels() == LABELS_OF_2
     assert len(contents()) == 7
     before = identities()
     again = synth()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.lab.flights.camera import Camera, Pose, Sensor, rotation
 from dlgmd_cli.lab.flights.painter import Coverage, Renderer
-from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.lab.flights.solids import Shade, Solid, Texture, World, quad
 from dlgmd_cli.lab.flights.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
@@ -262,6 +262,21 @@ def test_light_is_a_gain_of_a_face_and_of_the_world():
     renderer = Renderer(world, CAMERA)
     assert renderer.render(look(), 0.0)[5, 5] == pytest.approx(0.1)
     assert renderer.render(look(), 1.0)[5, 5] == pytest.approx(0.2)
+
+
+def test_a_shadow_darkens_the_room_behind_it_but_no_body():
+    shade = Shade(np.full((4, 4), 0.25), (4.0, 20.0))
+    lies = Solid("shadow", [quad([9.9, 2, 10], -4 * Y, -20 * Z, shade)], lambda t: [0, 5 * t, 0])
+    thing = box((5, -0.5, -0.5), (6, 0.5, 0.5), 0.5)
+    renderer = Renderer(World(room(0.8), [thing], shadows=[lies]), CAMERA)
+    picture = renderer.render(look())
+    y, x = 60, 80
+    assert picture[y, x] == 0.5 and picture[y, 20] == pytest.approx(0.8)
+    assert picture[5, x] == pytest.approx(0.2)
+    # It has moved to the left, over the room alone.
+    picture = renderer.render(look(), 1.0)
+    assert picture[y, x] == 0.5 and picture[5, x] == pytest.approx(0.8)
+    assert picture[y, 80 - 48] == pytest.approx(0.2)
 
 
 # Balls and capsules

@@ -25,7 +25,7 @@ SIZE = (1.1, 0.8)
 SURFACES = (
     *("plaster", "brick", "parquet", "carpet", "wood", "cloth", "poster", "bookcase_front"),
     *("whiteboard", "carton_side", "notebook_screen", "door_leaf", "window_pane"),
-    *("cupboard_front", "ceiling_panels"),
+    *("cupboard_front", "ceiling_panels", "tiles", "lines"),
 )
 PLAIN = Texture([[0.5]])
 OBSTACLES = tuple(furniture("chair", np.random.default_rng(0), placement((5.0, 0.0), 170.0)))
@@ -186,6 +186,28 @@ def test_a_room_is_closed_and_looks_inwards_and_its_walls_are_told_by_name():
     assert sum(area_of(face) * face.normal for face in inside.faces) == pytest.approx(0, abs=1e-9)
     high, low = reach_m([inside])
     assert low == pytest.approx([0, -1.5, 0]) and high == pytest.approx([4, 1.5, 2.5])
+
+
+def test_a_shadow_sweeps_over_its_wall_and_stays_on_it():
+    floor = rooms.walls((6.0, 4.0, 2.5), PLAIN)["floor"]
+    shade = textures.shadow(seeded(), (2.0, 1.0), 60.0)
+    assert 0.2 < shade.image.min() < 0.7
+    edges = [shade.image[0], shade.image[-1], shade.image[:, 0], shade.image[:, -1]]
+    assert min(edge.min() for edge in edges) > 0.97
+    shadow = rooms.shadow_on(floor, shade, up=1.0, speed_m_s=0.5, phase=0.3)
+    times = np.arange(0.0, 60.0, 0.1)
+    ways = np.array([shadow.motion(time) for time in times])
+    steps = np.linalg.norm(np.diff(ways, axis=0), axis=1)
+    assert 0.045 < steps.max() <= 0.05 + 1e-9
+    corners = ways[:, None] + shadow.corners_m
+    assert corners[..., 0].min() == pytest.approx(0.0, abs=0.01)
+    assert corners[..., 0].max() == pytest.approx(6.0, abs=0.01)
+    assert np.abs(corners[..., 1]).max() <= 2.0 + 1e-9
+    # A shadow larger than the wall is as large as it.
+    whole = rooms.shadow_on(
+        floor, textures.shadow(seeded(), (9.0, 9.0), 9.0), up=0.5, speed_m_s=1, phase=0
+    )
+    assert whole.faces[0].size_m == pytest.approx((6.0, 4.0)) and not np.any(whole.motion(1.0))
 
 
 def test_furniture_darkens_the_floor_and_the_wall_behind_it():

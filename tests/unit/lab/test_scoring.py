@@ -189,6 +189,43 @@ def test_an_interval_is_that_of_resampled_videos():
     assert nothing["collisions"] == 0
 
 
+@pytest.mark.parametrize(
+    ("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.025, 5.572), (10, 4.795, 18.390)]
+)
+def test_the_exact_poisson_interval(count, low, high):
+    """Garwood's table, to three decimals."""
+    assert scoring.poisson_interval(count) == pytest.approx((low, high), abs=1e-3)
+    assert scoring.poisson_interval(3000)[1] == pytest.approx(3000 + 1.96 * 3000**0.5, rel=1e-3)
+
+
+def test_false_alarms_in_bunches_and_none_at_all_have_wide_intervals():
+    quiet, bursts = signal([]), signal([(first, first + 3) for first in range(5, 190, 20)])
+    none = scoring.score([scoring.tally(quiet, 2, 0.5)] * 20)
+    minutes = 20 * quiet.minutes
+    assert none["false_alarms_per_min_low"] == 0.0
+    assert none["false_alarms_per_min_high"] == pytest.approx(3.689 / minutes, rel=1e-3)
+    # All ten alarms are in one of twenty videos: it may as well be in none, or in three.
+    bunched = scoring.score([scoring.tally(one, 2, 0.5) for one in [bursts, *[quiet] * 19]])
+    assert bunched["false_alarms"] == 10
+    assert bunched["false_alarms_per_min_low"] == 0.0
+    assert bunched["false_alarms_per_min_high"] > 1.5 * 18.39 / minutes
+
+
+def test_the_limit_may_be_on_some_videos():
+    """The threshold that is right for the second video is too low for the first."""
+    noisy, good = signal([(20, 30)]), signal([(130, 140)], [150])
+    noisy.strength[:] *= 2.0
+    at = scoring.thresholds([noisy, good], 2)
+    tallies = [scoring.tally(one, 2, at) for one in (noisy, good)]
+    every = scoring.curve(tallies, at)
+    second = scoring.curve(tallies, at, np.array([False, True]))
+    assert (second.recall == every.recall).all()
+    assert every.recall[every.best(0.0)] == 0.0
+    assert second.recall[second.best(0.0)] == 1.0
+    best = second.best(0.0)
+    assert second.false_alarms_per_min[best] == 0.0 < every.false_alarms_per_min[best]
+
+
 def test_the_best_threshold():
     # The stronger bursts announce; at 0.2 there are false alarms, at 0.6 one collision is missed.
     signals = []
