@@ -32,8 +32,6 @@ capture = cv2.VideoCapture(sys.argv[1], cv2.CAP_FFMPEG)
 while capture.read()[0]:
     pass
 """
-# Without extras, numba is not there to be chosen.
-DEFAULT, FAST = ("--engine", "opencv"), ("--decoder", "pyav")
 
 
 def make_clip(folder: Path) -> Path:
@@ -58,9 +56,10 @@ def commands(clip: Path) -> dict[str, list[str]]:
     if importlib.util.find_spec(scenedetect):
         detect = [python, "-m", scenedetect, "--quiet", "--input", str(clip), "detect-content"]
         found["scenedetect detect-content"] = detect
-    variants = {"run": DEFAULT, "run, PyAV and Numba": FAST}
-    if not (importlib.util.find_spec("av") and importlib.util.find_spec("numba")):
-        del variants["run, PyAV and Numba"]
+    # Without extras, Numba is not there to be chosen for large frames.
+    variants = {"run": ["--engine", "opencv"], "run, OpenCV's decoder": ["--decoder", "opencv"]}
+    if importlib.util.find_spec("numba"):
+        variants["run, Numba"] = []
     for name, options in variants.items():
         found[name] = [*dlgmd, "small", *options]
         found[f"{name}, --scale 1"] = [*dlgmd, "large", *options, "--scale", "1"]
