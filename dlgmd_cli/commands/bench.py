@@ -104,6 +104,7 @@ def bench(
     """
     from dlgmd_cli.lab import benchmark as paper
     from dlgmd_cli.results.store import refuse_existing, replacing
+    from dlgmd_cli.video.base import DEFAULT_DECODER
     from dlgmd_cli.video.opening import open_video
 
     radii = tuple(dict.fromkeys(radii)) or paper.RADII
@@ -118,7 +119,7 @@ def bench(
             clip = opened.enter_context(paper.rendered_pan(n_frames))
         with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
             measured = paper.measure(
-                partial(open_video, clip, max_frames=n_frames, decoder=decoder or "opencv"),
+                partial(open_video, clip, max_frames=n_frames, decoder=decoder or DEFAULT_DECODER),
                 load_set(paper.TABLE_IV_SET),
                 radii=radii,
                 scales=scales,

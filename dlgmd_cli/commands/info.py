@@ -71,6 +71,7 @@ def info(
         raise click.UsageError("--write-mask works with one INPUT.")
 
     from dlgmd_cli.results.store import refuse_existing
+    from dlgmd_cli.video.base import DEFAULT_DECODER
     from dlgmd_cli.video.survey import survey
 
     if mask_path is not None:
@@ -81,7 +82,7 @@ def info(
         try:
             with progress(path, None) as on_frame:
                 facts = survey(
-                    path, decoder=decoder or "opencv", input_fps=input_fps, on_frame=on_frame
+                    path, decoder=decoder or DEFAULT_DECODER, input_fps=input_fps, on_frame=on_frame
                 )
         except DlgmdError as error:
             if len(input_paths) == 1:
@@ -127,7 +128,7 @@ def _rows(facts: "Survey") -> list[tuple[str, str]]:
     if facts.pixel_format:
         codec += f", {facts.pixel_format}, {facts.bits} bits"
     elif facts.fps_stated is not None:
-        codec += " (FOURCC; the package 'av' of dlgmd[fast] would tell more)"
+        codec += " (FOURCC; the package 'av' would tell more)"
     interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
     repeats = "none"
     if facts.repeats:
@@ -174,9 +175,9 @@ def _advice(facts: "Survey") -> list[str]:
     others = (
         (
             facts.is_interlaced,
-            "It is interlaced: the comb of the two fields looks like motion, and OpenCV may show "
-            "the same picture throughout. Deinterlace it first, for example with 'ffmpeg -i INPUT "
-            "-vf bwdif OUTPUT', or add --decoder pyav.",
+            "It is interlaced: the comb of the two fields looks like motion, and --decoder opencv "
+            "may show the same picture throughout. Deinterlace it first, for example with 'ffmpeg "
+            "-i INPUT -vf bwdif OUTPUT'.",
         ),
         (
             has_fine_levels and facts.decoder == "opencv",

@@ -309,7 +309,7 @@ input_fps_option = _input_option(
     metavar="F",
 )
 decoder_option = _input_option(
-    "decoder", "Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]"
+    "decoder", "Library that decodes videos; pictures are read by OpenCV.  [default: pyav]"
 )
 # What `live` has too.
 _PICTURES = (

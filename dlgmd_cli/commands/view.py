@@ -188,7 +188,7 @@ def _parts(one: "Input", request: _Request) -> "Sequence[Part]":
 
     parts, no_film = [], "--no-film was given." if request.no_film else ""
     if not no_film and best_codec() != "h264":
-        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        no_film = "PyAV is not installed. Run: pip install av."
         warn(f"{one.name}: no film: {no_film.rstrip('.')}")
     for labelled in one.results:
         why, film = no_film, None

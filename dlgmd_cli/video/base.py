@@ -14,7 +14,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.threads import can_start, n_processors, thread_limit
 
 DECODERS = ("opencv", "pyav")
-DEFAULT_DECODER = "opencv"
+DEFAULT_DECODER = "pyav"
 _RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Spec(low=0, high=1e9)
 # What the options of an input may be, in files, in Python and on the command line.
 INPUT_SPECS = {

@@ -34,6 +34,13 @@ class OpenCVDecoder:
 
     OpenCV scales every frame to the size of the first one and does not report a change of size. The
     file's name must be valid UTF-8 and not a pattern. Raises Unreadable if no frame can be decoded.
+
+    Notes
+    -----
+    ``CAP_PROP_CONVERT_RGB = 0`` gives the luma plane, and saves the conversion to BGR. But if the
+    video states another matrix than BT.601 (most cameras state BT.709), OpenCV lets FFmpeg convert
+    the plane to BT.601 by way of RGB. That is up to 80 levels off and slower than BGR. No property
+    tells which videos these are, nor whether black is 0 or 16: yuvj420p is called I420 too.
     """
 
     takes_every_frame = False

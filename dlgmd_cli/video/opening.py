@@ -88,8 +88,8 @@ def open_video(
         Maximum number of frames in all.
     input_fps : float, optional
         Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
-    decoder : {"opencv", "pyav"}
-        Decoder for videos; pictures are always read by OpenCV. PyAV comes with `dlgmd[fast]`.
+    decoder : {"pyav", "opencv"}
+        Decoder for videos; pictures are always read by OpenCV.
     crop : str, optional
         The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -170,7 +170,7 @@ def _source(
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
     if pictures is not None:
         opens = partial(ImageDecoder, pictures, fps)
-        return input_name(file, are_pictures=True), where, DEFAULT_DECODER, opens
+        return input_name(file, are_pictures=True), where, "opencv", opens
     _check_readable(file)
     name = input_name(file, are_pictures=False)
     if file.suffix.lower() == SUFFIX:

@@ -181,10 +181,15 @@ def _import_av() -> Any:
     try:
         import av
     except Exception as error:  # whatever a broken installation raises
+        if "failed to map segment" in str(error):  # its libraries do not fit
+            raise MemoryError from None
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
             why = "is not installed"
-        why, mend = f"the package 'av' {why}", "Install it with: pip install 'dlgmd[fast]'"
+        why, mend = (
+            f"the package 'av' {why}",
+            "Install it with: pip install av, or use --decoder opencv.",
+        )
         raise MissingExtraError("--decoder pyav", why, mend) from None
     return av
 

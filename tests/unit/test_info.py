@@ -71,7 +71,7 @@ def test_codec_and_fields(dlgmd, tmp_path):
     from damaged import encode
 
     encode(tmp_path / "ten.mkv", looming_frames(12), "ffv1", pixels="yuv420p10le", fps=50)
-    facts = facts_of(dlgmd, "ten.mkv")
+    facts = facts_of(dlgmd, "ten.mkv", "--decoder", "opencv")
     assert (facts["codec"], facts["pixel_format"]) == ("ffv1", "yuv420p10le")
     assert facts["bits"] == 10 and facts["is_interlaced"] is False
     assert any("pyav keeps all 10 bits" in line for line in facts["advice"])
@@ -86,10 +86,10 @@ def test_codec_and_fields(dlgmd, tmp_path):
 
 def test_without_pyav_it_says_so(dlgmd, clips, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    facts = facts_of(dlgmd, clips / "loom.avi")
+    facts = facts_of(dlgmd, clips / "loom.avi", "--decoder", "opencv")
     assert facts["codec"] == "MJPG" and facts["pixel_format"] == ""
     assert facts["is_interlaced"] is facts["bits"] is None
-    shown = dlgmd("info", clips / "loom.avi").stdout
+    shown = dlgmd("info", clips / "loom.avi", "--decoder", "opencv").stdout
     assert "MJPG (FOURCC; " in shown and "unknown without the package 'av'" in shown
 
 

@@ -42,7 +42,7 @@ def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
 
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
     lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
-    assert any("32x24, 25 frames a second, decoded by opencv" in line for line in lines)
+    assert any("32x24, 25 frames a second, decoded by pyav" in line for line in lines)
     assert any("sigma_e = 1.5" in line for line in lines)
 
 

@@ -96,6 +96,24 @@ def test_levels_follow_the_colour_range(tmp_path, codec, pixel_format, colour_ra
     assert np.array_equal(grey, np.rint(255 * stretched(RAMP, *levels)).astype(np.uint8))
 
 
+@pytest.mark.parametrize("matrix", [1, 5, 9], ids=["BT.709", "BT.601", "BT.2020"])
+def test_levels_do_not_depend_on_the_colour_matrix(tmp_path, matrix):
+    frame = filled("yuv420p", RAMP)
+    for plane in frame.planes[1:]:  # a strong colour
+        np.frombuffer(plane, np.uint8)[:] = 60
+    frame.colorspace = matrix
+    with av.open(str(tmp_path / "x.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 250, 36, "yuv420p"
+        stream.codec_context.colorspace = matrix
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    with av.open(str(tmp_path / "x.mkv")) as container:
+        assert next(container.decode(video=0)).colorspace == matrix
+    grey = first_grey(tmp_path / "x.mkv")
+    assert np.array_equal(grey, np.rint(255 * stretched(RAMP, 16, 235)))
+
+
 @pytest.mark.parametrize("n_bits", [10, 12, 16])
 @pytest.mark.parametrize("colour_range", [LIMITED, FULL])
 def test_deep_levels(tmp_path, n_bits, colour_range):

@@ -130,14 +130,15 @@ def test_engine(dlgmd, clips):
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "package"), [("--engine", "numba", "numba"), ("--decoder", "pyav", "av")]
+    ("option", "value", "package", "what"),
+    [("--engine", "numba", "numba", "'dlgmd[fast]'"), ("--decoder", "pyav", "av", "av")],
 )
-def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package):
+def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package, what):
     monkeypatch.setitem(sys.modules, package, None)
     result = dlgmd("run", clips / "loom.mp4", option, value)
     assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
     why = f"Error: {option} {value}: the package '{package}' is not installed. "
-    assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]'")
+    assert result.stderr.startswith(f"{why}Install it with: pip install {what}, or use")
 
 
 def test_summary_as_json(dlgmd, clips):
@@ -166,7 +167,7 @@ def test_run_yaml(dlgmd, clips):
         "fps": FPS,
         "frames": N_FRAMES,
         "duration_s": pytest.approx(N_FRAMES / FPS),
-        "decoder": "opencv",
+        "decoder": "pyav",
         "repeats": 0,
         "bytes": (clips / "loom.avi").stat().st_size,
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
@@ -177,7 +178,7 @@ def test_run_yaml(dlgmd, clips):
     assert record["engine"] == "opencv"
     assert record.keys() >= load_set(9).to_dict().keys()
     assert record["complete"] is True
-    assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
+    assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv", "av"}
     assert set(record["summary"]) == {
         "mp_max",
         "mp_max_frame",
@@ -310,10 +311,12 @@ def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
         assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_path, monkeypatch):
+def test_without_pyav_opencv_reads_videos_and_pictures(
+    dlgmd, clips, pictures, tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "av", None)
-    assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
-    assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
+    assert dlgmd("run", clips / "loom.mp4", "--decoder", "opencv", "--no-plots").exit_code == 0
+    assert dlgmd("run", pictures, "--no-plots").exit_code == 0
     for name in ("loom", pictures.name):
         record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
         assert record["input"]["decoder"] == "opencv"

@@ -159,7 +159,7 @@ def test_the_record_is_a_config(dlgmd, clips):
     assert found["input"]["frames"] == found["processed"]["frames"] == N_FRAMES
     assert found["processed"]["width"] == 24 and found["options"] == {"scale": 0.75}
     assert (found["complete"], found["engine"], found["sigma_e"]) == (True, "opencv", 0.5)
-    assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
+    assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv", "av"}
 
 
 def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
