@@ -284,6 +284,7 @@ class NumbaEngine:
         self._memory = [(_zeros(size), (_zeros(width + 3), _zeros(width))) for _ in range(n_bands)]
         self._map = ThreadPoolExecutor(n_bands, "dlgmd-band").map if n_bands > 1 else map
         self._loaded: dict[_Loops, _Loops] = {}
+        self._announcement = Announcement()
 
     def respond(
         self,
@@ -346,7 +347,7 @@ class NumbaEngine:
 
     def _load(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
         """Compile or load loops, in this thread: others cannot be interrupted meanwhile."""
-        with install_listener("numba:compile", Announcement()):
+        with install_listener("numba:compile", self._announcement):
             try:
                 work(_compiled(function, True))
                 return _compiled(function, True)
