@@ -162,9 +162,9 @@ def _panels(
     raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(results))
     if len(results) <= MAX_TOGETHER:
         together = traces_of(results)
-        heights = [raster_in if draw is draw_raster else _HEIGHT_IN for draw in draws]
+        heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
         return [(draw, together) for draw in draws], heights
-    n_small = sum(draw is not draw_raster for draw in draws) * len(results)
+    n_small = sum(draw is not _draw_raster for draw in draws) * len(results)
     # So that the figure fits on a page, if its panels stay legible.
     room_in = _PAGE_IN - raster_in - _AXES_LABELS_IN - _NAME_IN * n_small
     small_in = min(max(_SMALL_IN / n_small, _LEAST_SMALL_IN), _MOST_SMALL_IN)
@@ -173,7 +173,7 @@ def _panels(
     panels: list[tuple[_Draw, list[_Trace]]] = []
     heights = []
     for draw in draws:
-        if draw is draw_raster:
+        if draw is _draw_raster:
             rows = [replace(trace, look={"color": ORANGE}, alone=False) for trace in apart]
             panels.append((draw, rows))
             heights.append(raster_in)
@@ -192,7 +192,7 @@ def _share(
     they differ.
     """
 
-    for kind in (draw_level, draw_attenuation):
+    for kind in (_draw_level, _draw_attenuation):
         group = [
             (axes, traces[0])
             for axes, (draw, traces) in zip(axes_of, panels, strict=True)
@@ -269,7 +269,7 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
 
 def heights_alone(draws: Sequence["_Draw"]) -> list[float]:
     """Heights of the panels of one result, in inches."""
-    return [(_RASTER_IN if draw is draw_raster else _HEIGHT_IN) - BETWEEN_IN for draw in draws]
+    return [(_RASTER_IN if draw is _draw_raster else _HEIGHT_IN) - BETWEEN_IN for draw in draws]
 
 
 def traces_of(results: Mapping[str, Result]) -> list[_Trace]:
@@ -290,7 +290,7 @@ def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
 
-def draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
+def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
     """Draw the normalised potential, a shared threshold, and the events of a single result."""
     results = [trace.result for trace in traces]
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
@@ -334,7 +334,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
     return entries
 
 
-def draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
+def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
     """Draw attenuation in dB; where nothing passes, marks below, in one row per result."""
     entries: Entries = []
     silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
@@ -375,7 +375,7 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
     return high - (high - low) / (1.0 - foot), high
 
 
-def draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
+def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
     """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
@@ -427,8 +427,8 @@ def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
 _Draw = Callable[[Axes, list[_Trace], str], Entries]
 # The panels of each figure, from the top down.
 KINDS: dict[str, tuple[_Draw, ...]] = {
-    "mp": (draw_level,),
-    "attenuation": (draw_attenuation,),
-    "spikes": (draw_raster, draw_level),
-    "overview": (draw_level, draw_attenuation, draw_raster),
+    "mp": (_draw_level,),
+    "attenuation": (_draw_attenuation,),
+    "spikes": (_draw_raster, _draw_level),
+    "overview": (_draw_level, _draw_attenuation, _draw_raster),
 }
