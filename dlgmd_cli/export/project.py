@@ -212,7 +212,8 @@ class Export:
 
     def tables(self) -> str:
         """Weights of the columns and of the rows; the weight of a cell is their product."""
-        weights = centre_weights((self.height, self.width), self.params.sigma_c).astype(float)
+        profiles = centre_weights((self.height, self.width), self.params.sigma_c)
+        weights = np.outer(*profiles).astype(float)
         text = ""
         for name, profile in (("x", weights.mean(axis=0)), ("y", weights.mean(axis=1))):
             if self.is_fixed:

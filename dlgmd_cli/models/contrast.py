@@ -1,6 +1,7 @@
 """The contrast-relative D-LGMD: it counts cells that change strongly relative to the contrast."""
 
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -12,8 +13,7 @@ from dlgmd_cli.models.base import (
     Grey,
     Photoreceptors,
     Response,
-    aligned,
-    centroid_of,
+    centroid,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Counting
@@ -73,7 +73,7 @@ class ContrastDLGMD(Distributed):
     def __init__(self, params: ContrastParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
         self.receptors = ContrastReceptors(self.first_valid_frame, self.params)
-        self._weights: FloatImage | None = None
+        self._weights: tuple[FloatImage, FloatImage] | None = None
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells, see `Model.ignore`, also in σ, ν and w."""
@@ -83,51 +83,59 @@ class ContrastDLGMD(Distributed):
     def _respond(self, images: Images | None) -> Response:
         receptors, threshold = self.receptors, self._threshold()
         shape = receptors.current.shape
-        if self._weights is None or self._weights.shape != shape:
+        if self._weights is None:
             self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
-            self._spare = aligned(shape), aligned(shape)
-        s, g = images or self._spare
-        s_sum = self._engine.respond(receptors, Counting(threshold), (s, g)).s
+        sums = self._engine.respond(receptors, Counting(threshold, self._weights), images)
         ffi = receptors.growth
         passed = min(1.0, self.params.growth / ffi) ** 2 if ffi > 0.0 else 1.0
-        cv2.multiply(g, self._weights, dst=g, scale=passed)
-        mp = cv2.sumElems(g)[0]
-        g_x, g_y = centroid_of(g)
-        return Response(receptors.p_sum(0), s_sum, mp, ffi, threshold, g_x=g_x, g_y=g_y)
+        if images is not None:
+            np.multiply(images[1], np.float32(passed), out=images[1])
+        mp, (m_x, m_y) = passed * sums.g, sums.moments
+        g_x, g_y = centroid(mp, (passed * m_x, passed * m_y), shape)
+        return Response(receptors.p_sum(0), sums.s, mp, ffi, threshold, g_x=g_x, g_y=g_y)
+
+    def _prepare(self, luminance: Grey) -> None:
+        super()._prepare(luminance)
+        self.receptors.subtract = self._engine.subtract
+        self._weights = None
 
     def _threshold(self) -> float:
         """Threshold of S for an active cell, in luminance."""
         return max(self.params.c_s * self.receptors.sigma, self.params.s_min)
 
 
-def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = None) -> FloatImage:
-    """Weights of the cells, (H, W): a Gaussian about the centre with a mean of 1.
+def centre_weights(
+    shape: tuple[int, ...], sigma: float, hidden: Flags | None = None
+) -> tuple[FloatImage, FloatImage]:
+    """Weights of the rows, (H,), and of the columns, (W,): a Gaussian about the centre.
 
-    `sigma` is the standard deviation in halves of the longer side. Cells where `hidden`, (H, W), is
-    True have weight 0 and do not enter the mean.
+    Their products, the weights of the cells, have a mean of 1. `sigma` is the standard deviation in
+    halves of the longer side. Cells where `hidden`, (H, W), is True do not enter the mean.
     """
     height, width = shape
     longer = max(shape)
     y, x = ((np.arange(side) - (side - 1) / 2) / (longer / 2) for side in (height, width))
-    weights = np.outer(np.exp(-(y**2) / (2 * sigma**2)), np.exp(-(x**2) / (2 * sigma**2)))
-    if hidden is not None:
-        weights[hidden] = 0.0
-        return np.asarray(weights / weights[~hidden].mean(), np.float32)
-    return np.asarray(weights / weights.mean(), np.float32)
+    rows, columns = (np.exp(-(side**2) / (2 * sigma**2)) for side in (y, x))
+    mean = np.outer(rows, columns)[... if hidden is None else ~hidden].mean()
+    return (rows / mean).astype(np.float32), columns.astype(np.float32)
 
 
-def lower_quartile(image: Grey, hidden: Flags | None = None) -> float:
-    """Lower quartile of the values, estimated from a subset if there are many cells.
+def lower_quartile(current: Grey, previous: Grey, hidden: Flags | None = None) -> float:
+    """Lower quartile of |L(t) - L(t-1)|, estimated from a subset if there are many cells.
 
     Cells where `hidden`, (H, W), is True are ignored.
     """
-    step = max(1, math.isqrt(image.size // MAX_QUARTILE_CELLS))
-    values = image[::step, ::step].ravel()
+    step = max(1, math.isqrt(current.size // MAX_QUARTILE_CELLS))
+    if hidden is not None and hidden[::step, ::step].all():  # the subset has no visible cell
+        step = 1
+    change = cv2.absdiff(current[::step, ::step], previous[::step, ::step])
     if hidden is not None:
-        values = values[~hidden[::step, ::step].ravel()]
-        if values.size == 0:  # the subset has no visible cell
-            values = image[~hidden]
-    return float(np.partition(values, values.size // 4)[values.size // 4])
+        change = change[~hidden[::step, ::step]]
+    rank = change.size // 4
+    if change.dtype == np.uint8:  # faster than to sort
+        counts = cv2.calcHist([change], [0], None, [256], [0, 256])
+        return float(np.searchsorted(counts.cumsum(dtype=float), rank, side="right"))
+    return float(np.partition(change.ravel(), rank)[rank])
 
 
 def smoothed(before: float, newest: float, weight: float) -> float:
@@ -150,6 +158,7 @@ class ContrastReceptors(Photoreceptors):
     """
 
     sigma: float
+    subtract: Callable[..., tuple[float, float]]  # of the model's engine
     _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
@@ -167,14 +176,13 @@ class ContrastReceptors(Photoreceptors):
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
-        change = cv2.absdiff(self.current, self.previous)
-        self.noise = smoothed(self.noise, lower_quartile(change, self.hidden) * self.unit, weight)
-        np.subtract(change, np.float32(self._floor() / self.unit), out=out)
-        cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
-        p_sum = cv2.sumElems(out)[0]
+        quartile = lower_quartile(self.current, self.previous, self.hidden)
+        self.noise = smoothed(self.noise, quartile * self.unit, weight)
+        floor = self._floor() / self.unit
+        p_sum, change_sum = self.subtract(self.current, self.previous, floor, out)
         self.growth = p_sum / self._usual if self._usual else math.inf if p_sum else 0.0
         self._usual = smoothed(self._usual, p_sum, self._params.w_m)
-        return float(cv2.sumElems(change)[0])
+        return change_sum
 
     def _floor(self) -> float:
         """Threshold of |L(t) - L(t-1)|, in luminance."""

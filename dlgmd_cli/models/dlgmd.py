@@ -44,7 +44,7 @@ class DLGMD(Distributed):
     def _respond(self, images: Images | None) -> Response:
         receptors = self.receptors
         grouping = self._grouping()
-        s_sum, mp, moments = self._engine.respond(receptors, grouping, images)
+        s_sum, mp, moments, _ = self._engine.respond(receptors, grouping, images)
         g_x, g_y = centroid(mp, moments, receptors.current.shape)
         ffi = receptors.p_sum(self._least_delay)
         return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)

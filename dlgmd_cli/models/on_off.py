@@ -20,8 +20,8 @@ from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
 from dlgmd_cli.parameters import OnOffParameters
 
-# The engine computes only S for a pathway; no cell exceeds this threshold.
-_NO_CELLS = Counting(math.inf)
+# The engine computes only S for a pathway.
+_ONLY_S = Counting(math.inf)
 
 
 class OnOffDLGMD(DLGMD):
@@ -75,7 +75,7 @@ class OnOffDLGMD(DLGMD):
         s, g = images or self._images[:2]
         s_off, around = self._images[2:]
         for pathway, s_of_it in zip(self._pathways, (s, s_off), strict=True):
-            self._engine.respond(pathway, _NO_CELLS, (s_of_it, around))
+            self._engine.respond(pathway, _ONLY_S, (s_of_it, around))
         cv2.add(s, s_off, dst=s)
         grouping = self._grouping()
         sum_4x4(s, out=around)

@@ -84,7 +84,10 @@ class Timeline:
         return _interpolated(time_s, self.time_s, self.frame.astype(np.float64))
 
     def label(self, lowest: Axes, highest: Axes) -> None:
-        """Label seconds below the panels and, if all results agree on them, frames above."""
+        """Label seconds below the panels and, if all results agree on them, frames above.
+
+        Axes that were labelled for another result are labelled anew.
+        """
         lowest.set_xlim(self.view)
         lowest.set_xlabel("Time (s)")
         if self.is_shared:
@@ -93,7 +96,8 @@ class Timeline:
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]
-            top = highest.secondary_xaxis("top")
+            known = highest.child_axes
+            top: Any = known[0] if known else highest.secondary_xaxis("top")
             top.set_xticks(self.time_of(frames), [f"{frame:.0f}" for frame in frames])
             top.set_xlabel("Frame")
 

@@ -1,6 +1,6 @@
 """Figures of results over time: membrane potential, attenuation, spikes and alarms."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -52,7 +52,7 @@ LOOKS: tuple[tuple[str, Any], ...] = (
 MAX_TOGETHER = 4
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
 # Margins around the panels: labels below and on the left, frame numbers above; and between them.
-_LEFT_IN, _RIGHT_IN, _BELOW_IN, _ABOVE_IN, _BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
+_LEFT_IN, _RIGHT_IN, BELOW_IN, ABOVE_IN, BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
 # Heights with a panel per result: all panels together; least and greatest height of one; its name.
 _SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
 # Height of a page without margins, and of the lowest legible panel.
@@ -117,6 +117,11 @@ def plot(
         raise ValueError(f"column is {column!r}, none of {', '.join(COLUMNS)}")
     panels, heights = _panels(KINDS[kind], results)
     is_split = len(results) > MAX_TOGETHER
+    is_alone = len(results) == 1 and annotations == NONE
+    between_in, margins_in = _NAME_IN if is_split else 0.0, _AXES_LABELS_IN
+    if is_alone:
+        heights = heights_alone(KINDS[kind])
+        between_in, margins_in = BETWEEN_IN, ABOVE_IN + BELOW_IN
     with house_style():
         figure = new_figure(1.0, width)
         timeline = Timeline.of(results.values())
@@ -141,14 +146,12 @@ def plot(
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(axis="x", bottom=False)
         figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
-        between_in = (_NAME_IN if is_split else 0.0) * (len(panels) + len(above) - 1)
-        figure.set_figheight(sum(above + heights) + between_in + _AXES_LABELS_IN)
+        heights = above + heights
+        figure.set_figheight(sum(heights) + between_in * (len(heights) - 1) + margins_in)
         ordered = found if kind != "spikes" else found[::-1]
-        add_legend(figure, [entry for some in ordered for entry in some])
-        if is_split:
-            _fix_margins(figure, above + heights, _NAME_IN)
-        elif len(results) == 1 and not above:
-            _fix_margins(figure, heights, _BETWEEN_IN)
+        legend_in = add_legend(figure, [entry for some in ordered for entry in some])
+        if is_split or is_alone:
+            fix_margins(figure, heights, between_in, legend_in)
     return figure
 
 
@@ -158,7 +161,7 @@ def _panels(
     """For each panel, from the top down: its drawing function and results, and its height in in."""
     raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(results))
     if len(results) <= MAX_TOGETHER:
-        together = _traces(results)
+        together = traces_of(results)
         heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
         return [(draw, together) for draw in draws], heights
     n_small = sum(draw is not _draw_raster for draw in draws) * len(results)
@@ -166,7 +169,7 @@ def _panels(
     room_in = _PAGE_IN - raster_in - _AXES_LABELS_IN - _NAME_IN * n_small
     small_in = min(max(_SMALL_IN / n_small, _LEAST_SMALL_IN), _MOST_SMALL_IN)
     small_in = min(small_in, max(room_in / n_small, _LEGIBLE_IN))
-    apart = [trace for label, one in results.items() for trace in _traces({label: one})]
+    apart = [trace for label, one in results.items() for trace in traces_of({label: one})]
     panels: list[tuple[_Draw, list[_Trace]]] = []
     heights = []
     for draw in draws:
@@ -219,21 +222,21 @@ def _share(
     ]
 
 
-def _fix_margins(figure: Figure, heights: list[float], between_in: float) -> None:
+def fix_margins(figure: Figure, heights: list[float], between_in: float, legend_in: float) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
-    The widths of their labels are known, and Matplotlib's layout would take as long as drawing.
+    `heights` are those of the panels, in inches. The widths of their labels are known, and
+    Matplotlib's layout would take as long as drawing.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()
-    legend_in = sum(one.get_window_extent().height for one in figure.legends) / figure.dpi
     ticks = [text for axes in figure.axes for text in axes.get_yticklabels() if text.get_text()]
     longest_in = max((text.get_window_extent().width for text in ticks), default=0.0) / figure.dpi
     figure.subplots_adjust(
         left=max(_LEFT_IN, longest_in + 0.1) / width,
         right=1.0 - _RIGHT_IN / width,
-        bottom=_BELOW_IN / height,
-        top=1.0 - (_ABOVE_IN + legend_in) / height,
+        bottom=BELOW_IN / height,
+        top=1.0 - (ABOVE_IN + legend_in) / height,
         hspace=between_in * len(heights) / sum(heights),
     )
 
@@ -264,7 +267,13 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
     return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
 
 
-def _traces(results: Mapping[str, Result]) -> list[_Trace]:
+def heights_alone(draws: Sequence["_Draw"]) -> list[float]:
+    """Heights of the panels of one result, in inches."""
+    return [(_RASTER_IN if draw is _draw_raster else _HEIGHT_IN) - BETWEEN_IN for draw in draws]
+
+
+def traces_of(results: Mapping[str, Result]) -> list[_Trace]:
+    """The results as traces, each with its look."""
     return [
         _Trace(label, result, {"color": color, "linestyle": dashes}, alone=len(results) == 1)
         for (label, result), (color, dashes) in zip(results.items(), LOOKS, strict=False)

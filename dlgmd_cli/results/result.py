@@ -253,10 +253,9 @@ class Result:
         }
         formats = tuple(formats)
         if formats:
-            from dlgmd_cli.plots.style import DPI, figure_files
+            from dlgmd_cli.plots.pictures import result_files
 
-            figures = {kind: partial(self.plot, kind) for kind in store.FIGURES[store.RUN]}
-            found |= figure_files(figures, formats, dpi or DPI)
+            found |= result_files(self, formats, dpi)
         record = {**self.record, "summary": self.summary}
         text = record_text(record, [str(self.record.get("engine"))], _HEADER)
         found[store.RUN] = store.file_of(text)

@@ -11,8 +11,9 @@ from engine_checks import SUMS, answers, assert_engines_agree, create, scene
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.models import engines
+from dlgmd_cli.models.contrast import lower_quartile
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.engines import just_below
+from dlgmd_cli.models.engines import Counting, just_below
 from dlgmd_cli.models.engines.opencv import TILE_HW, tiles
 from dlgmd_cli.parameters import DlgmdParameters
 
@@ -35,6 +36,55 @@ def test_the_engines_agree_at_every_size(loops, shape, dtype):
 @pytest.mark.parametrize("shape", [(40, 481), (271, 30)])
 def test_the_engines_agree_for_other_models(loops, shape, name):
     assert_engines_agree(scene(*shape), name)
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("shape", [(40, 481), (541, 31), (1, 7)])
+def test_counted_cells_are_summed_by_quarters(loops, engine, shape):
+    model = create(engine, "dlgmd-contrast")
+    for frame in scene(*shape):
+        model.step(frame)
+    rows, columns = (np.linspace(1, 2, side, dtype=np.float32) for side in shape)
+    s, g = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    sums = model._engine.respond(model.receptors, Counting(0.01, (rows, columns)), (s, g))
+    np.testing.assert_allclose(g, np.outer(rows, columns) * (s > 0.01), rtol=1e-6)
+    y, x = (side // 2 for side in shape)
+    parts = g[:y, :x], g[:y, x:], g[y:, :x], g[y:, x:]
+    assert sums.quarters == pytest.approx([part.sum(dtype=float) for part in parts], rel=1e-6)
+    assert sums.g == pytest.approx(sum(sums.quarters)) and (sums.g > 0.0 or shape[0] == 1)
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_change_above_a_floor_and_its_sums(loops, engine, dtype):
+    before, now = scene(31, 45, 2, dtype)
+    floor = 3.25 if dtype == np.uint8 else 0.02
+    model = create(engine, "dlgmd-contrast")
+    model.step(before)
+    p = np.empty(now.shape, np.float32)
+    p_sum, change_sum = model._engine.subtract(now, before, floor, p)
+    change = np.abs(now.astype(float) - before)
+    np.testing.assert_allclose(p, np.maximum(change - floor, 0.0), atol=1e-6)
+    assert (p_sum, change_sum) == pytest.approx((p.sum(dtype=float), change.sum()), rel=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("shape", [(1, 1), (30, 41), (300, 310)])
+def test_the_lower_quartile_is_that_of_the_visible_cells(shape, dtype):
+    frames = np.random.default_rng(0).integers(0, 256, (2, *shape)).astype(dtype)
+    change = np.abs(np.subtract(*frames, dtype=float))
+    step = 3 if shape[0] == 300 else 1
+    for hidden in (None, np.arange(change.size).reshape(shape) % 4 == 3):
+        some = change[::step, ::step]
+        if hidden is not None:
+            some = some[~hidden[::step, ::step]]
+        expected = np.sort(some, axis=None)[some.size // 4]
+        assert lower_quartile(*frames, hidden) == expected
+    if step > 1:  # what is estimated from is hidden
+        hidden = np.zeros(shape, bool)
+        hidden[::step, ::step] = True
+        expected = np.sort(change[~hidden])[np.count_nonzero(~hidden) // 4]
+        assert lower_quartile(*frames, hidden) == expected
 
 
 @pytest.mark.parametrize("engine", engines.ENGINES)
@@ -158,9 +208,9 @@ def test_compilation_is_announced_once(loops, caplog):
     "error", [OSError(), EOFError(), UnpicklingError(), RuntimeError("no locator available")]
 )
 def test_a_cache_that_fails_costs_only_time(loops, monkeypatch, error):
-    expected, compiled = answers("numba", scene(20, 30)), loops._compiled(True)
+    expected, compiled = answers("numba", scene(20, 30)), loops._compiled(loops._sum_layers, True)
 
-    def load(on_disk):
+    def load(function, on_disk):
         if on_disk:
             raise error
         return compiled

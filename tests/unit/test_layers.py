@@ -34,6 +34,7 @@ ONLY_IN = {
     "rich": {"commands"},
     "matplotlib": {"plots", "lab/plots"},
     "jinja2": {"pages", "lab/reproduce"},
+    "PIL": {"plots"},
     "numba": {"models"},
     "av": {"video"},
     "pebble": {"pool"},
@@ -51,6 +52,7 @@ ONLY_IN = {
 EXCEPTIONS = {
     ("results/result.py", "dlgmd_cli.plots.traces"),
     ("results/result.py", "dlgmd_cli.plots.style"),
+    ("results/result.py", "dlgmd_cli.plots.pictures"),
 }
 
 

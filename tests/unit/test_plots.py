@@ -1,6 +1,6 @@
 """Figures over time and of kernels: what is drawn, where, and that they can be written."""
 
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import cv2
 import matplotlib
@@ -239,6 +239,20 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
         write(tmp_path / name)
     assert len(drawn) == 1 and (tmp_path / "mp.svg").read_bytes().startswith(b"<?xml")
     assert dict(matplotlib.rcParams) == before  # the host's style is left alone
+
+
+def test_pictures_cut_from_one_drawing_are_those_of_each_figure(tmp_path):
+    undefined = part(make_result(), slice(0, 2))
+    names = cycle(["flight", "long name " * 9])
+    for result in (make_result(), undefined, long_result(), make_result()):
+        result.record["input"]["name"] = next(names)
+        result.save(tmp_path, ["png"])
+        for kind in ("mp", "attenuation", "spikes"):
+            save_figure(result.plot(kind), tmp_path / "alone.png")
+            alone = cv2.imread(str(tmp_path / "alone.png")).astype(int)
+            differences = np.abs(alone - cv2.imread(str(tmp_path / f"{kind}.png")))
+            # Half-covered pixels where one part meets the next
+            assert differences.max() < 32 and (differences > 0).mean() < 0.005
 
 
 def test_kernels_have_a_panel_each_and_one_scale_of_strength():

@@ -42,6 +42,7 @@ def undrawable(monkeypatch):
         raise RuntimeError("no figure today")
 
     monkeypatch.setattr("dlgmd_cli.plots.style.save_figure", fail)
+    monkeypatch.setattr("dlgmd_cli.plots.pictures._Drawing.pictures", fail)
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left"), RuntimeError("a bug")])

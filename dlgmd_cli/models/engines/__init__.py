@@ -9,7 +9,7 @@ import numpy as np
 
 from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.models.base import AUTO, FloatImage, Photoreceptors
+from dlgmd_cli.models.base import AUTO, FloatImage, Grey, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters import ENGINES
 
@@ -29,17 +29,27 @@ class Grouping(NamedTuple):
 
 
 class Counting(NamedTuple):
-    """A replacement for the grouping: G is 1 where S exceeds `above`, in luminance, else 0."""
+    """A replacement for the grouping: G is the weight where S exceeds `above`, else 0.
+
+    `above` is in luminance. The weight of a cell is the product of the `weights` of its row, (H,),
+    and its column, (W,). Without them there is no G: the engine computes only S.
+    """
 
     above: float
+    weights: tuple[FloatImage, FloatImage] | None = None
 
 
 class Sums(NamedTuple):
-    """ΣS and ΣG of a frame, and the `first_moments` of G."""
+    """ΣS and ΣG of a frame, and the `first_moments` of G.
+
+    `quarters` are parts of ΣG after `Counting`: upper left, upper right, lower left, lower right.
+    The lower half begins at row H // 2, the right half at column W // 2.
+    """
 
     s: float
     g: float
     moments: tuple[float, float]
+    quarters: tuple[float, ...] = ()
 
 
 class Engine(Protocol):
@@ -55,6 +65,15 @@ class Engine(Protocol):
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
         G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10), or see `Counting`
+        """
+        ...
+
+    def subtract(
+        self, current: Grey, previous: Grey, floor: float, out: FloatImage
+    ) -> tuple[float, float]:
+        """Write max(|L(t) - L(t-1)| - `floor`, 0) to `out`, (H, W).
+
+        Returns its sum, and Σ|L(t) - L(t-1)|. Everything is in levels.
         """
         ...
 

@@ -10,7 +10,7 @@ All loops are in this module because Numba's cache on disk detects only changes 
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from pickle import UnpicklingError
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
-from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
+from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
 from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
@@ -31,7 +31,9 @@ MAX_ROWS = 32  # per block
 # Each band of rows has its own thread, if it is large enough.
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
+_Loops = Callable[..., tuple[float, ...]]
 COUNT = 0.0  # a gain that means counting; the grouping never uses it
+_NO_WEIGHTS = np.empty(0, np.float32), np.empty(0, np.float32)
 _NOWHERE, _NONE_HIDDEN = np.empty((0, 0), np.float32), np.empty((0, 0), np.bool_)
 
 # Allow reordering of sums for vector instructions, but no other fast-math approximations.
@@ -143,12 +145,12 @@ def _group(s, stride, four, g, gain, below, cap):
 
 
 @njit(**_OPTIONS)
-def _count(s, stride, g, above):
-    """Set G of a row to 1 where S exceeds `above`, else 0; returns its sum. `s` as in `_group`."""
-    total, here = np.float32(0.0), np.uint64(stride + 1)
+def _count(s, g, weight, weights, above):
+    """Set G of a part of a row to the weight where S exceeds `above`, else 0; returns its sum."""
+    total = np.float32(0.0)
     for i in range(g.size):
         x = np.uint64(i)
-        value = np.float32(1.0) if s[x + here] > above else np.float32(0.0)
+        value = weight * weights[x] if s[x] > above else np.float32(0.0)
         g[x] = value
         total += value
     return total
@@ -163,23 +165,50 @@ def _moment(g):
     return total
 
 
+@njit(**_OPTIONS)
+def _subtract_row(current, previous, floor, out):
+    """P' of a row; returns its sum, and that of the change, which is exact for uint8."""
+    p_sum, change_sum = np.float32(0.0), np.float32(0.0)
+    for i in range(out.size):
+        x = np.uint64(i)
+        change = abs(np.float32(current[x]) - np.float32(previous[x]))
+        p = change - floor
+        p = np.float32(0.0) if p <= 0.0 else p  # NaN stays
+        out[x] = p
+        p_sum += p
+        change_sum += change
+    return p_sum, change_sum
+
+
+def _subtract(first, end, current, previous, floor, out):
+    """P' of the rows from `first` up to `end`, and the sums, see `Engine.subtract`."""
+    p_sum = change_sum = 0.0
+    for y in range(first, end):
+        sums = _subtract_row(current[y], previous[y], floor, out[y])
+        p_sum += sums[0]
+        change_sum += sums[1]
+    return p_sum, change_sum
+
+
 def _sum_layers(
     first, end, stack, newer, older, hidden, plan, shape, memory, row_memory, grouping, s_out, g_out
 ):
-    """ΣS, ΣG and the moments of G for the rows from `first` up to `end`, block by block.
+    """ΣS, ΣG, its moments and quarters for the rows from `first` up to `end`, block by block.
 
     `NumbaEngine` prepares all arguments.
     """
     outs, last, places, weights = plan
     radius, n_rows, stride = shape
-    gain, below, cap = grouping
+    gain, below, cap, row_weights, column_weights = grouping
     four, g = row_memory
     _, height, width = stack.shape
+    half = width // 2
     block, size = n_rows * stride, (2 * radius + n_rows) * stride
     # S of a block and of the three rows above it.
     s = memory[outs[-1] - 3 * stride : outs[-1] + block]
     s[: 3 * stride] = 0.0
     s_sum = g_sum = m_x = m_y = 0.0
+    quarters = np.zeros(4)
     top, first_new = first - 1, 0
     while top - 2 < end:
         _read(memory, stack, newer, older, shape, top, first_new)
@@ -201,28 +230,37 @@ def _sum_layers(
                 if s_out.size:
                     s_out[y] = s[at + 1 : at + 1 + width]
         for row in range(max(0, first + 2 - top), min(n_rows, end + 2 - top)):
+            y = top - 2 + row
             if gain == COUNT:
-                total = _count(s[row * stride :], stride, g, below)
+                if not row_weights.size:
+                    break
+                total = 0.0
+                for side in range(2):
+                    a, b = (half, width) if side else (0, half)
+                    s_part = s[(row + 1) * stride + 1 + a : (row + 1) * stride + 1 + b]
+                    part = _count(s_part, g[a:b], row_weights[y], column_weights[a:b], below)
+                    quarters[side if y < height // 2 else 2 + side] += part
+                    total += part
             else:
                 total = _group(s[row * stride :], stride, four, g, gain, below, cap)
             if total > 0.0:
                 g_sum += total
                 m_x += _moment(g)
-                m_y += total * (top - 2 + row)
+                m_y += total * y
             if g_out.size:
-                g_out[top - 2 + row] = g
+                g_out[y] = g
         _move_up(s, np.uint64(block), 3 * stride)
         for q in range(newer.size):
             _move_up(memory[q * size :], np.uint64(block), 2 * radius * stride)
         top += n_rows
         first_new = 2 * radius
-    return s_sum, g_sum, m_x, m_y
+    return s_sum, g_sum, m_x, m_y, quarters[0], quarters[1], quarters[2], quarters[3]
 
 
 @cache
-def _compiled(on_disk: bool) -> Callable[..., Any]:
-    """`_sum_layers`, compiled at the first call or loaded from Numba's cache."""
-    return njit(cache=on_disk, **_OPTIONS)(_sum_layers)
+def _compiled(function: _Loops, on_disk: bool) -> _Loops:
+    """`function`, compiled at the first call or loaded from Numba's cache."""
+    return njit(cache=on_disk, **_OPTIONS)(function)
 
 
 class NumbaEngine:
@@ -245,7 +283,8 @@ class NumbaEngine:
         size = int(self._plan[0][-1]) + n_rows * stride + stride
         self._memory = [(_zeros(size), (_zeros(width + 3), _zeros(width))) for _ in range(n_bands)]
         self._map = ThreadPoolExecutor(n_bands, "dlgmd-band").map if n_bands > 1 else map
-        self._compute: Callable[..., tuple[float, ...]] | None = None
+        self._loaded: dict[_Loops, _Loops] = {}
+        self._announcement = Announcement()
 
     def respond(
         self,
@@ -257,15 +296,17 @@ class NumbaEngine:
         newer = [receptors.position(s.delay) for s in self._sources]
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
+        cell_weights = _NO_WEIGHTS
         if isinstance(readout, Counting):
             gain, below, cap = COUNT, readout.above, 1.0
+            cell_weights = readout.weights or _NO_WEIGHTS
         else:
             gain, cap = readout.gain, readout.cap
             below = just_below(readout.t_de) if readout.t_de > 0.0 else -1.0
         hidden = _NONE_HIDDEN if receptors.hidden is None else receptors.hidden
-        constants = np.float32(gain), np.float32(below), np.float32(cap)
+        constants = np.float32(gain), np.float32(below), np.float32(cap), *cell_weights
 
-        def work(band: int, compute: Callable[..., tuple[float, ...]]) -> tuple[float, ...]:
+        def work(band: int, compute: _Loops) -> tuple[float, ...]:
             return compute(
                 *self._bands[band : band + 2],
                 receptors.stack,
@@ -278,23 +319,42 @@ class NumbaEngine:
                 *(layers or (_NOWHERE, _NOWHERE)),
             )
 
-        if self._compute is None:
-            self._compute = self._load(lambda compute: work(0, compute))
-        compute = self._compute
-        answers = self._map(lambda band: work(band, compute), range(len(self._memory)))
-        s_sum, g_sum, m_x, m_y = np.array(list(answers)).sum(axis=0).tolist()
-        return Sums(s_sum, g_sum, (m_x, m_y))
+        s_sum, g_sum, m_x, m_y, *quarters = self._in_bands(_sum_layers, work)
+        return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters))
 
-    def _load(self, work: Callable[..., Any]) -> Callable[..., tuple[float, ...]]:
-        """Compile or load the loops, in this thread: others cannot be interrupted meanwhile."""
-        with install_listener("numba:compile", Announcement()):
+    def subtract(
+        self, current: Grey, previous: Grey, floor: float, out: FloatImage
+    ) -> tuple[float, float]:
+        """P' and the sums, see `Engine`; bands of rows are computed in parallel."""
+
+        def work(band: int, compute: _Loops) -> tuple[float, ...]:
+            rows = self._bands[band : band + 2]
+            return compute(*rows, current, previous, np.float32(floor), out)
+
+        p_sum, change_sum = self._in_bands(_subtract, work)
+        return p_sum, change_sum
+
+    def _in_bands(
+        self, function: _Loops, work: Callable[[int, _Loops], tuple[float, ...]]
+    ) -> list[float]:
+        """The sums of what `work` returns for all bands; it is given `function`, compiled."""
+        if function not in self._loaded:
+            self._loaded[function] = self._load(function, partial(work, 0))
+        compute = self._loaded[function]
+        answers = self._map(lambda band: work(band, compute), range(len(self._memory)))
+        sums: list[float] = np.array(list(answers)).sum(axis=0).tolist()
+        return sums
+
+    def _load(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
+        """Compile or load loops, in this thread: others cannot be interrupted meanwhile."""
+        with install_listener("numba:compile", self._announcement):
             try:
-                work(_compiled(True))
-                return _compiled(True)
+                work(_compiled(function, True))
+                return _compiled(function, True)
             # A full disk, a truncated cache file, or a home folder that is not writable
             except (OSError, EOFError, UnpicklingError, RuntimeError):
-                work(_compiled(False))
-                return _compiled(False)
+                work(_compiled(function, False))
+                return _compiled(function, False)
 
 
 class Announcement(Listener):

@@ -61,6 +61,7 @@ class OpencvEngine:
     ) -> Sums:
         """The sums of the newest frame, tile by tile."""
         s_sum = g_sum = m_x = m_y = 0.0
+        quarters = np.zeros(4)
         for tile in self._tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
@@ -68,21 +69,40 @@ class OpencvEngine:
             if receptors.hidden is not None:
                 s[receptors.hidden[tile.window]] = 0.0
             s_sum += cv2.sumElems(s[tile.core])[0]
+            if layers is not None:
+                layers[0][tile.target] = s[tile.core]
             if isinstance(readout, Counting):
+                if readout.weights is None:
+                    continue
                 above = float(np.float32(readout.above))
                 cv2.threshold(s[tile.core], above, 1.0, cv2.THRESH_BINARY, dst=g[tile.core])
+                rows, columns = (w[a] for w, a in zip(readout.weights, tile.target, strict=True))
+                np.multiply(rows[:, None], columns, out=part[tile.core])
+                cv2.multiply(g[tile.core], part[tile.core], dst=g[tile.core])
+                parts = quarters_of(g[tile.core], tile.target, receptors.current.shape)
+                quarters += parts
+                g_of_tile = sum(parts)
             else:
                 sum_4x4(s, out=part)
                 group(s[tile.core], part[tile.core], readout, g[tile.core])
-            g_of_tile = cv2.sumElems(g[tile.core])[0]
+                g_of_tile = cv2.sumElems(g[tile.core])[0]
             if g_of_tile > 0.0:
-                (dx, dy), (rows, columns) = first_moments(g[tile.core]), tile.target
-                m_x += dx + columns.start * g_of_tile
-                m_y += dy + rows.start * g_of_tile
+                (dx, dy), (down, right) = first_moments(g[tile.core]), tile.target
+                m_x += dx + right.start * g_of_tile
+                m_y += dy + down.start * g_of_tile
             g_sum += g_of_tile
             if layers is not None:
-                layers[0][tile.target], layers[1][tile.target] = s[tile.core], g[tile.core]
-        return Sums(s_sum, g_sum, (m_x, m_y))
+                layers[1][tile.target] = g[tile.core]
+        return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters.tolist()))
+
+    def subtract(
+        self, current: Grey, previous: Grey, floor: float, out: FloatImage
+    ) -> tuple[float, float]:
+        """P' and the sums, see `Engine`."""
+        change = cv2.absdiff(current, previous)
+        np.subtract(change, np.float32(floor), out=out)
+        cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
+        return cv2.sumElems(out)[0], cv2.sumElems(change)[0]
 
     def _summate(
         self,
@@ -113,6 +133,13 @@ def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
         cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
         cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
+
+
+def quarters_of(g: FloatImage, target: Window, shape: tuple[int, ...]) -> list[float]:
+    """The sums of a tile's G over the four quarters of an image of `shape`, see `Sums`."""
+    row, column = (max(0, n // 2 - part.start) for n, part in zip(shape, target, strict=True))
+    parts = g[:row, :column], g[:row, column:], g[row:, :column], g[row:, column:]
+    return [cv2.sumElems(part)[0] if part.size else 0.0 for part in parts]
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
