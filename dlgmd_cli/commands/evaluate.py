@@ -120,8 +120,9 @@ def evaluate(
     videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos.
 
     Writes into OUT evaluate.csv (one row per model, threshold and target), curves.csv (recall and
-    false alarms at every threshold), alarms.csv (every alarm and every missed collision), figures
-    of the trade-off and of the leads, and evaluate.yaml.
+    false alarms at every threshold), alarms.csv (every alarm and every missed collision of all
+    videos; not the columns of 'dlgmd run'), figures of the trade-off and of the leads, and
+    evaluate.yaml.
     """
     from dlgmd_cli.lab.evaluation.cases import read_cases, stored_results
     from dlgmd_cli.lab.evaluation.report import make_report

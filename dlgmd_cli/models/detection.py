@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,8 @@ LEAST_PEAK = 1.0 / 255.0**2
 MERGE_S = 0.3
 # Tolerance for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
+# Where the middle third of the picture ends, in halves of its sides from its centre.
+_THIRD = 1.0 / 3.0
 
 
 def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
@@ -119,8 +121,8 @@ def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
     return spikes, alarms
 
 
-def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
-    """Rows at which a new alarm is raised; pauses shorter than `MERGE_S` do not end an alarm.
+def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
+    """First and last row of every alarm; pauses shorter than `MERGE_S` do not end one.
 
     Parameters
     ----------
@@ -131,16 +133,71 @@ def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
 
     Returns
     -------
-    ndarray of int
-        Rows where the alarm turns on after it was off for `MERGE_S` at least. This is causal: it
-        does not depend on later rows.
+    ndarray of int, shape (n_alarms, 2)
+        Rows where the alarm turns on after it was off for `MERGE_S` at least, and the rows where it
+        is on for the last time. The former are causal: they do not depend on later rows.
     """
     on = np.flatnonzero(alarms)
     is_new = np.ones(len(on), np.bool_)
     if len(on):
         pause_s = np.diff(time_s[on])
         is_new[1:] = (np.diff(on) > 1) & (pause_s >= MERGE_S - ROUNDING_S)
-    return on[is_new]
+    return np.column_stack((on[is_new], on[np.roll(is_new, -1)]))
+
+
+def side_of(g_x: float, g_y: float) -> str:
+    """The third of the picture that a centroid lies in.
+
+    Parameters
+    ----------
+    g_x, g_y : float
+        Centroid, from -1 (left, top) to 1; NaN where undefined.
+
+    Returns
+    -------
+    str
+        `left` (g_x below -1/3), `ahead` or `right` (above 1/3), followed by ``high`` (g_y below
+        -1/3) or ``low`` (above 1/3) outside the middle third, such as ``left high``; empty if the
+        centroid is undefined.
+    """
+    if math.isnan(g_x) or math.isnan(g_y):
+        return ""
+    across = "left" if g_x < -_THIRD else "right" if g_x > _THIRD else "ahead"
+    return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
+
+
+class AlarmSpan(NamedTuple):
+    """An alarm: when, how strong, and from where; a row of alarms.csv.
+
+    Attributes
+    ----------
+    start_frame, start_s : int, float
+        The frame that raises the alarm, and its time in seconds.
+    end_frame, end_s : int, float
+        The last frame at which the alarm is on.
+    peak_mp_abs : float
+        Greatest normalised membrane potential of the frames at which it is on.
+    g_x, g_y : float
+        Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
+    """
+
+    start_frame: int
+    start_s: float
+    end_frame: int
+    end_s: float
+    peak_mp_abs: float
+    g_x: float = math.nan
+    g_y: float = math.nan
+
+    @property
+    def side(self) -> str:
+        """Where in the picture it was raised, see `side_of`."""
+        return side_of(self.g_x, self.g_y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The columns of alarms.csv; None where a number is not defined."""
+        known = {k: None if math.isnan(v) else v for k, v in self._asdict().items()}
+        return {**known, "side": self.side}
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,10 @@ _KINDS: dict[str, _Kind] = {
     },
     "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
     "versions": {_EACH: _is_text},
-    "summary": {_EACH: lambda value: value is None or _is_number(value)},
+    "summary": {
+        _EACH: lambda value: value is None or _is_number(value),
+        "first_alarm_side": lambda value: value is None or _is_text(value),
+    },
     "sweep": {},
     "warnings": [_is_text],
 }

@@ -33,6 +33,7 @@ OF_SUMMARY = (
     "alarms",
     "first_alarm_frame",
     "first_alarm_time_s",
+    "first_alarm_side",
     "mean_attenuation_db",
 )
 COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, "wall_s")
@@ -175,8 +176,8 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
         return {}
     if not (known.keys() >= set(OF_INPUT) and summary.keys() >= set(OF_SUMMARY)):
         return {}
-    files = set(csv.TABLES) | {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
-    return record if files <= store.names_in(folder) else {}
+    figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
+    return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
 
 
 def record_outcomes(
@@ -278,6 +279,7 @@ def _cells(video: str, row: Row) -> list[str]:
     warnings = "; ".join(row.record.get("warnings", []))
     cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        numbers = (row.record.get(part, {}).get(key) for key in keys)
-        cells += [csv.cell(one) if isinstance(one, int | float) else "" for one in numbers]
+        for one in (row.record.get(part, {}).get(key) for key in keys):
+            is_number = isinstance(one, int | float)
+            cells.append(csv.cell(one) if is_number else csv.text_cell(one or ""))
     return [*cells, "" if row.wall_s is None else f"{row.wall_s:.3f}"]

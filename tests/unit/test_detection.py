@@ -13,7 +13,7 @@ from reference import clips
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, absolute, detect, onsets, sequence
+from dlgmd_cli.models.detection import Alarm, AlarmSpan, absolute, detect, sequence, side_of, spans
 from dlgmd_cli.parameters import (
     MODELS,
     load_config,
@@ -80,16 +80,29 @@ def test_nothing_is_detected_in_nothing():
 def test_alarms_less_than_0_3_s_apart_are_one(pause, n_alarms):
     alarms = np.array([False] * 4 + [True] * 3 + [False] * pause + [True] * 2)
     time_s = np.arange(len(alarms)) / 30
-    expected = [4, 7 + pause][:n_alarms]
-    assert onsets(alarms, time_s).tolist() == expected
-    # No later row changes that, and the pause runs from the end of the last, however short.
+    last = 8 + pause
+    expected = [[4, last]] if n_alarms == 1 else [[4, 6], [7 + pause, last]]
+    assert spans(alarms, time_s).tolist() == expected
+    # The pause runs from the end of the last, however short.
     again = np.concatenate((alarms, [False] * 7, [True]))
-    assert onsets(again, np.arange(len(again)) / 30).tolist() == expected
-    assert onsets(np.array([], bool), np.array([])).tolist() == []
+    expected[-1][1] = last + 8
+    assert spans(again, np.arange(len(again)) / 30).tolist() == expected
+    assert spans(np.array([], bool), np.array([])).shape == (0, 2)
 
 
 def test_frames_far_apart_are_no_pause():
-    assert onsets(np.array([True, True, False, True]), np.arange(4.0)).tolist() == [0, 3]
+    assert spans(np.array([True, True, False, True]), np.arange(4.0)).tolist() == [[0, 1], [3, 3]]
+
+
+@pytest.mark.parametrize(
+    ("g_x", "g_y", "side"),
+    [
+        *((-0.34, 0.0, "left"), (-0.33, 0.33, "ahead"), (0.34, -0.33, "right")),
+        *((-1.0, -1.0, "left high"), (0.0, 0.34, "ahead low"), (NAN, NAN, "")),
+    ],
+)
+def test_sides_are_thirds_of_the_picture(g_x, g_y, side):
+    assert side_of(g_x, g_y) == AlarmSpan(0, 0.0, 1, 0.1, 0.5, g_x, g_y).side == side
 
 
 PARAMS = [
