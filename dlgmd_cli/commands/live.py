@@ -131,7 +131,13 @@ def live(
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
     options = input_options(setup, given)
     frames = _source(source, setup, options, asked)
-    alarm = Alarm(setup.params, repeats=options.repeats or "skip", engine=setup.engine)
+    alarm = Alarm(
+        setup.params,
+        resize=False,  # the source does it
+        model_fps=setup.model_fps,
+        repeats=options.repeats or "skip",
+        engine=setup.engine,
+    )
     statistics, sight, recording = Statistics(), Sight(frames), None
     with ExitStack() as stack:
         outputs = _outputs(asked, frames)
