@@ -187,7 +187,7 @@ _KINDS: dict[str, _Kind] = {
     "complete": lambda value: isinstance(value, bool),
     "wall_s": _is_number,
     "input": {
-        **dict.fromkeys(("path", "decoder", "sha256", "repeated_rows"), _is_text),
+        **dict.fromkeys(("path", "decoder", "deinterlaced", "sha256", "repeated_rows"), _is_text),
         **dict.fromkeys(("width", "height"), _is_side),
         **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
         "mtime_ns": _is_whole,
