@@ -309,7 +309,9 @@ input_fps_option = _input_option(
     metavar="F",
 )
 decoder_option = _input_option(
-    "decoder", "Library that decodes videos; pyav needs dlgmd[fast].  [default: opencv]"
+    "decoder",
+    "Library that decodes videos; pyav needs dlgmd[fast], and always reads interlaced video.  "
+    "[default: opencv]",
 )
 # What `live` has too.
 _PICTURES = (

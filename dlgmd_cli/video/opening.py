@@ -25,7 +25,7 @@ from dlgmd_cli.video.base import (
     openable,
     parse_crop,
 )
-from dlgmd_cli.video.fields import ANALOG_LINES, is_combed
+from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder, is_flagged
@@ -194,7 +194,7 @@ def _open_file(path: Path, decoder: str) -> Decoder:
             is_interlaced = is_flagged(name)
             if not is_interlaced:
                 opened = opens(name)
-                if opened.stream_info.height not in ANALOG_LINES:
+                if not has_analog_size(opened):
                     return opened
                 with closing(opened):
                     is_interlaced = is_combed(opened)
