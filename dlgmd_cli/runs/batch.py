@@ -33,10 +33,10 @@ OF_SUMMARY = (
     "alarms",
     "first_alarm_frame",
     "first_alarm_time_s",
-    "first_alarm_side",
     "mean_attenuation_db",
 )
-COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, "wall_s")
+SIDE = "first_alarm_side"
+COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, SIDE, "wall_s")
 # Share of the time for rewriting summary.csv: after every short video it would take too long.
 _SHARE_OF_TIME = 0.05
 # Threads that read records, since each may require a request to a bucket.
@@ -174,7 +174,7 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
             raise OutputExistsError(str(folder), "the result there is of another input", mend)
     if differing or not is_same or record.get("complete") is not True:
         return {}
-    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= set(OF_SUMMARY)):
+    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
         return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
@@ -279,7 +279,8 @@ def _cells(video: str, row: Row) -> list[str]:
     warnings = "; ".join(row.record.get("warnings", []))
     cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
-        for one in (row.record.get(part, {}).get(key) for key in keys):
-            is_number = isinstance(one, int | float)
-            cells.append(csv.cell(one) if is_number else csv.text_cell(one or ""))
+        numbers = (row.record.get(part, {}).get(key) for key in keys)
+        cells += [csv.cell(one) if isinstance(one, int | float) else "" for one in numbers]
+    side = row.record.get("summary", {}).get(SIDE)
+    cells.append(csv.text_cell(side) if isinstance(side, str) else "")
     return [*cells, "" if row.wall_s is None else f"{row.wall_s:.3f}"]
