@@ -228,9 +228,10 @@ def answers(
             found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
             latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
             is_repeat = found is last.detection
-            *before, (event, span) = [("", None), *events.step(found, frame)]
-            if len(before) == 2:  # an alarm ends, and another begins
-                yield between_frames(END, span=before[1][1])
+            told = events.step(found, frame)
+            for event, span in told[:-1]:
+                yield between_frames(event, span=span)
+            event, span = told[-1] if told else ("", None)
             last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason, span)
             yield last
     if span := events.over():
