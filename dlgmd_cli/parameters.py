@@ -273,6 +273,14 @@ class Config:
     named: dict[str, Any] = field(default_factory=dict)
 
 
+def design_of(params: Any) -> tuple[int, float]:
+    """Frame width in px and frame rate that a model's published values are designed for."""
+    model = getattr(params, "model", "")
+    has_file = model in MODELS and model != DlgmdParameters.model
+    file = load_model_preset(model) if has_file else Config("")
+    return file.width_px, file.model_fps
+
+
 def presets_dir() -> Path:
     """The folder of the presets: inside an installed package, beside it in the repository."""
     package = Path(__file__).resolve().parent

@@ -74,7 +74,7 @@ def answers_of_c(export, folder, frames):
 
 def answers_of_python(params, frames):
     """The same of `Alarm`; 0 where it answers NaN, as C does."""
-    alarm = Alarm(params, repeats="keep", engine="opencv")
+    alarm = Alarm(params, resize=False, repeats="keep", engine="opencv")
     rows = []
     for frame in frames:
         one = alarm.step(frame)

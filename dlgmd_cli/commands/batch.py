@@ -414,6 +414,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
     first = "–"
     if None not in (summary["first_alarm_frame"], summary["first_alarm_time_s"]):
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
+        first += f", {side}" if (side := summary.get("first_alarm_side")) else ""
     counts = (str(summary["spikes"]), str(summary["alarms"]))
     return (str(row.record["input"]["frames"]), peak, *counts, first)
 

@@ -250,6 +250,7 @@ def _show(record: dict[str, Any], folder: Path, as_json: bool) -> None:
         "mp_max_frame": ("peak frame", "{}"),
         "first_spike_time_s": ("first spike", "{:.3f} s"),
         "first_alarm_frame": ("first alarm", "frame {}"),
+        "first_alarm_side": ("from", "{}"),
         "sharpness": ("sharpness", "{:.3f}"),
         "distinguishability": ("distinguishability", "{:.4g}"),
     }

@@ -141,8 +141,8 @@ def evaluate(
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
-    and for each kind), alarms.csv (every alarm and every missed collision), figures
-    of the trade-off and of the leads, and evaluate.yaml.
+    and for each kind), alarms.csv (every alarm and every missed collision of all videos; not the
+    columns of 'dlgmd run'), figures of the trade-off and of the leads, and evaluate.yaml.
     """
     from dlgmd_cli.lab.evaluation.cases import of_kind, read_cases, stored_results
     from dlgmd_cli.lab.evaluation.report import make_report

@@ -175,9 +175,8 @@ def _advice(facts: "Survey") -> list[str]:
     others = (
         (
             facts.is_interlaced,
-            "It is interlaced: the comb of the two fields looks like motion, and --decoder opencv "
-            "may show the same picture throughout. Deinterlace it first, for example with 'ffmpeg "
-            "-i INPUT -vf bwdif OUTPUT'.",
+            "It is interlaced: all commands read it by PyAV and de-interlace it (FFmpeg's bwdif, "
+            "one picture a frame).",
         ),
         (
             has_fine_levels and facts.decoder == "opencv",

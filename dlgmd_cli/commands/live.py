@@ -116,6 +116,9 @@ def live(
     active cells, from -1 to 1) and latency_ms (from capture to answer). Events have an event:
     begin and end of an alarm, blind where the source is lost or its pictures are black or frozen,
     sees where it shows something again. The reason is lost, black or frozen as long as it does not.
+    With begin there is the side that the alarm comes from (left, ahead or right third of the
+    picture, with high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not
+    end an alarm, so its end is told 0.3 s late.
     """
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import Recording
@@ -128,7 +131,13 @@ def live(
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
     options = input_options(setup, given)
     frames = _source(source, setup, options, asked)
-    alarm = Alarm(setup.params, repeats=options.repeats or "skip", engine=setup.engine)
+    alarm = Alarm(
+        setup.params,
+        resize=False,  # the source does it
+        model_fps=setup.model_fps,
+        repeats=options.repeats or "skip",
+        engine=setup.engine,
+    )
     statistics, sight, recording = Statistics(), Sight(frames), None
     with ExitStack() as stack:
         outputs = _outputs(asked, frames)

@@ -309,7 +309,9 @@ input_fps_option = _input_option(
     metavar="F",
 )
 decoder_option = _input_option(
-    "decoder", "Library that decodes videos; pictures are read by OpenCV.  [default: pyav]"
+    "decoder",
+    "Library that decodes videos; pictures are read by OpenCV, interlaced video by PyAV.  "
+    "[default: pyav]",
 )
 # What `live` has too.
 _PICTURES = (

@@ -22,8 +22,12 @@ from dlgmd_cli.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from dlgmd_cli.models.detection import AlarmSpan
     from dlgmd_cli.results.result import Result
     from dlgmd_cli.runs.setup import Setup
+
+# Alarms that the table lists.
+_MAX_LISTED = 5
 
 
 @click.command(
@@ -41,7 +45,8 @@ def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) 
     'frames/*.png', or a .npy array of shape (n, H, W) or (n, H, W, 3).
 
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
-    and alarms), a figure of each, and run.yaml, which repeats the run with --config.
+    and alarms of each frame), a figure of each, alarms.csv (when each alarm begins and ends, and
+    the side it comes from), and run.yaml, which repeats the run with --config.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
@@ -73,30 +78,40 @@ def details(result: "Result") -> list[str]:
     ]
 
 
+def _listed(alarms: "list[AlarmSpan]") -> list[str]:
+    """The first alarms, one line each, and how many more there are."""
+    lines = [
+        f"{one.start_s:.3f} to {one.end_s:.3f} s, frames {one.start_frame} to {one.end_frame}"
+        f"{', ' if one.side else ''}{one.side}, peak MP {one.peak_mp_abs:.2f}"
+        for one in alarms[:_MAX_LISTED]
+    ]
+    n_more = len(alarms) - len(lines)
+    return [*lines, f"and {n_more} more in alarms.csv"] if n_more else lines
+
+
 def _show(result: "Result", folder: Path, as_json: bool) -> None:
     summary, processed = result.summary, result.record["processed"]
     if as_json:
         facts = {"result": str(folder), "complete": result.record["complete"]}
         facts["warnings"] = result.warnings
-        print_json({**facts, "frames": processed["frames"], **summary})
+        alarm_list = [one.to_dict() for one in result.alarm_list]
+        print_json({**facts, "frames": processed["frames"], **summary, "alarm_list": alarm_list})
         return
-    peak = spikes = alarms = attenuation = "none"
+    peak = spikes = attenuation = "none"
     if summary["mp_max"] == 0.0:
         peak = "0: everything was suppressed"
     elif summary["mp_max"] is not None:
         peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s".format(**summary)
     if summary["spikes"]:
         spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)
-    if summary["alarms"]:
-        alarms = "{alarms}, the first at frame {first_alarm_frame}, {first_alarm_time_s:.3f} s"
-        alarms = alarms.format(**summary)
     if summary["mean_attenuation_db"] is not None:
         attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
     rows = [
         ("frames", "{frames} at {width}x{height}".format(**processed)),
         ("peak MP", peak),
         ("spikes", spikes),
-        ("alarms", alarms),
+        ("alarms", f"{summary['alarms'] or 'none'}"),
+        *(("", line) for line in _listed(result.alarm_list)),
         ("mean attenuation", attenuation),
     ]
     print_table(("", ""), rows)

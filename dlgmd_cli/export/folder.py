@@ -39,7 +39,7 @@ def looming(export: Export, approaches: Iterable[Frames]) -> tuple[Frames, list[
     """
     tried = []
     for frames in approaches:
-        alarm = Alarm(export.params, repeats="keep", engine="opencv")
+        alarm = Alarm(export.params, resize=False, repeats="keep", engine="opencv")
         answers = [alarm.step(frame) for frame in frames]
         if any(answer.alarm for answer in answers):
             return frames, answers

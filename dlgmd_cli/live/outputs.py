@@ -290,6 +290,8 @@ class Mavlink:
         if answer.event:
             severity, text = self._texts[answer.event]
             detail = f" ({answer.reason})" if answer.event == BLIND else ""
+            if answer.event == BEGIN and answer.span is not None and answer.span.side:
+                detail = f", {answer.span.side}"
             send.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
 
 

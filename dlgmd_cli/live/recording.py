@@ -2,13 +2,13 @@
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.live.watch import BLIND, SEES, Answer, Sight
+from dlgmd_cli.live.watch import BLIND, END, SEES, Answer, Sight
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
@@ -32,7 +32,8 @@ class Recording:
     The record, run.yaml, is there from the first row on and says ``complete: false`` until the
     context ends without an exception: the rows of a killed process can be read. (After a power
     failure, the last seconds may be missing.) `mp_seq` and the summary need the whole sequence:
-    they are empty until then, and stay so in recordings of more than some three hours.
+    they are empty until then, and stay so in recordings of more than some three hours. An alarm is
+    written when it has ended.
 
     A folder that cannot be written any more ends the recording with a warning, but not the alarm.
 
@@ -86,6 +87,8 @@ class Recording:
                 self._write_rows(answer)
                 if is_first:  # a record without rows is not a result
                     self._write_record(complete=False)
+            if answer.event == END and self._files:
+                self._write_line(csv.ALARMS, csv.alarm_cells(answer.span))
             if answer.event in (BLIND, SEES) and self._files:
                 self._write_record(complete=False)
 
@@ -122,13 +125,17 @@ class Recording:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN))
-        for name, header in csv.TABLES.items():
-            file = (self._folder / name).open("w", encoding="utf-8", newline="")
-            self._files[name] = file
-            file.write(",".join(header) + "\n")
+        for name, header in {**csv.TABLES, csv.ALARMS: csv.ALARM_COLUMNS}.items():
+            self._files[name] = (self._folder / name).open("w", encoding="utf-8", newline="")
+            self._write_line(name, header)
+
+    def _write_line(self, name: str, cells: Iterable[str]) -> None:
+        """Write a row to a file and flush it."""
+        self._files[name].write(",".join(cells) + "\n")
+        self._files[name].flush()
 
     def _write_rows(self, answer: Answer) -> None:
-        """Write a row to each file and flush it. Columns are attributes of the detection."""
+        """Write a row of each table. Columns are attributes of the detection."""
         assert answer.frame is not None
         found = answer.detection
         others = {
@@ -140,8 +147,7 @@ class Recording:
         }
         for name, header in csv.TABLES.items():
             values = (others[key] if key in others else getattr(found, key) for key in header)
-            self._files[name].write(",".join(map(csv.cell, values)) + "\n")
-            self._files[name].flush()
+            self._write_line(name, map(csv.cell, values))
         self._n_rows, self._last = self._n_rows + 1, (answer.frame.index, answer.frame.time_s)
         if self._n_rows <= _MAX_HELD:
             self._rows.append(answer.frame, found)

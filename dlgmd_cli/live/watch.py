@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import cancel
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, Detection
+from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
 
@@ -59,6 +59,8 @@ class Answer:
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
         Why the source shows nothing: `lost`, `black` or `frozen`; empty if it does.
+    span : AlarmSpan or None
+        With `begin` and `end`, the alarm, as far as it is known.
     """
 
     frame: Frame | None
@@ -67,6 +69,7 @@ class Answer:
     event: str = ""
     latency_ms: float = math.nan
     reason: str = ""
+    span: AlarmSpan | None = None
 
     @property
     def is_of_frame(self) -> bool:
@@ -74,7 +77,11 @@ class Answer:
         return not math.isnan(self.latency_ms)
 
     def to_dict(self) -> dict[str, object]:
-        """The object for receivers; None where a number is not defined."""
+        """The object for receivers; None where a number is not defined.
+
+        With `begin`, it has the side of the alarm, see `side_of`; with `end`, also its duration and
+        its peak.
+        """
         frame, found = self.frame, self.detection
         facts: dict[str, object] = {
             "frame": None if frame is None else frame.index,
@@ -89,6 +96,11 @@ class Answer:
         }
         if self.event:
             facts["event"] = self.event
+        if self.span is not None:
+            facts["side"] = self.span.side
+        if self.span is not None and self.event == END:
+            facts["duration_s"] = round(self.span.end_s - self.span.start_s, 6)
+            facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
         if self.reason:
             facts["reason"] = self.reason
         return facts
@@ -104,27 +116,44 @@ def _number(value: float) -> float | None:
 
 
 class Events:
-    """Finds where alarms begin, as `onsets` does, and where they have ended, frame by frame."""
+    """Finds where alarms begin and where they have ended, frame by frame, as `spans` does.
+
+    Attributes
+    ----------
+    span : AlarmSpan or None
+        The alarm that has begun and not ended, up to now.
+    """
 
     def __init__(self) -> None:
-        self.reset()
+        self.span: AlarmSpan | None = None
+        self._was_on = False
 
-    def reset(self) -> None:
-        """Forget the alarm."""
-        self.is_on = self._was_on = False
-        self._last_on_s = math.nan
+    def over(self) -> AlarmSpan | None:
+        """End the alarm, if there is one, and return it."""
+        span, self.span, self._was_on = self.span, None, False
+        return span
 
-    def step(self, alarm: bool, time_s: float) -> str:
-        """`begin`, `end` or nothing, at the frame of this time."""
-        is_over = not self._was_on and time_s - self._last_on_s >= MERGE_S - ROUNDING_S
-        is_new, self._was_on = alarm and (not self.is_on or is_over), alarm
-        if alarm:
-            self.is_on, self._last_on_s = True, time_s
-            return BEGIN if is_new else ""
-        if self.is_on and time_s - self._last_on_s >= MERGE_S - ROUNDING_S:
-            self.is_on = False
-            return END
-        return ""
+    def step(self, found: Detection, frame: Frame) -> list[tuple[str, AlarmSpan | None]]:
+        """What the response to a frame tells: the `end` of an alarm, the `begin` of one, or both.
+
+        The end of one and the begin of the next are told together if no frame came in between at
+        which 0.3 s were over.
+        """
+        index, time_s = frame.index, frame.time_s
+        told: list[tuple[str, AlarmSpan | None]] = []
+        off_s = time_s - self.span.end_s if self.span is not None else math.nan
+        if off_s >= MERGE_S - ROUNDING_S and not (self._was_on and found.alarm):
+            told.append((END, self.span))
+            self.span = None
+        self._was_on = found.alarm
+        if found.alarm and self.span is None:
+            level, place = found.mp_abs, (found.g_x, found.g_y)
+            self.span = AlarmSpan(index, time_s, index, time_s, level, *place)
+            told.append((BEGIN, self.span))
+        elif found.alarm and self.span is not None:
+            peak = max(self.span.peak_mp_abs, found.mp_abs)
+            self.span = self.span._replace(end_frame=index, end_s=time_s, peak_mp_abs=peak)
+        return told
 
 
 def answers(
@@ -163,9 +192,9 @@ def answers(
     events = Events()
     last = Answer(None, Detection())
 
-    def between_frames(event: str, *, alarm: bool) -> Answer:
+    def between_frames(event: str, *, alarm: bool = False, span: AlarmSpan | None = None) -> Answer:
         nothing = Detection(alarm=alarm)
-        return Answer(last.frame, nothing, event=event, reason=sight.reason)
+        return Answer(last.frame, nothing, event=event, reason=sight.reason, span=span)
 
     # The decoder is busy on the other processor.
     with opencv_threads(1):
@@ -181,7 +210,7 @@ def answers(
             if cancel.requested():
                 return
             event = sight.step()
-            yield between_frames(event, alarm=False) if event else None
+            yield between_frames(event) if event else None
         ready.result()
         source.begin()
         while not cancel.requested():
@@ -189,22 +218,24 @@ def answers(
             if frame is None and source.is_over:
                 break
             event = sight.step()
-            if events.is_on and sight.is_silent:
-                events.reset()
-                yield between_frames(END, alarm=False)
+            if sight.is_silent and (span := events.over()):
+                yield between_frames(END, span=span)
             if event:
-                yield between_frames(event, alarm=events.is_on)
+                yield between_frames(event, alarm=events.span is not None)
             if frame is None:
                 yield None
                 continue
             found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
             latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
             is_repeat = found is last.detection
-            event = events.step(found.alarm, frame.time_s)
-            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason)
+            told = events.step(found, frame)
+            for event, span in told[:-1]:
+                yield between_frames(event, span=span)
+            event, span = told[-1] if told else ("", None)
+            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason, span)
             yield last
-    if events.is_on:
-        yield between_frames(END, alarm=False)
+    if span := events.over():
+        yield between_frames(END, span=span)
 
 
 def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":

@@ -1,18 +1,30 @@
 """Normalisation of the membrane potential, spikes and alarms, the same for every model."""
 
+import logging
 import math
+from collections import deque
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
+from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector, resized
 from dlgmd_cli.models.base import Grey, Response
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import PRESETS, Parameters, load_config, parameters_of
+from dlgmd_cli.parameters import (
+    PRESETS,
+    Config,
+    Parameters,
+    design_of,
+    load_config,
+    parameters_of,
+)
+
+_log = logging.getLogger(__name__)
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -25,6 +37,11 @@ LEAST_PEAK = 1.0 / 255.0**2
 MERGE_S = 0.3
 # Tolerance for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
+# Where the middle third of the picture ends, in halves of its sides from its centre.
+_THIRD = 1.0 / 3.0
+# Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
+# 37.5 a second are as good as 30.
+_OTHER_RATE, _N_INTERVALS = 1.25, 30
 
 
 def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
@@ -119,8 +136,8 @@ def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
     return spikes, alarms
 
 
-def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
-    """Rows at which a new alarm is raised; pauses shorter than `MERGE_S` do not end an alarm.
+def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
+    """First and last row of every alarm; pauses shorter than `MERGE_S` do not end one.
 
     Parameters
     ----------
@@ -131,16 +148,71 @@ def onsets(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
 
     Returns
     -------
-    ndarray of int
-        Rows where the alarm turns on after it was off for `MERGE_S` at least. This is causal: it
-        does not depend on later rows.
+    ndarray of int, shape (n_alarms, 2)
+        Rows where the alarm turns on after it was off for `MERGE_S` at least, and the rows where it
+        is on for the last time. The former are causal: they do not depend on later rows.
     """
     on = np.flatnonzero(alarms)
     is_new = np.ones(len(on), np.bool_)
     if len(on):
         pause_s = np.diff(time_s[on])
         is_new[1:] = (np.diff(on) > 1) & (pause_s >= MERGE_S - ROUNDING_S)
-    return on[is_new]
+    return np.column_stack((on[is_new], on[np.roll(is_new, -1)]))
+
+
+def side_of(g_x: float, g_y: float) -> str:
+    """The third of the picture that a centroid lies in.
+
+    Parameters
+    ----------
+    g_x, g_y : float
+        Centroid, from -1 (left, top) to 1; NaN where undefined.
+
+    Returns
+    -------
+    str
+        `left` (g_x below -1/3), `ahead` or `right` (above 1/3), followed by ``high`` (g_y below
+        -1/3) or ``low`` (above 1/3) outside the middle third, such as ``left high``; empty if the
+        centroid is undefined.
+    """
+    if math.isnan(g_x) or math.isnan(g_y):
+        return ""
+    across = "left" if g_x < -_THIRD else "right" if g_x > _THIRD else "ahead"
+    return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
+
+
+class AlarmSpan(NamedTuple):
+    """An alarm: when, how strong, and from where; a row of alarms.csv.
+
+    Attributes
+    ----------
+    start_frame, start_s : int, float
+        The frame that raises the alarm, and its time in seconds.
+    end_frame, end_s : int, float
+        The last frame at which the alarm is on.
+    peak_mp_abs : float
+        Greatest normalised membrane potential of the frames at which it is on.
+    g_x, g_y : float
+        Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
+    """
+
+    start_frame: int
+    start_s: float
+    end_frame: int
+    end_s: float
+    peak_mp_abs: float
+    g_x: float = math.nan
+    g_y: float = math.nan
+
+    @property
+    def side(self) -> str:
+        """Where in the picture it was raised, see `side_of`."""
+        return side_of(self.g_x, self.g_y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The columns of alarms.csv; None where a number is not defined."""
+        known = {k: None if math.isnan(v) else v for k, v in self._asdict().items()}
+        return {**known, "side": self.side}
 
 
 @dataclass(frozen=True)
@@ -161,15 +233,27 @@ class Detection(Response):
     spike: bool = False
     alarm: bool = False
 
+    @property
+    def side(self) -> str:
+        """Where in the picture the active cells are, see `side_of`."""
+        return side_of(self.g_x, self.g_y)
+
 
 class Alarm:
     """A model with its alarm: causal, one frame at a time, in constant memory.
 
     Parameters
     ----------
-    params : Parameters, optional
-        Parameters of any model. The default is the preset `flight`, designed for frames 240 px
-        wide.
+    params : Parameters or Config, optional
+        Parameters of any model, or a file of them, see `load_config`. The default is the preset
+        `flight`.
+    resize : bool
+        Reduce frames that are wider than `width_px` to it, as `dlgmd run` does. With False, frames
+        are taken as they come.
+    width_px, model_fps : int, float, optional
+        Frame width and rate that the parameters are made for. The default is what the file says, or
+        what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
+        sets, and 30 frames a second. Frames at another rate are a warning, see `logging`, once.
     repeats : {"skip", "keep"}
         Treatment of frames that repeat the previous one: `skip` returns the previous response,
         `keep` passes them to the model.
@@ -185,20 +269,31 @@ class Alarm:
     --------
     >>> import numpy as np
     >>> alarm = Alarm()
-    >>> alarm.step(np.zeros((60, 80), np.uint8)).alarm
+    >>> alarm.step(np.zeros((1080, 1920, 3), np.uint8)).alarm
     False
     """
 
     def __init__(
         self,
-        params: Parameters | None = None,
+        params: Parameters | Config | None = None,
         *,
+        resize: bool = True,
+        width_px: int | None = None,
+        model_fps: float | None = None,
         repeats: str = "skip",
         engine: str = "auto",
     ) -> None:
         if repeats not in ("skip", "keep"):
             raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
-        self.params = parameters_of(load_config(PRESETS[0])) if params is None else params
+        given = load_config(PRESETS[0]) if params is None else params
+        if isinstance(given, Config):
+            self.params, design = parameters_of(given), (given.width_px, given.model_fps)
+        else:
+            self.params, design = given, design_of(given)
+        self._width_px = (width_px or design[0]) if resize else None
+        self._model_fps = model_fps or design[1]
+        self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
+        self._has_warned = False
         self._stepper = Stepper(self.params, engine=engine)
         self.model = self._stepper.model
         self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
@@ -210,11 +305,12 @@ class Alarm:
         self._stepper.reset()
         self._spikes.reset()
         self._gaps.reset()
+        self._times.clear()
         if self._repeats is not None:
             self._repeats.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
-        """Ignore some cells of all frames from now on, see `Model.ignore`."""
+        """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`."""
         self._stepper.ignore(hidden)
         if self._repeats is not None:
             self._repeats = RepeatDetector(hidden)
@@ -227,10 +323,10 @@ class Alarm:
 
         Parameters
         ----------
-        frame : ndarray, shape (H, W), float32 or uint8
-            Luminance in 0..1, or grey levels in 0..255.
+        frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8
+            Grey or BGR, as OpenCV's cameras give it: 0..1, or levels of 0..255.
         time_s : float, optional
-            Time of the frame; without it, gaps go unnoticed.
+            Time of the frame; without it, gaps and other frame rates go unnoticed.
         layers : bool
             Also return copies of P, S and G.
 
@@ -241,8 +337,11 @@ class Alarm:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
+        frame = self._reduced(frame)
         is_gap = time_s is not None and self._gaps.step(time_s)
         is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
+        if time_s is not None:
+            self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
         if is_gap:  # what comes after a gap is new, even if it looks the same
             self._spikes.reset()
         elif is_repeat:
@@ -254,3 +353,34 @@ class Alarm:
         spike, alarm = self._spikes.step(mp_abs)
         self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)
         return self._last
+
+    def _reduced(self, frame: Grey) -> Grey:
+        """A frame in grey and of the model's width; the model refuses what is no picture."""
+        if frame.dtype not in (np.uint8, np.float32) or not frame.size:
+            return frame
+        if frame.ndim == 3 and frame.shape[2] == 3:
+            frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+        if frame.ndim != 2 or self._width_px is None or frame.shape[1] <= self._width_px:
+            return frame
+        height = max(1, round(frame.shape[0] * self._width_px / frame.shape[1]))
+        return resized(frame, (self._width_px, height))
+
+    def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
+        """Warn once if frames come at another rate than the model is made for."""
+        if is_gap or self._has_warned:
+            self._times.clear()
+        self._times.append((time_s, is_repeat))
+        duration_s = time_s - self._times[0][0]
+        if len(self._times) <= _N_INTERVALS or not duration_s > 0.0:
+            return
+        # Repeats do not make a camera faster, and a still scene does not make it slower.
+        n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
+        is_fast = n_seen / duration_s > _OTHER_RATE * self._model_fps
+        if is_fast or _N_INTERVALS / duration_s < self._model_fps / _OTHER_RATE:
+            self._has_warned = True
+            _log.warning(
+                "frames come at %.3g a second, but the parameters are made for %g; %s",
+                (n_seen if is_fast else _N_INTERVALS) / duration_s,
+                self._model_fps,
+                "leave some out" if is_fast else "an approach looks faster than it is",
+            )

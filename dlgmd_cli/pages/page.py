@@ -32,6 +32,7 @@ _SUMMARY_WORDS = {
     "alarms": "alarms",
     "first_alarm_frame": "frame of the first alarm",
     "first_alarm_time_s": "first alarm (s)",
+    "first_alarm_side": "side of the first alarm",
     "mean_attenuation_db": "mean attenuation (dB)",
 }
 
@@ -93,6 +94,7 @@ def index_row(one: Input, href: str, parts: Sequence[Part], collisions: Sequence
                 "label": printable(part.label),
                 "alarms": summary["alarms"],
                 "first_s": summary["first_alarm_time_s"],
+                "side": summary["first_alarm_side"],
                 "spark": _spark(result, collisions),
                 "n_warnings": len(result.warnings),
             }
@@ -172,10 +174,10 @@ def _result_data(part: Part, foot_db: float) -> dict[str, Any]:
         "spikes": np.flatnonzero(result.spikes).tolist(),
         "alarms": [
             [round(start, 6), round(start + length, 6)]
-            for start, length in stretches(result.time_s, result.alarms)
+            for start, length in stretches(result.time_s, result.alarmed)
         ],
-        "alarmed": np.flatnonzero(result.alarms).tolist(),
-        "onsets": result.alarm_onsets.tolist(),
+        "spans": result.alarm_spans.tolist(),
+        "sides": [one.side for one in result.alarm_list],
         "threshold": result.threshold,
         "bySequence": result.by_sequence,
         "fps": part.film.fps if part.film else None,
@@ -267,7 +269,7 @@ def _spark(result: Result, collisions: Sequence[int]) -> dict[str, Any]:
         "threshold": y(result.threshold),
         "alarms": [
             (x(begin), max(2.0, x(begin + length) - x(begin)))
-            for begin, length in stretches(time_s, result.alarms)
+            for begin, length in stretches(time_s, result.alarmed)
         ],
         "collisions": [x(float(when_s)) for when_s in times_hit],
     }

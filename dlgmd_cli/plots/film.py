@@ -55,7 +55,7 @@ class Film:
         units: tuple[str, str],
         label: str,
     ) -> None:
-        self._result, self._scales = result, scales
+        self._result, self._scales, self._alarmed = result, scales, result.alarmed
         with house_style():
             figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
             layout: Any = figure.get_layout_engine()
@@ -117,7 +117,7 @@ class Film:
         text = f"frame {result.frame[row]}   {result.time_s[row]:.3f} s"
         look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
         cv2.putText(picture, text, (30, 36), fontScale=0.75, color=_NOW, thickness=1, **look)
-        if result.alarms[row]:
+        if self._alarmed[row]:
             box = (middle - 65, 10), (middle + 65, 44)
             cv2.rectangle(picture, *box, _VERMILION, cv2.FILLED)
             look |= {"fontScale": 0.85, "color": (255, 255, 255), "thickness": 2}
@@ -184,7 +184,7 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 
 def _draw_trace(axes: Axes, result: Result) -> None:
     axes.broken_barh(
-        stretches(result.time_s, result.alarms),
+        stretches(result.time_s, result.alarmed),
         (_LEVELS[0], _LEVELS[1] - _LEVELS[0]),
         color=_LIGHT_VERMILION,
         linewidth=0.8,

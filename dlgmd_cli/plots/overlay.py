@@ -58,7 +58,7 @@ class Overlay:
     """
 
     def __init__(self, result: Result, shape: tuple[int, int], greatest: float) -> None:
-        self._result, self._greatest = result, greatest or 1.0
+        self._result, self._greatest, self._alarmed = result, greatest or 1.0, result.alarmed
         height, width = shape
         self.shape = height + height % 2, width + width % 2
 
@@ -73,7 +73,7 @@ class Overlay:
         picture[: image.shape[0], : image.shape[1]] = tinted(image, g, self._greatest)
         result, margin = self._result, round(0.02 * height)
         mark_centroid(picture[: image.shape[0], : image.shape[1]], result.g_x[row], result.g_y[row])
-        if result.alarms[row]:
+        if self._alarmed[row]:
             band = round(_BANNER * height)
             cv2.rectangle(picture, (0, 0), (width, band), _ALARM, cv2.FILLED)
             self._write(picture, "ALARM", (None, (band + self._letter_px) // 2), _ALARM)

@@ -327,7 +327,7 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
         entries.append((dots, "spike"))
     if result.alarms.any():
         bands = axes.broken_barh(
-            stretches(result.time_s, result.alarms), (0, 1), alpha=0.3, color=VERMILION,
+            stretches(result.time_s, result.alarmed), (0, 1), alpha=0.3, color=VERMILION,
             linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
         )  # fmt: skip
         entries.append((bands, "alarm"))
@@ -381,14 +381,14 @@ def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
     if traces[0].alone:
         result = traces[0].result
         _draw_bars(axes, result, result.spikes, (0.65, 1.35), ORANGE)
-        _draw_bars(axes, result, result.alarms, (-0.35, 0.35), VERMILION)
+        _draw_bars(axes, result, result.alarmed, (-0.35, 0.35), VERMILION)
         axes.set_yticks([1, 0], ["spikes", "alarm"])
         axes.set_ylim(-0.6, 1.6)
         return []
     for row, trace in enumerate(reversed(traces)):
         look = trace.look
         _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
-        _draw_bars(axes, trace.result, trace.result.alarms, (row - 0.4, row - 0.15), VERMILION)
+        _draw_bars(axes, trace.result, trace.result.alarmed, (row - 0.4, row - 0.15), VERMILION)
     names = [plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
     axes.set_ylim(-0.6, len(traces) - 0.4)

@@ -25,6 +25,12 @@ TABLES = {
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }
+# One row an alarm, the attributes of `AlarmSpan`. The table of 'dlgmd evaluate' has the same name
+# and other columns, as it is about many videos.
+ALARMS = "alarms.csv"
+ALARM_COLUMNS = (
+    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side"),
+)
 # Columns without which a table is not read; others are undefined where an older file lacks them.
 _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
 # The columns of compare.csv, in long form.
@@ -76,6 +82,11 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
     """Write arrays of shape (n,) as columns; OSError passes through."""
     cells = (map(cell, values.tolist()) for values in columns.values())
     write_rows(path, list(columns), zip(*cells, strict=True))
+
+
+def alarm_cells(alarm: Any) -> list[str]:
+    """The row of an `AlarmSpan` in alarms.csv."""
+    return [*map(cell, alarm), alarm.side]
 
 
 def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:

@@ -188,7 +188,7 @@ _KINDS: dict[str, _Kind] = {
     "complete": lambda value: isinstance(value, bool),
     "wall_s": _is_number,
     "input": {
-        **dict.fromkeys(("path", "decoder", "sha256", "repeated_rows"), _is_text),
+        **dict.fromkeys(("path", "decoder", "deinterlaced", "sha256", "repeated_rows"), _is_text),
         **dict.fromkeys(("width", "height"), _is_side),
         **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
         "mtime_ns": _is_whole,
@@ -201,7 +201,10 @@ _KINDS: dict[str, _Kind] = {
     },
     "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
     "versions": {_EACH: _is_text},
-    "summary": {_EACH: lambda value: value is None or _is_number(value)},
+    "summary": {
+        _EACH: lambda value: value is None or _is_number(value),
+        "first_alarm_side": lambda value: value is None or _is_text(value),
+    },
     "sweep": {},
     "warnings": [_is_text],
 }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
 from dlgmd_cli.keys import recorded_parameters
-from dlgmd_cli.models.detection import LEAST_PEAK, absolute, detect, onsets, sequence
+from dlgmd_cli.models.detection import LEAST_PEAK, AlarmSpan, absolute, detect, sequence, spans
 from dlgmd_cli.names import recorded_name
 from dlgmd_cli.parameters import Parameters, find_model
 from dlgmd_cli.results import csv, store
@@ -174,10 +174,36 @@ class Result:
         """Where the alarm is on: the last n_sp or more frames were spikes, Eq. (15)."""
         return self._detected[1]
 
+    @cached_property
+    def alarm_spans(self) -> npt.NDArray[np.intp]:
+        """First and last row of every alarm, (n, 2); pauses under 0.3 s do not end an alarm."""
+        return spans(self.alarms, self.time_s)
+
     @property
     def alarm_onsets(self) -> npt.NDArray[np.intp]:
-        """Rows at which an alarm is raised; pauses shorter than 0.3 s do not end an alarm."""
-        return onsets(self.alarms, self.time_s)
+        """Rows at which an alarm is raised, the first ones of `alarm_spans`."""
+        return self.alarm_spans[:, 0]
+
+    @property
+    def alarmed(self) -> Flags:
+        """Where an alarm lasts: as `alarms`, and in pauses under 0.3 s. Figures show this."""
+        turns = np.zeros(len(self) + 1, np.int64)
+        turns[self.alarm_spans[:, 0]], turns[self.alarm_spans[:, 1] + 1] = 1, -1
+        return turns[:-1].cumsum() > 0
+
+    @property
+    def alarm_list(self) -> list[AlarmSpan]:
+        """The alarms: when, how strong, and from where; the rows of alarms.csv."""
+        level = np.where(self.alarms, self.mp_abs, -np.inf)
+        return [
+            AlarmSpan(
+                *(int(self.frame[first]), float(self.time_s[first])),
+                *(int(self.frame[last]), float(self.time_s[last])),
+                float(level[first : last + 1].max()),
+                *(float(self.g_x[first]), float(self.g_y[first])),
+            )
+            for first, last in self.alarm_spans.tolist()
+        ]
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -185,21 +211,22 @@ class Result:
 
         `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
         `spikes` (number of spiking frames), `first_spike_time_s`, `alarms` (number of alarms; those
-        less than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`, and
-        `mean_attenuation_db` over the frames where it is finite.
+        less than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`,
+        `first_alarm_side` (such as ``left high``, see `side_of`), and `mean_attenuation_db` over
+        the frames where it is finite.
         """
-        peak, spiking, onsets = self._peak_row, np.flatnonzero(self.spikes), self.alarm_onsets
+        peak, spiking, alarms = self._peak_row, np.flatnonzero(self.spikes), self.alarm_list
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
-        first_alarm = int(onsets[0]) if onsets.size else None
         return {
             "mp_max": None if peak is None else float(self.mp[peak]),
             "mp_max_frame": None if peak is None else int(self.frame[peak]),
             "mp_max_time_s": None if peak is None else float(self.time_s[peak]),
             "spikes": int(spiking.size),
             "first_spike_time_s": float(self.time_s[spiking[0]]) if spiking.size else None,
-            "alarms": int(onsets.size),
-            "first_alarm_frame": None if first_alarm is None else int(self.frame[first_alarm]),
-            "first_alarm_time_s": None if first_alarm is None else float(self.time_s[first_alarm]),
+            "alarms": len(alarms),
+            "first_alarm_frame": alarms[0].start_frame if alarms else None,
+            "first_alarm_time_s": alarms[0].start_s if alarms else None,
+            "first_alarm_side": (alarms[0].side or None) if alarms else None,
             "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
         }
 
@@ -251,6 +278,8 @@ class Result:
             name: partial(csv.write_columns, columns=self.columns(header))
             for name, header in csv.TABLES.items()
         }
+        rows = [csv.alarm_cells(one) for one in self.alarm_list]
+        found[csv.ALARMS] = partial(csv.write_rows, header=csv.ALARM_COLUMNS, rows=rows)
         formats = tuple(formats)
         if formats:
             from dlgmd_cli.plots.pictures import result_files
@@ -283,7 +312,7 @@ class Result:
         return plot(kind, {self.name: self}, **options)
 
     def to_dataframe(self) -> Any:
-        """All columns of the CSVs as a pandas DataFrame, which needs pandas."""
+        """All columns of the CSVs with a row a frame as a pandas DataFrame, which needs pandas."""
         try:
             import pandas as pd
         except ImportError:

@@ -33,7 +33,7 @@ PLOT_FORMATS = ("png", "pdf", "svg")
 RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
 # The files that belong to each record: tables, and figures without their suffixes.
 _TABLES = {
-    RUN: ("mp.csv", "attenuation.csv", "spikes.csv"),
+    RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
     COMPARISON: ("compare.csv",),
     LAYERS: ("layers.npz",),
 }

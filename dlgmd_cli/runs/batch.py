@@ -35,7 +35,8 @@ OF_SUMMARY = (
     "first_alarm_time_s",
     "mean_attenuation_db",
 )
-COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, "wall_s")
+SIDE = "first_alarm_side"
+COLUMNS = ("video", "status", "error", "warnings", *OF_INPUT, *OF_SUMMARY, SIDE, "wall_s")
 # Share of the time for rewriting summary.csv: after every short video it would take too long.
 _SHARE_OF_TIME = 0.05
 # Threads that read records, since each may require a request to a bucket.
@@ -173,10 +174,10 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
             raise OutputExistsError(str(folder), "the result there is of another input", mend)
     if differing or not is_same or record.get("complete") is not True:
         return {}
-    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= set(OF_SUMMARY)):
+    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
         return {}
-    files = set(csv.TABLES) | {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
-    return record if files <= store.names_in(folder) else {}
+    figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
+    return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
 
 
 def record_outcomes(
@@ -280,4 +281,6 @@ def _cells(video: str, row: Row) -> list[str]:
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
         numbers = (row.record.get(part, {}).get(key) for key in keys)
         cells += [csv.cell(one) if isinstance(one, int | float) else "" for one in numbers]
+    side = row.record.get("summary", {}).get(SIDE)
+    cells.append(csv.text_cell(side) if isinstance(side, str) else "")
     return [*cells, "" if row.wall_s is None else f"{row.wall_s:.3f}"]

@@ -17,6 +17,7 @@ from dlgmd_cli.parameters import (
     Config,
     DlgmdParameters,
     Parameters,
+    design_of,
     find_model,
     load_config,
     load_model_preset,
@@ -90,7 +91,8 @@ def choose(
     if isinstance(model, Parameters):
         if set is not None or config is not None:
             raise ParameterError("", "parameters exclude a set and a file", "Give one of them.")
-        kind, file = type(model), Config("", values=model.to_dict())
+        kind, (width_px, model_fps) = type(model), design_of(model)
+        file = Config("", width_px=width_px, model_fps=model_fps, values=model.to_dict())
         label = label_of(kind)
     else:
         given = None if model is None else find_model(model, "Invalid value for '--model'")

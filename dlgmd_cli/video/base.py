@@ -74,7 +74,7 @@ class StreamInfo(NamedTuple):
 
     `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
     edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
-    or the FOURCC if only that is known.
+    or the FOURCC if only that is known. `is_interlaced` tells that the pictures are de-interlaced.
     """
 
     width: int
@@ -83,6 +83,7 @@ class StreamInfo(NamedTuple):
     n_frames: int | None
     shown_s: float = math.inf
     codec: str = ""
+    is_interlaced: bool = False
 
 
 class Unreadable(Exception):  # noqa: N818

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.frame import resized
+
 Image = npt.NDArray[Any]
 # The levels of black and white; None for the full range of the data type.
 Levels = tuple[int, int] | None
@@ -18,8 +20,6 @@ Levels = tuple[int, int] | None
 _ENDIAN = "le" if sys.byteorder == "little" else "be"
 _PLANAR = re.compile(rf"(?:yuva?4\d\dp|yuvj4\d\dp|gray)(?:(9|1[0246]){_ENDIAN})?")
 _SEMIPLANAR = re.compile(rf"nv(?:12|21|16|24|42)|p[024](1[026]){_ENDIAN}")
-# A reduction by this factor or more begins with a halving.
-_FAR = 16
 _LIMITED, _FULL = 1, 2  # FFmpeg's colour ranges; 0 is unspecified
 
 
@@ -91,24 +91,3 @@ def to_bgr(image: Image, size_wh: tuple[int, int], levels: Levels = None) -> Ima
         highest = 65535.0 if image.dtype == np.uint16 else 1.0
         image = np.clip(np.rint(image * (255.0 / highest)), 0, 255).astype(np.uint8)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-
-
-def resized(image: Image, size_wh: tuple[int, int]) -> Image:
-    """Resize a grey picture (H, W): area averages if it shrinks, else linear interpolation.
-
-    OpenCV halves a picture seven times as fast as it divides the sides by 4 or by a fraction.
-    Reduction by an even whole factor therefore begins with a halving. So does reduction by a factor
-    of 16 or more, where the pixel pairs at the edges of an area hardly matter. Both steps round to
-    whole levels: the result is within 1 of the exact mean, or within 1.25 for noise and a factor
-    of 16.
-    """
-    width, height = size_wh
-    sides = tuple(zip(image.shape, (height, width), strict=True))
-    halves_well = all(old % 2 == 0 and old >= _FAR * new for old, new in sides)
-    if halves_well or all(old % (2 * new) == 0 for old, new in sides):
-        half = image.shape[1] // 2, image.shape[0] // 2
-        image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
-    if (image.shape[1], image.shape[0]) == size_wh:
-        return image
-    shrinks = width <= image.shape[1] and height <= image.shape[0]
-    return cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)

@@ -5,12 +5,13 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.checks import require_known
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
 from dlgmd_cli.names import input_name, without_password
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
@@ -24,9 +25,10 @@ from dlgmd_cli.video.base import (
     openable,
     parse_crop,
 )
+from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.pyav import PyAVDecoder
+from dlgmd_cli.video.pyav import PyAVDecoder, is_flagged
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampling_step
 
@@ -89,7 +91,8 @@ def open_video(
     input_fps : float, optional
         Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
     decoder : {"pyav", "opencv"}
-        Decoder for videos; pictures are always read by OpenCV.
+        Decoder for videos; pictures are always read by OpenCV, and interlaced video by PyAV, which
+        de-interlaces it.
     crop : str, optional
         The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -110,7 +113,7 @@ def open_video(
         If an option is out of range, the path is that of a stream, or the mask is not a picture or
         hides everything.
     MissingExtraError
-        If the decoder's package is not installed.
+        If the decoder's package is not installed, or the video is interlaced and PyAV is not.
     """
     if isinstance(crop, str):
         crop = parse_crop(crop)
@@ -129,6 +132,7 @@ def open_video(
             max_fps = RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
+        kind = "pyav" if opened.stream_info.is_interlaced else kind
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
         info = SourceInfo(where, name, width, height, fps, n_frames, kind, identity, given)
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
@@ -179,10 +183,28 @@ def _source(
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder for a video file; raises SourceError if no frame can be decoded."""
+    """A decoder for a video file; raises SourceError if no frame can be decoded.
+
+    Interlaced video is de-interlaced by PyAV; raises MissingExtraError if that is not installed.
+    """
+    is_interlaced = False
+    opens: Callable[[str], Decoder] = PyAVDecoder if decoder == "pyav" else OpenCVDecoder
     try:
         with openable(path.absolute()) as name:
-            return PyAVDecoder(name) if decoder == "pyav" else OpenCVDecoder(name)
+            is_interlaced = is_flagged(name)
+            if not is_interlaced:
+                opened = opens(name)
+                if not has_analog_size(opened):
+                    return opened
+                with closing(opened):
+                    is_interlaced = is_combed(opened)
+            return PyAVDecoder(name, deinterlaces=True) if is_interlaced else opens(name)
+    except MissingExtraError as error:
+        if not is_interlaced:
+            raise
+        raise MissingExtraError(
+            str(path), f"it is interlaced, and {error.why}", error.mend
+        ) from None
     except Unreadable as error:
         why = str(error) or "no frame could be decoded, damaged file or missing codec"
         raise SourceError(str(path), why, "Try re-encoding it with ffmpeg.") from None

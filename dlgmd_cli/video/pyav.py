@@ -4,6 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Generator, Iterator
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
 _MAX_BAD_PACKETS = 4096
 # Frames to look at for interlacing, which is flagged in each frame.
 _N_FIELD_FRAMES = 8
+_PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
+# One picture a frame, so that frames keep their numbers, times and rate; both fields' would be
+# twice as many as the models are made for.
+_BWDIF = "mode=send_frame:deint=all"
 _COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
 _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
 
@@ -53,6 +58,10 @@ class PyAVDecoder:
     ----------
     name : str
         The file's name, not a pattern.
+    deinterlaces : bool
+        Pass the frames through FFmpeg's filter bwdif, which makes a picture of each.
+    n_threads : int, optional
+        Number of threads; chosen by the number of processors unless given.
 
     Notes
     -----
@@ -63,8 +72,10 @@ class PyAVDecoder:
 
     takes_every_frame = False
 
-    def __init__(self, name: str) -> None:
-        av = _import_av()
+    def __init__(
+        self, name: str, *, deinterlaces: bool = False, n_threads: int | None = None
+    ) -> None:
+        av = import_av()
         self.is_damaged = False
         # From release 19 on, PyAV always replaces what is not UTF-8.
         is_strict = int(av.__version__.partition(".")[0]) < 19
@@ -82,11 +93,13 @@ class PyAVDecoder:
         # which most videos do not have.
         stream.thread_type = "AUTO"
         context = stream.codec_context
-        context.thread_count = decoder_threads()
+        context.thread_count = n_threads or decoder_threads()
         if max(context.width, context.height) > MAX_SIDE:
             self._container.close()
             raise Unreadable(TOO_LARGE)
         self._frames = self._decoded(av, stream)
+        if deinterlaces:
+            self._frames = _deinterlaced(av, stream, self._frames)
         first = next(self._frames, None)
         if first is None:
             self.close()
@@ -94,7 +107,8 @@ class PyAVDecoder:
             raise Unreadable
         self.is_damaged = False  # undecodable packets at the start of a stream are normal
         self._frame = first
-        self.stream_info = _stream_info(self._container, stream, _shown_size(first))
+        found = _stream_info(self._container, stream, _shown_size(first))
+        self.stream_info = found._replace(is_interlaced=deinterlaces)
 
     def _decoded(self, av: Any, stream: "VideoStream") -> Generator["VideoFrame", None, None]:
         """All intact frames."""
@@ -126,13 +140,14 @@ class PyAVDecoder:
 
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
-        start = self._stream.start_time or 0
+        # In seconds, as de-interlaced frames have a finer time base.
+        start = (self._stream.start_time or 0) * (self._stream.time_base or 0)
         for frame in itertools.chain([self._frame], self._frames):
             self._frame = frame
             if frame.pts is None or frame.time_base is None:
                 yield math.nan
             else:
-                yield float((frame.pts - start) * frame.time_base)
+                yield float(frame.pts * frame.time_base - start)
 
     def picture(self) -> tuple[Image, Levels]:
         """The frame of the latest timestamp; it keeps its own memory alive."""
@@ -144,7 +159,8 @@ class PyAVDecoder:
     def details(self) -> Details:
         """How the stream is encoded; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
-        is_interlaced = any(frame.interlaced_frame for frame in some)
+        is_stated = self._stream.codec_context.field_order != _PROGRESSIVE
+        is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
         return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced)
@@ -154,6 +170,39 @@ class PyAVDecoder:
         # The generator reads from the container and would crash if that were closed first.
         self._frames.close()
         self._container.close()
+
+
+def is_flagged(name: str) -> bool:
+    """Whether FFmpeg says that a video is interlaced; False if PyAV is missing or fails."""
+    try:
+        decoder = PyAVDecoder(name, n_threads=1)
+    except (MissingExtraError, Unreadable):
+        return False
+    with closing(decoder):
+        return decoder.details().is_interlaced
+
+
+def _deinterlaced(
+    av: Any, stream: "VideoStream", frames: Generator["VideoFrame", None, None]
+) -> Generator["VideoFrame", None, None]:
+    """Frames with their two fields made one picture, each with its time."""
+    graph = av.filter.Graph()
+    nodes = graph.add_buffer(template=stream), graph.add("bwdif", _BWDIF), graph.add("buffersink")
+    graph.link_nodes(*nodes).configure()
+    size: tuple[int, int] | None = None
+    with closing(frames):
+        for frame in itertools.chain(frames, [None]):
+            if frame is not None:
+                size = size or (frame.width, frame.height)
+                if (frame.width, frame.height) != size:
+                    yield frame  # `picture` refuses it
+                    return
+            graph.push(frame)
+            while True:
+                try:
+                    yield graph.vpull()
+                except (BlockingIOError, EOFError):  # it needs the next frame, or has no more
+                    break
 
 
 def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
@@ -176,8 +225,8 @@ def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
     return _upright(frame, image), levels
 
 
-def _import_av() -> Any:
-    """PyAV, or an error that says how to install it."""
+def import_av() -> Any:
+    """PyAV; raises MissingExtraError, which says how to install it."""
     try:
         import av
     except Exception as error:  # whatever a broken installation raises

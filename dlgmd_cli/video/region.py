@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import resized
 from dlgmd_cli.video.base import Crop, Unreadable
 from dlgmd_cli.video.images import read_image
-from dlgmd_cli.video.luma import resized
 
 Image = npt.NDArray[Any]
 Flags = npt.NDArray[np.bool_]

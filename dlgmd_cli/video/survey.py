@@ -137,7 +137,7 @@ def survey(
         codec=details.codec if details else stream.codec,
         pixel_format=details.pixel_format if details else "",
         bits=details.n_bits if details else None,
-        is_interlaced=details.is_interlaced if details else None if is_video else False,
+        is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

@@ -113,7 +113,7 @@ def then_as_ever(out, path, whole):
     assert run(path, "--out", out, "--no-plots", "--overwrite").exit_code == 0
     found = files_of(out)
     assert found == {name: data for name, data in whole.items() if name in found}
-    assert len(found) == 4 and hidden_in(out) == []
+    assert len(found) == 5 and hidden_in(out) == []
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
@@ -256,7 +256,7 @@ def test_memory_that_is_short(tmp_path, clip, whole, memory_kb):
         assert result.stderr.count("\n") == 1 and memory_kb < 700_000
     else:
         found = files_of(tmp_path / "out")
-        assert len(found) == 4 and found.items() <= whole.items()
+        assert len(found) == 5 and found.items() <= whole.items()
 
 
 @pytest.mark.parametrize("n_files", [5, 10, 16])
@@ -265,7 +265,7 @@ def test_descriptors_that_are_short(tmp_path, clip, whole, command, n_files):
     result = by_shell(tmp_path, f"ulimit -n {n_files} && {{}}", command, clip)
     found = files_of(tmp_path / "out")
     if result.returncode == 0:
-        assert len(found) == 4 and found.items() <= whole.items()
+        assert len(found) == 5 and found.items() <= whole.items()
     else:
         assert result.returncode == 1 and not found and one_line(result)
     assert command == "batch" or (result.returncode == 0) == (n_files > 5)
@@ -282,7 +282,7 @@ def test_threads_that_are_short(tmp_path, clip, whole, n_threads):
     result = by_shell(tmp_path, f"ulimit -u {n_threads} && exec {user} {{}}", "run", clip)
     assert (result.returncode, result.stderr) == (0, "")
     found = files_of(tmp_path / "out")
-    assert len(found) == 4 and found.items() <= whole.items()
+    assert len(found) == 5 and found.items() <= whole.items()
 
 
 STREAMS = {
@@ -305,7 +305,7 @@ def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
     # The result is whole before anything is printed.
     found = files_of(tmp_path / "out")
-    assert len(found) == 4 and (command == "batch" or found.items() <= whole.items())
+    assert len(found) == 5 and (command == "batch" or found.items() <= whole.items())
     assert faults_of(tmp_path / "out") == []
 
 
@@ -321,4 +321,4 @@ def test_a_signal_in_the_middle(tmp_path, name):
     assert process.returncode == 130 and "Traceback" not in said, said
     record = read_record(tmp_path / "dlgmd-out/long/run.yaml")
     assert record["complete"] is False and 0 < record["processed"]["frames"] < 3000
-    assert set(os.listdir(tmp_path / "dlgmd-out/long")) == {store.RUN, *csv.TABLES}
+    assert set(os.listdir(tmp_path / "dlgmd-out/long")) == {store.RUN, csv.ALARMS, *csv.TABLES}

@@ -70,9 +70,10 @@ def test_python_runs_as_written(reader, monkeypatch, capsys):
     monkeypatch.chdir(reader)
     for number, code in enumerate(blocks("python")):
         script = reader / f"readme{number}.py"
-        script.write_text(code, encoding="utf-8")
+        flown = code.replace("VideoCapture(0)", 'VideoCapture("sample_videos/group2.mp4")')
+        script.write_text(flown, encoding="utf-8")
         runpy.run_path(str(script))
-    first, second = capsys.readouterr().out.splitlines()
+    first, *brakes = capsys.readouterr().out.splitlines()
     assert float(first.split()[0]) == pytest.approx(127 / 30)
-    assert second.split()[0] == "brake" and float(second.split()[1]) == pytest.approx(127 / 30)
+    assert len(brakes) > 10 and all(line.startswith("brake ahead") for line in brakes)
     assert (reader / "overview.pdf").read_bytes().startswith(b"%PDF")

@@ -17,7 +17,7 @@ from dlgmd_cli.runs.find import find_videos, local_copy
 pytestmark = pytest.mark.slow
 pytest.importorskip("s3fs", reason="s3fs is not installed")
 moto = pytest.importorskip("moto.server", reason="moto is not installed")
-RESULT = ["attenuation.csv", "mp.csv", "run.yaml", "spikes.csv"]
+RESULT = ["alarms.csv", "attenuation.csv", "mp.csv", "run.yaml", "spikes.csv"]
 
 
 class Bucket:

@@ -101,19 +101,20 @@ def test_rows_and_files_are_those_of_run(dlgmd, flights, here):
     single = ("--set", 4, "--out", "single", "--json", "--no-plots")
     facts = json.loads(dlgmd("run", flights / "a/loom.avi", *single).stdout)
     assert timeless("dlgmd-out/a/loom").keys() == timeless("single/loom").keys()
-    for name in ("mp.csv", "attenuation.csv", "spikes.csv"):
+    for name in ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"):
         assert Path("dlgmd-out/a/loom", name).read_bytes() == Path("single/loom", name).read_bytes()
     record, other = (yaml_of(f"{folder}/loom/run.yaml") for folder in ("dlgmd-out/a", "single"))
     assert record.pop("wall_s") > 0.0
     assert record == other
     row = summary()["a/loom.avi"]
-    for key in COLUMNS[9:16]:
-        assert row[key] == ("" if facts[key] is None else f"{facts[key]:.9g}"), key
+    for key in COLUMNS[9:17]:
+        value = "" if facts[key] is None else facts[key]
+        assert row[key] == (f"{value:.9g}" if isinstance(value, float) else str(value)), key
     assert [row[key] for key in COLUMNS[4:9]] == ["20", "32", "24", "25", "0.8"]
     assert float(row["wall_s"]) > 0 and row["error"] == ""
     failed = summary()["empty.mp4"]
     assert failed["error"] == "the file is empty. Copy or record it again."
-    assert all(failed[key] == "" for key in COLUMNS[3:16])
+    assert all(failed[key] == "" for key in COLUMNS[3:17])
 
 
 def test_plots_and_the_record_as_a_config_of_run(dlgmd, clips, here):
@@ -170,6 +171,7 @@ def test_a_changed_input_is_computed_again(dlgmd, flights, here):
 
 SPOILED = {
     "a table is missing": lambda folder: (folder / "spikes.csv").unlink(),
+    "from a version without alarms.csv": lambda folder: (folder / "alarms.csv").unlink(),
     "no record": lambda folder: (folder / "run.yaml").unlink(),
     "half a record": lambda folder: (folder / "run.yaml").write_bytes(b"input: [\0\xff"),
     "interrupted": lambda folder: edit(folder, "complete: true", "complete: false"),

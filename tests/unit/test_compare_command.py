@@ -335,4 +335,4 @@ def test_spikes_without_a_peak_are_shown(dlgmd, tmp_path):
     (tmp_path / "low.yaml").write_text("model: lgmd\nt_mp: 0.5\n")
     result = dlgmd("compare", "still.avi", "--config", "low.yaml", "--no-plots")
     (row,) = [line.split() for line in result.stdout.splitlines() if line.startswith(" low")]
-    assert row == ["low", "–", "0.080", "s", "frame", "3", "–"]
+    assert row == ["low", "–", "0.080", "s", "frame", "3", "–", "–"]

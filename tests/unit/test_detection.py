@@ -4,8 +4,10 @@ import gc
 import math
 import tracemalloc
 
+import cv2
 import numpy as np
 import pytest
+from conftest import looming_frames
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -13,13 +15,17 @@ from reference import clips
 
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.models.detection import Alarm, absolute, detect, onsets, sequence
+from dlgmd_cli.models.detection import Alarm, AlarmSpan, absolute, detect, sequence, side_of, spans
 from dlgmd_cli.parameters import (
     MODELS,
+    ContrastParameters,
+    LgmdParameters,
     load_config,
     load_set,
     parameters_of,
 )
+from dlgmd_cli.runs.setup import choose
+from dlgmd_cli.video.luma import to_grey
 
 NAN = np.nan
 potentials = arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 1e6))
@@ -80,16 +86,29 @@ def test_nothing_is_detected_in_nothing():
 def test_alarms_less_than_0_3_s_apart_are_one(pause, n_alarms):
     alarms = np.array([False] * 4 + [True] * 3 + [False] * pause + [True] * 2)
     time_s = np.arange(len(alarms)) / 30
-    expected = [4, 7 + pause][:n_alarms]
-    assert onsets(alarms, time_s).tolist() == expected
-    # No later row changes that, and the pause runs from the end of the last, however short.
+    last = 8 + pause
+    expected = [[4, last]] if n_alarms == 1 else [[4, 6], [7 + pause, last]]
+    assert spans(alarms, time_s).tolist() == expected
+    # The pause runs from the end of the last, however short.
     again = np.concatenate((alarms, [False] * 7, [True]))
-    assert onsets(again, np.arange(len(again)) / 30).tolist() == expected
-    assert onsets(np.array([], bool), np.array([])).tolist() == []
+    expected[-1][1] = last + 8
+    assert spans(again, np.arange(len(again)) / 30).tolist() == expected
+    assert spans(np.array([], bool), np.array([])).shape == (0, 2)
 
 
 def test_frames_far_apart_are_no_pause():
-    assert onsets(np.array([True, True, False, True]), np.arange(4.0)).tolist() == [0, 3]
+    assert spans(np.array([True, True, False, True]), np.arange(4.0)).tolist() == [[0, 1], [3, 3]]
+
+
+@pytest.mark.parametrize(
+    ("g_x", "g_y", "side"),
+    [
+        *((-0.34, 0.0, "left"), (-0.33, 0.33, "ahead"), (0.34, -0.33, "right")),
+        *((-1.0, -1.0, "left high"), (0.0, 0.34, "ahead low"), (NAN, NAN, "")),
+    ],
+)
+def test_sides_are_thirds_of_the_picture(g_x, g_y, side):
+    assert side_of(g_x, g_y) == AlarmSpan(0, 0.0, 1, 0.1, 0.5, g_x, g_y).side == side
 
 
 PARAMS = [
@@ -126,7 +145,62 @@ def test_the_alarm_goes_off_as_a_disc_looms():
     found = [alarm.step(frame).alarm for frame in clips.looming(60, 80, 12, seed=4)]
     assert not any(found[:4]) and any(found)
     with pytest.raises(FrameError):
-        alarm.step(np.zeros((60, 80, 3), np.uint8))
+        alarm.step(np.zeros((60, 80, 4), np.uint8))
+
+
+def test_a_camera_s_pictures_are_reduced_as_a_video_s():
+    """Colour of 1000 px, which the preset processes at 240, the paper's sets at 480."""
+    rng = np.random.default_rng(4)
+    frames = [
+        cv2.cvtColor(cv2.resize(frame, (1000, 400)), cv2.COLOR_GRAY2BGR)
+        for frame in looming_frames(12)
+    ]
+    for frame in frames:
+        frame[..., 2] = cv2.add(frame[..., 2], rng.integers(0, 20, (400, 1000), np.uint8))
+    for params, size in (
+        (None, (240, 96)),
+        (load_set(3), (480, 192)),
+        (LgmdParameters(), (480, 192)),
+    ):
+        alarm, expected = Alarm(params), Alarm(params, resize=False)
+        answers = [alarm.step(frame) for frame in frames]
+        assert alarm.model.n_cells == size[0] * size[1]
+        for answer, frame in zip(answers, frames, strict=True):
+            np.testing.assert_equal(vars(expected.step(to_grey(frame, size))), vars(answer))
+    narrow = Alarm(width_px=1200)
+    narrow.step(np.float32(frames[0] / 255.0))
+    assert narrow.model.n_cells == 400_000  # never enlarged
+
+
+def test_parameters_are_made_for_the_width_of_their_model():
+    assert [choose(model=one).width_px for one in (ContrastParameters(), load_set(3))] == [240, 480]
+    assert choose(model="dlgmd-contrast").width_px == 240
+
+
+def test_an_alarm_takes_a_file_of_parameters(tmp_path):
+    (tmp_path / "own.yaml").write_text("set: 3\nwidth_px: 100\nn_sp: 1\n")
+    alarm = Alarm(load_config(tmp_path / "own.yaml"))
+    alarm.step(np.zeros((90, 200), np.uint8))
+    assert alarm.params == load_set(3, n_sp=1) and alarm.model.n_cells == 100 * 45
+
+
+@pytest.mark.parametrize(
+    ("times_s", "repeats", "warning"),
+    [
+        (np.arange(200) / 60, False, "frames come at 60 a second, but the parameters are made for"),
+        (np.arange(200) / 60, True, ""),  # every picture twice, which makes 30 new ones a second
+        (np.arange(99) / 12, False, "frames come at 12 a second"),
+        (np.arange(99) / 25, False, ""),
+        (np.r_[np.arange(25) / 12, 5 + np.arange(60) / 30], False, ""),  # too few, then a gap
+    ],
+)
+def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
+    alarm, rng = Alarm(), np.random.default_rng(1)
+    for number, time_s in enumerate(times_s):
+        if not (repeats and number % 2):
+            frame = rng.integers(0, 256, (24, 32), np.uint8)
+        alarm.step(frame, float(time_s))
+    assert len(caplog.messages) == bool(warning) and warning in caplog.text
 
 
 def test_an_alarm_keeps_constant_memory():

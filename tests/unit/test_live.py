@@ -26,7 +26,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs
 from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import Answer, Events, Sight, Statistics, answers
-from dlgmd_cli.models.detection import onsets
+from dlgmd_cli.models.detection import spans
 from dlgmd_cli.names import without_password
 from dlgmd_cli.results import csv
 from dlgmd_cli.runs.setup import choose
@@ -477,12 +477,19 @@ def test_events_are_the_onsets_of_a_result():
     for _ in range(50):
         on = np.repeat(rng.random(40) < 0.4, rng.integers(1, 6, 40))
         time_s = np.arange(len(on)) / 25
-        events = Events()
-        told = [events.step(bool(flag), t) for flag, t in zip(on, time_s, strict=True)]
-        assert np.array_equal(np.flatnonzero(np.array(told) == "begin"), onsets(on, time_s))
-        assert "end,end" not in ",".join(event for event in told if event)
-        for place in np.flatnonzero(np.array(told) == "end"):
-            assert 0.3 <= time_s[place] - time_s[np.flatnonzero(on[:place])[-1]] < 0.3 + 0.041
+        events, told = Events(), []
+        for row, flag in enumerate(on):
+            found = replace(UNDEFINED, mp_abs=float(row), alarm=bool(flag))
+            answers = events.step(found, Frame(row, time_s[row], np.zeros((9, 9))))
+            told += [(row, event, span) for event, span in answers]
+        last = events.over()
+        alarms = [span for _, event, span in told if event == "end"] + [last] * (last is not None)
+        assert [(a.start_frame, a.end_frame) for a in alarms] == [*map(tuple, spans(on, time_s))]
+        assert all(one.peak_mp_abs == one.end_frame for one in alarms)
+        begins = [(row, span.start_frame) for row, event, span in told if event == "begin"]
+        assert begins == [(one.start_frame,) * 2 for one in alarms]
+        for row, event, span in told:
+            assert event == "begin" or 0.3 <= time_s[row] - span.end_s < 0.3 + 0.041
 
 
 def test_answers_are_those_of_the_alarm():
@@ -499,7 +506,10 @@ def test_answers_are_those_of_the_alarm():
     # The alarm is on when the source is over: its end is told.
     assert (last.event, last.detection.alarm, last.is_of_frame) == ("end", False, False)
     facts = json.loads(found[-1].to_json())
-    assert facts.pop("event") == "begin"
+    assert (facts.pop("event"), facts.pop("side")) == ("begin", "ahead")
+    end = json.loads(last.to_json())
+    assert (end["side"], end["duration_s"]) == ("ahead", 0.0)
+    assert end["peak_mp_abs"] == facts["mp_abs"]
     assert list(facts) == [
         *("frame", "time_s", "mp", "mp_abs", "spike", "alarm", "g_x", "g_y", "latency_ms")
     ]
@@ -824,13 +834,17 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
         np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
     assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
     stored = yaml.safe_load((tmp_path / "r/run.yaml").read_text())["summary"]
+    assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored == pytest.approx(result.summary, rel=1e-8)
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
     np.testing.assert_allclose(columns["mp_seq"], result.mp_seq, rtol=1e-7, atol=1e-9)
     spikes = np.genfromtxt(tmp_path / "r/spikes.csv", delimiter=",", names=True)
     assert np.array_equal(spikes["spike"], result.spikes)
     assert np.array_equal(spikes["alarm"], result.alarms)
-    assert set(os.listdir(tmp_path / "r")) == {*csv.TABLES, "run.yaml"}
+    assert set(os.listdir(tmp_path / "r")) == {*csv.TABLES, "alarms.csv", "run.yaml"}
+    written = (tmp_path / "r/alarms.csv").read_text()
+    result.save(tmp_path / "again")
+    assert (tmp_path / "again/alarms.csv").read_text() == written and written.count("\n") == 2
 
 
 def test_a_new_column_of_the_tables_is_recorded(tmp_path, monkeypatch):

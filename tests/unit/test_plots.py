@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.lab.plots.evaluation import trade_off
 from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.pages.page import Part, _result_data
 from dlgmd_cli.parameters import load_set
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
@@ -51,6 +52,18 @@ def test_attenuation_has_gaps_and_marks_what_does_not_pass():
     assert to_rgb(marks.get_color()) not in {to_rgb(ORANGE), to_rgb(VERMILION)}
     assert legend(figure) == ["flight", "nothing passes (< −60 dB)"]
     assert axes.get_ylabel() == "Attenuation (dB)"
+
+
+def test_an_alarm_with_a_short_pause_is_one_band_everywhere():
+    level = np.zeros(30)
+    level[[5, 6, 7, 11, 12, 13]] = 0.6  # a pause of 0.16 s, and one more spike before the alarm
+    result = result_of_level(level)
+    assert result.summary["alarms"] == 1
+    raster, axes = plot("spikes", {"flight": result}).axes
+    bands = [bars.get_paths() for bars in (raster.collections[1], axes.collections[0])]
+    assert [len(paths) for paths in bands] == [1, 1]
+    page = _result_data(Part("flight", result), -10.0)
+    assert page["spans"] == [[6, 13]] and page["alarms"] == [pytest.approx([0.22, 0.54])]
 
 
 def test_spikes_are_a_raster_over_the_level_with_its_threshold():

@@ -173,17 +173,6 @@ def test_which_formats_have_a_luma_plane():
     assert np.shares_memory(image, np.frombuffer(frame.planes[0], np.uint8))
 
 
-def test_interlaced_h264(tmp_path):
-    pictures = [np.roll(RAMP, 4 * i, axis=1) for i in range(6)]
-    options = {"qp": "0", "flags": "+ildct+ilme", "x264-params": "interlaced=1"}
-    frames = [filled("yuv420p", picture) for picture in pictures]
-    path = encode(tmp_path / "x.mkv", frames, "libx264", options=options)
-    with av.open(str(path)) as container:
-        assert next(container.decode(video=0)).interlaced_frame
-    for frame, picture in zip(read(path)[0], pictures, strict=True):
-        assert np.array_equal(frame.grey, np.rint(255 * stretched(picture, 16, 235)))
-
-
 def test_times_are_the_same_with_every_decoder(tmp_path, decoder):
     stamps = [0, 40, 80, 250, 300, 301, 900]
     frames = [filled("yuv420p", np.roll(RAMP, i, axis=1)) for i in range(len(stamps))]

@@ -71,9 +71,36 @@ def test_summary():
         "alarms": 1,  # the other begins 0.24 s after its end
         "first_alarm_frame": 17,  # the second spike in a row raises it
         "first_alarm_time_s": 17 / 25,
+        "first_alarm_side": None,  # no centroid is known
         "mean_attenuation_db": pytest.approx(-70 / 7),
     }
     assert result.alarm_onsets.tolist() == [6]
+
+
+def test_alarms_are_merged_and_listed(tmp_path):
+    """Two pauses: one of 0.24 s, which does not end the alarm, and one of 0.32 s."""
+    level = np.zeros(40)
+    level[[3, 4, 10, 11, 12, 20, 21, 22]] = 0.5
+    level[[5, 15]] = 0.9  # the latter is no alarm
+    result = result_of_level(level, frame=np.arange(40) + 5)
+    result.rows["g_x"] = np.linspace(-1, 1, 40)
+    result.rows["g_y"] = -result.g_x
+    assert np.flatnonzero(result.alarms).tolist() == [4, 5, 11, 12, 21, 22]
+    assert np.flatnonzero(result.alarmed).tolist() == [*range(4, 13), 21, 22]
+    first, last = result.alarm_list
+    assert (first.start_frame, first.end_frame, last.start_frame) == (9, 17, 26)
+    assert (first.start_s, first.end_s) == (9 / 25, 17 / 25)
+    assert first.peak_mp_abs == pytest.approx(0.9) and last.peak_mp_abs == pytest.approx(0.5)
+    assert (first.side, last.side) == ("left low", "ahead")
+    assert (result.summary["alarms"], result.summary["first_alarm_side"]) == (2, "left low")
+    result.save(tmp_path / "r")
+    lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
+    assert lines[0] == "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side"
+    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith(",left low")
+    (tmp_path / "r/alarms.csv").unlink()  # as in results of earlier versions
+    assert len(read_result(tmp_path / "r").alarm_list) == 2
+    make_result([NAN, 0.0]).save(tmp_path / "silent")
+    assert (tmp_path / "silent/alarms.csv").read_text().splitlines() == lines[:1]
 
 
 def test_summary_of_silence():
@@ -126,7 +153,7 @@ def test_save_and_read_back(tmp_path):
     result = make_result([NAN, 1.5, 1e-7, 123456.789], attenuation_db=[NAN, -math.inf, -3.5, 2])
     result.save(tmp_path / "r", formats=["svg"])
     assert set(os.listdir(tmp_path / "r")) == {
-        *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv"),
+        *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
         *("mp.svg", "attenuation.svg", "spikes.svg"),
     }
     again = read_result(tmp_path / "r")

@@ -260,5 +260,5 @@ def test_the_record_goes_first_and_comes_last(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "replace", watched)
     make_result([0, 1, 3]).save(tmp_path)
-    assert arrived[-1] == (store.RUN, False) and len(arrived) == 4
+    assert arrived[-1] == (store.RUN, False) and len(arrived) == 5
     assert not any(has_record for _, has_record in arrived)

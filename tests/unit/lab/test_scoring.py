@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dlgmd_cli.lab.evaluation import scoring
 from dlgmd_cli.lab.evaluation.scoring import KINDS, Signal
-from dlgmd_cli.models.detection import detect, onsets
+from dlgmd_cli.models.detection import detect, spans
 
 FPS = 30.0
 NAN = np.nan
@@ -83,7 +83,7 @@ def plain(one, n_sp, threshold, horizon_s):
     """Rows of the onsets and what they are, by the plain rules and one threshold."""
     seen = ~one.repeated
     alarms = detect(one.strength[seen], threshold, n_sp)[1][np.cumsum(seen) - 1]
-    rows = onsets(alarms, one.time_s)
+    rows = spans(alarms, one.time_s)[:, 0]
     found = []
     for row in rows:
         t, kind, over = one.time_s[row], "false", -np.inf

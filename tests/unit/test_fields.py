@@ -1,0 +1,133 @@
+"""Interlaced video: how it is noticed, and that every command de-interlaces or refuses it."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from conftest import looming_frames, write_video, yaml_of
+
+import dlgmd_cli
+from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.video.fields import has_comb
+from dlgmd_cli.video.luma import to_grey
+from dlgmd_cli.video.opening import open_video
+
+HEIGHT, WIDTH = 480, 320
+RNG = np.random.default_rng(5)
+GROUND = cv2.GaussianBlur(RNG.integers(0, 256, (HEIGHT, 1200), np.uint8), (0, 0), 3.0)
+GROUND = cv2.normalize(GROUND, None, 20, 235, cv2.NORM_MINMAX)
+
+
+def at(x_px):
+    """What a camera sees that has turned by so many px."""
+    return GROUND[:, x_px : x_px + WIDTH]
+
+
+def woven(first, second):
+    """The even lines of a picture and the odd ones of another."""
+    picture = first.copy()
+    picture[1::2] = second[1::2]
+    return picture
+
+
+WHOLE = [at(6 * t) for t in range(40)]
+WOVEN = [woven(at(6 * t), at(6 * t + 3)) for t in range(40)]
+
+
+def test_a_comb_is_seen_where_fields_differ():
+    assert has_comb(woven(at(0), at(3))) and not has_comb(at(0))
+    # An object of 96x96 px that moves before a still ground is enough.
+    here, there = at(500).copy(), at(500).copy()
+    here[100:196, 100:196] = there[100:196, 104:200] = GROUND[:96, 900:996]
+    assert has_comb(woven(here, there)) and not has_comb(woven(here, here))
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        RNG.integers(0, 256, (HEIGHT, WIDTH), np.uint8),  # noise
+        np.tile(np.uint8([[20], [20], [220], [220]]), (HEIGHT // 4, WIDTH)),  # fine stripes
+        np.repeat(GROUND[::2, :WIDTH], 2, axis=0),  # a field, doubled
+        np.clip(at(0) + RNG.normal(0, 15, (HEIGHT, WIDTH)), 0, 255).astype(np.uint8),
+        np.full((HEIGHT, WIDTH), 90, np.uint8),
+        np.zeros((5, 3), np.uint8),
+    ],
+)
+def test_other_pictures_have_no_comb(picture):
+    assert not has_comb(picture)
+
+
+@pytest.fixture(scope="module")
+def unflagged(tmp_path_factory):
+    """As recorders of analog video write it: a comb, and no flag."""
+    return write_video(tmp_path_factory.mktemp("fields") / "fields.avi", WOVEN)
+
+
+@pytest.fixture(scope="module")
+def flagged(tmp_path_factory):
+    """Flagged, and of a height that is not looked at; OpenCV cannot convert it."""
+    pytest.importorskip("av", reason="PyAV is not installed")
+    from damaged import encode
+
+    path = tmp_path_factory.mktemp("fields") / "flagged.mkv"
+    options = {"flags": "+ildct+ilme", "x264-params": "tff=1", "qp": "4"}
+    return encode(path, [one[:360] for one in WOVEN], "libx264", options=options)
+
+
+# This encoder flags that the odd lines come first; without a flag, the even ones are taken.
+@pytest.mark.parametrize(("name", "first_px"), [("unflagged", 0), ("flagged", 3)])
+@pytest.mark.parametrize("decoder", ["opencv", "pyav"])
+def test_interlaced_video_is_deinterlaced(request, name, first_px, decoder):
+    """One picture a frame, that of its first field, at its time; as often as it is read."""
+    pytest.importorskip("av", reason="PyAV is not installed")
+    with open_video(request.getfixturevalue(name), decoder=decoder) as video:
+        assert video.info.decoder == "pyav" and video.stream_info.is_interlaced
+        for _ in range(2):
+            frames = list(video)
+            assert [frame.time_s for frame in frames] == pytest.approx(np.arange(40) / 25, abs=1e-3)
+        n_lines = video.info.height
+    for t in range(2, 38):
+        right, comb = (
+            to_grey(one[:n_lines], video.size_wh).astype(int)
+            for one in (at(6 * t + first_px), WOVEN[t])
+        )
+        error = np.abs(frames[t].grey - right).mean()
+        assert error < 3.0 and error < 0.5 * np.abs(comb - right).mean()
+
+
+def test_the_record_and_info_say_so(dlgmd, unflagged, tmp_path):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    assert dlgmd("run", unflagged, "--no-plots").exit_code == 0
+    source = yaml_of(tmp_path / "dlgmd-out/fields/run.yaml")["input"]
+    assert (source["decoder"], source["deinterlaced"]) == ("pyav", "bwdif")
+    shown = dlgmd("info", unflagged).stdout
+    assert "It is interlaced: all commands" in shown
+    write_video(tmp_path / "whole.avi", WHOLE)
+    assert dlgmd("run", "whole.avi", "--no-plots").exit_code == 0
+    source = yaml_of(tmp_path / "dlgmd-out/whole/run.yaml")["input"]
+    assert source["decoder"] == "opencv" and "deinterlaced" not in source
+
+
+def test_without_pyav_it_is_refused(dlgmd, unflagged, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "av", None)
+    why = f"{unflagged}: it is interlaced, and the package 'av' is not installed. "
+    for command in ("run", "info", "compare"):
+        result = dlgmd(command, unflagged)
+        assert result.exit_code == 1 and why in result.stderr
+        assert "pip install 'dlgmd[fast]'" in result.stderr and result.stdout == ""
+    with pytest.raises(MissingExtraError, match="it is interlaced"):
+        dlgmd_cli.run(unflagged)
+
+
+def test_without_pyav_what_opencv_cannot_convert_is_refused(dlgmd, flagged, monkeypatch, tmp_path):
+    """Its pictures are all the same then, and only PyAV tells why."""
+    monkeypatch.setitem(sys.modules, "av", None)
+    (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{flagged},30\n")
+    result = dlgmd("evaluate", "labels.csv", "--jobs", 1, "--no-plots")
+    assert result.exit_code == 1 and "pip install 'dlgmd[fast]'" in result.stderr
+    result = dlgmd("run", flagged, "--no-plots")
+    assert result.exit_code == 1 and "as if OpenCV read interlaced video" in result.stderr
+    # Another picture throughout is nothing to refuse.
+    write_video(tmp_path / "looms.avi", looming_frames())
+    assert dlgmd("run", "looms.avi", "--no-plots").exit_code == 0
