@@ -202,9 +202,8 @@ def _open_file(path: Path, decoder: str) -> Decoder:
     except MissingExtraError as error:
         if not is_interlaced:
             raise
-        raise MissingExtraError(
-            str(path), f"it is interlaced, and {error.why}", error.mend
-        ) from None
+        why, mend = f"it is interlaced, and {error.why}", "Install it with: pip install av"
+        raise MissingExtraError(str(path), why, mend) from None
     except Unreadable as error:
         why = str(error) or "no frame could be decoded, damaged file or missing codec"
         raise SourceError(str(path), why, "Try re-encoding it with ffmpeg.") from None

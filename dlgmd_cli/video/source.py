@@ -10,12 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import MissingExtraError, ParameterError
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
-from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
@@ -292,9 +291,6 @@ class Video:
             fault = fault or self._shortfall()
         missing, ending = missing_frames(times, fps), fault and self._ending(fault)
         blind = spans.report()
-        is_file = self.info.decoder == "opencv" and not decoder.takes_every_frame
-        if spans.throughout and is_file:
-            self._require_flags()
         progress.blind = blind if spans.throughout else ""
         reports = (clock.report(), missing, self._repetition(), blind, ending)
         progress.warnings += [line for line in reports if line]
@@ -318,17 +314,6 @@ class Video:
             f"{fps:.4g} frames/s; one frame in {every} was processed, {self.rate_fps:.4g} a second "
             "(--fps all processes every frame)"
         )
-
-    def _require_flags(self) -> None:
-        """Raise MissingExtraError if, without PyAV, it is not known whether this is interlaced.
-
-        OpenCV cannot convert frames that are flagged so, and gives the same picture throughout.
-        """
-        try:
-            import_av()
-        except MissingExtraError as error:
-            why = f"nothing can be seen, as if OpenCV read interlaced video; {error.why}"
-            raise MissingExtraError(self.info.given, why, error.mend) from None
 
     def _repetition(self) -> str:
         n_frames, n_repeats = self.progress.n_decoded, self.progress.n_repeats or 0
