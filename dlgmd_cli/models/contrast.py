@@ -4,6 +4,7 @@ import math
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.models.base import (
     AUTO,
@@ -18,6 +19,8 @@ from dlgmd_cli.models.base import (
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.parameters import ContrastParameters
+
+Series = npt.NDArray[np.float64]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
@@ -50,6 +53,20 @@ class ContrastDLGMD(Distributed):
     `t_de` is the threshold of S. The layer P is P', but `p_sum` is Σ|L(t) - L(t-1)| as in the other
     models.
 
+    Five parameters, off by default, keep it quiet on real footage:
+
+    - `shift`: L(t-1) and the earlier P' are first moved along with the picture, by whole cells, see
+      `profile_shift`, if that lowers Σ|L(t) - L(t-1)|. Cells that enter have no change, and P' = 0.
+    - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants about
+      the centre. A middle row or column belongs to both sides. What looms expands in all
+      directions; what passes by does not.
+    - `c_m`: K(t) = max(κ(t) - c_m m(t-1), 0), where κ(t) is K as above, and m its mean so far,
+      m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
+      what goes on all the time.
+    - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by n.
+      So the answers depend little on the frame rate. Δt is one frame at `w_fps`, or at 30 frames/s,
+      if times are unknown.
+
     Parameters
     ----------
     params : ContrastParameters, optional
@@ -74,6 +91,19 @@ class ContrastDLGMD(Distributed):
         super().__init__(params, engine)
         self.receptors = ContrastReceptors(self.first_valid_frame, self.params)
         self._weights: FloatImage | None = None
+        self._mean = math.nan
+
+    def reset(self) -> None:
+        """Forget all earlier frames; the next one may have another size."""
+        super().reset()
+        self._mean = math.nan
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Process the next frame, see `Model.step`."""
+        self.receptors.time_s = math.nan if time_s is None else time_s
+        return super().step(luminance, layers=layers)
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells, see `Model.ignore`, also in σ, ν and w."""
@@ -85,15 +115,31 @@ class ContrastDLGMD(Distributed):
         shape = receptors.current.shape
         if self._weights is None or self._weights.shape != shape:
             self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
+            self._quadrants = quadrants(self._weights)
             self._spare = aligned(shape), aligned(shape)
         s, g = images or self._spare
         s_sum = self._engine.respond(receptors, Counting(threshold), (s, g)).s
         ffi = receptors.growth
         passed = min(1.0, self.params.growth / ffi) ** 2 if ffi > 0.0 else 1.0
-        cv2.multiply(g, self._weights, dst=g, scale=passed)
-        mp = cv2.sumElems(g)[0]
+        cv2.multiply(g, self._weights, dst=g, scale=passed / receptors.n_usual)
+        mp = self._adapted(self._weakest(g) if self.params.balance else cv2.sumElems(g)[0])
         g_x, g_y = centroid_of(g)
         return Response(receptors.p_sum(0), s_sum, mp, ffi, threshold, g_x=g_x, g_y=g_y)
+
+    def _weakest(self, g: FloatImage) -> float:
+        """K by the two quadrants with the least G, relative to their weights."""
+        shares = sorted(cv2.sumElems(g[place])[0] / total for place, total in self._quadrants)
+        return self.n_cells * sum(shares[:2]) / max(1, len(shares[:2]))
+
+    def _adapted(self, mp: float) -> float:
+        """What of K exceeds `c_m` times its mean over the earlier frames."""
+        c_m, tau_s = self.params.c_m, self.params.tau_m
+        if c_m == 0.0:
+            return mp
+        before = mp if math.isnan(self._mean) else self._mean
+        newest = -math.expm1(-self.receptors.interval_s / tau_s)
+        self._mean = before + newest * (mp - before)
+        return max(mp - c_m * before, 0.0)
 
     def _threshold(self) -> float:
         """Threshold of S for an active cell, in luminance."""
@@ -114,6 +160,42 @@ def centre_weights(shape: tuple[int, ...], sigma: float, hidden: Flags | None = 
         weights[hidden] = 0.0
         return np.asarray(weights / weights[~hidden].mean(), np.float32)
     return np.asarray(weights / weights.mean(), np.float32)
+
+
+def quadrants(weights: FloatImage) -> list[tuple[tuple[slice, slice], float]]:
+    """Rows and columns of the four quadrants, and Σw of each; without those that are hidden."""
+    sides = [(slice(0, (n + 1) // 2), slice(n // 2, n)) for n in weights.shape]
+    places = [(rows, columns) for rows in sides[0] for columns in sides[1]]
+    totals = [(place, float(cv2.sumElems(weights[place])[0])) for place in places]
+    return [(place, total) for place, total in totals if total > 0.0]
+
+
+def profile_shift(newest: Series, before: Series, most: int) -> int:
+    """By how many cells a profile has moved, from -most to most.
+
+    Parameters
+    ----------
+    newest, before : ndarray, shape (n,), float64
+        Sums of the rows or of the columns of two frames.
+    most : int
+        Largest shift; at most a third of the profile.
+
+    Returns
+    -------
+    int
+        The shift d with the least mean of |a(i) - b(i - d)| over the cells that both have, where a
+        and b are the differences between neighbours in `newest` and in `before`; of equal ones, the
+        shortest.
+    """
+    a, b = np.diff(newest), np.diff(before)
+    most = min(most, len(a) // 3)
+    if most == 0:
+        return 0
+    # Row k of `moved` is b moved by most - k, and NaN where nothing is known.
+    moved = np.lib.stride_tricks.sliding_window_view(np.pad(b, most, constant_values=np.nan), len(a))
+    shifts = most - np.arange(2 * most + 1)
+    costs = np.nansum(np.abs(a - moved), axis=1) / (len(a) - np.abs(shifts))
+    return int(min(shifts[costs == costs.min()], key=abs))
 
 
 def lower_quartile(image: Grey, hidden: Flags | None = None) -> float:
@@ -140,6 +222,18 @@ def smoothed(before: float, newest: float, weight: float) -> float:
     return before + weight * (newest - before)
 
 
+def profiles(frame: Grey) -> tuple[Series, Series]:
+    """Sums of the rows, (H,), and of the columns, (W,), in levels."""
+    reduced = (cv2.reduce(frame, axis, cv2.REDUCE_SUM, dtype=cv2.CV_64F) for axis in (1, 0))
+    rows, columns = (one.ravel() for one in reduced)
+    return rows, columns
+
+
+def overlap(n: int, shift: int) -> tuple[slice, slice]:
+    """Where the cells of a side of n remain after a shift, and where they were."""
+    return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
+
+
 class ContrastReceptors(Photoreceptors):
     """P' of the last few frames, each with the threshold of its own frame.
 
@@ -147,9 +241,13 @@ class ContrastReceptors(Photoreceptors):
     lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; both from frame 1 on. `growth` is F(t),
     the change relative to its earlier average, from frame 2 on: infinite if nothing changed before,
     0 if nothing changes now.
+
+    `time_s` is the time of the next frame, NaN if unknown; `interval_s` is the time between the
+    last two frames, and `n_usual` the same in frames at `w_fps`, 1 if times are ignored.
     """
 
     sigma: float
+    time_s = math.nan
     _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
@@ -159,22 +257,64 @@ class ContrastReceptors(Photoreceptors):
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         super().reset()
-        self.sigma = self.noise = self.growth = self._usual = math.nan
+        self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
+
+    def take(self, luminance: Grey) -> None:
+        """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
+        interval_s, usual_fps = self.time_s - self._last_s, self._params.w_fps
+        self.interval_s = interval_s if interval_s > 0.0 else 1.0 / (usual_fps or 30.0)
+        self.n_usual = self.interval_s * usual_fps or 1.0
+        super().take(luminance)
+        self._last_s = self.time_s
 
     def _compute_p(self, out: Grey) -> float:
         """Write P' of the newest frame to `out`; returns Σ|L(t) - L(t-1)|."""
-        weight = self._params.w_sigma
+        weight = self._weight(self._params.w_sigma)
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
+        if self._params.shift > 0:
+            self._align()
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
         change = cv2.absdiff(self.current, self.previous)
         self.noise = smoothed(self.noise, lower_quartile(change, self.hidden) * self.unit, weight)
         np.subtract(change, np.float32(self._floor() / self.unit), out=out)
         cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
-        p_sum = cv2.sumElems(out)[0]
+        p_sum = cv2.sumElems(out)[0] / self.n_usual
         self.growth = p_sum / self._usual if self._usual else math.inf if p_sum else 0.0
-        self._usual = smoothed(self._usual, p_sum, self._params.w_m)
+        self._usual = smoothed(self._usual, p_sum, self._weight(self._params.w_m))
         return float(cv2.sumElems(change)[0])
+
+    def _align(self) -> None:
+        """Move the previous frame and the earlier P' along with the picture."""
+        if self.frame == 1:
+            self._profiles = profiles(self.previous)
+        before, self._profiles = self._profiles, profiles(self.current)
+        dy, dx = map(profile_shift, self._profiles, before, [self._params.shift] * 2)
+        if dx == dy == 0:
+            return
+        moved = self._moved(self.previous, self.current, dx, dy)
+        if cv2.norm(self.current, moved, cv2.NORM_L1) < cv2.norm(
+            self.current, self.previous, cv2.NORM_L1
+        ):
+            np.copyto(self.previous, moved)
+            for delay in range(1, self._depth):
+                p = self.p(delay)
+                np.copyto(p, self._moved(p, np.zeros_like(p), dx, dy))
+
+    def _moved(self, image: Grey, entering: Grey, dx: int, dy: int) -> Grey:
+        """An image moved by dx and dy, with `entering` in cells of which nothing is known."""
+        moved = aligned(image.shape, image.dtype)
+        np.copyto(moved, entering)
+        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, (dy, dx))
+        source = from_rows, from_columns
+        known = True if self.hidden is None else ~self.hidden[source]
+        np.copyto(moved[rows, columns], image[source], where=known)
+        self.clear(moved)
+        return moved
+
+    def _weight(self, weight: float) -> float:
+        """The weight of the newest frame after `n_usual` frames, if it is `weight` after one."""
+        return weight if self.n_usual == 1.0 else 1.0 - (1.0 - weight) ** self.n_usual
 
     def _floor(self) -> float:
         """Threshold of |L(t) - L(t-1)|, in luminance."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reference.slow import kernels, photoreceptors, summation, total
+from reference.slow import kernels, summation, total
 
 DEFAULTS = {
     "alpha": 0.0,
@@ -24,6 +24,11 @@ DEFAULTS = {
     "growth": 1.5,
     "w_m": 0.3,
     "sigma_c": 0.6,
+    "w_fps": 0.0,
+    "shift": 0,
+    "balance": False,
+    "c_m": 0.0,
+    "tau_m": 1.5,
 }
 
 
@@ -42,6 +47,8 @@ class Answer:
     p_sum: float | None = None
     s_sum: float | None = None
     mp: float | None = None
+    steady: float | None = None
+    shift: tuple[int, int] = (0, 0)
     t_de: float | None = None
 
 
@@ -74,38 +81,117 @@ def passed(ffi, growth):
     return min(1.0, growth / ffi) ** 2 if ffi else 1.0
 
 
-def run(frames, *, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
-    """One `Answer` for every frame."""
-    weights = weights_of(frames[0].shape, sigma_c)
-    excite, inhibit = kernels(**connections, formulation="default")
-    answers, history = [], []
-    for t, change in enumerate(photoreceptors(frames)):
-        newest = deviation(frames[t])
-        sigma = newest if t == 0 else (1.0 - w_sigma) * answers[-1].sigma + w_sigma * newest
-        answer = Answer(sigma)
-        answers.append(answer)
-        if change is not None:
-            quartile = sorted(change.flat)[change.size // 4]
-            noise = answers[-2].noise
-            answer.noise = quartile if noise is None else (1 - w_sigma) * noise + w_sigma * quartile
-            answer.p_sum = total(change)
-            answer.floor = max(p_min, c_p * sigma, c_n * answer.noise)
-            answer.p = above(change, answer.floor)
-            m = total(answer.p) / answer.p.size
-            before = answers[-2].usual
-            if before is None:
-                answer.usual = m
+def shift_along(newest, before, most):
+    """The shift of a profile: that of its steps from cell to cell with the least mean error."""
+    a, b = ([one[i + 1] - one[i] for i in range(len(one) - 1)] for one in (newest, before))
+    errors = {}
+    for d in range(-min(most, len(a) // 3), min(most, len(a) // 3) + 1):
+        both = [(a[i], b[i - d]) for i in range(len(a)) if 0 <= i - d < len(a)]
+        errors[d] = sum(abs(x - y) for x, y in both) / len(both) if both else 0.0
+    return min(errors, key=lambda d: (errors[d], abs(d)))
+
+
+def shift_between(frame, before, most):
+    """The shift of the picture in rows and columns."""
+    height, width = frame.shape
+    rows = ([sum(map(float, one[i])) for i in range(height)] for one in (frame, before))
+    columns = ([sum(map(float, one[:, j])) for j in range(width)] for one in (frame, before))
+    return shift_along(*rows, most), shift_along(*columns, most)
+
+
+def moved(image, dy, dx, entering):
+    """The image moved down and right; `entering` where it does not reach."""
+    result = entering.astype(float)
+    for i, j in np.ndindex(image.shape):
+        if 0 <= i - dy < image.shape[0] and 0 <= j - dx < image.shape[1]:
+            result[i, j] = image[i - dy, j - dx]
+    return result
+
+
+def weakest(g, weights):
+    """K by the mean of the two quadrants with the least share of active cells."""
+    (height, width), shares = g.shape, []
+    for below in (False, True):
+        for right in (False, True):
+            active = whole = 0.0
+            for i, j in np.ndindex(g.shape):
+                y, x = i - (height - 1) / 2, j - (width - 1) / 2
+                if (y >= 0 if below else y <= 0) and (x >= 0 if right else x <= 0):
+                    active, whole = active + g[i, j], whole + weights[i, j]
+            shares.append(active / whole)
+    least, second, *_ = sorted(shares)
+    return g.size * (least + second) / 2
+
+
+def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
+    """One `Answer` for every frame; `times` are those of the frames, in seconds."""
+    interval = 1 / w_fps if w_fps else 1 / 30
+    times = [t * interval for t in range(len(frames))] if times is None else times
+    weights, answers, history = weights_of(frames[0].shape, rest["sigma_c"]), [], []
+    excite, inhibit, values = connections_of(**rest)
+    for t, frame in enumerate(frames):
+        frame = frame.astype(float)
+        before, d = frame, (0, 0)
+        if t > 0:
+            before = frames[t - 1].astype(float)
+            d = shift_between(frame, before, shift) if shift else d
+            other = moved(before, *d, entering=frame)
+            if total(abs(frame - other)) < total(abs(frame - before)):
+                before = other
+                history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
             else:
-                answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
-                answer.usual = (1 - w_m) * before + w_m * m
+                d = (0, 0)
+        seconds = times[t] - times[t - 1] if t else interval
+        n = seconds * w_fps if w_fps else 1.0
+        change = abs(frame - before) if t else None
+        answer = see(frame, change, answers, n, **values)
+        answer.shift = d
         history.append(answer.p)
+        answers.append(answer)
         if t < 1 + max([1, *inhibit]):
             continue
-        answer.s, answer.t_de = summation(history, excite, inhibit, t), max(s_min, c_s * sigma)
-        answer.s_sum = total(answer.s)
-        answer.g = np.zeros(answer.s.shape)
+        answer.s, answer.t_de = summation(history, excite, inhibit, t), threshold_of(answer, **rest)
+        answer.s_sum, answer.g = total(answer.s), np.zeros(answer.s.shape)
         for i, j in np.ndindex(answer.s.shape):
             if answer.s[i, j] > answer.t_de:
-                answer.g[i, j] = weights[i, j] * passed(answer.ffi, growth)
-        answer.mp = total(answer.g)
+                answer.g[i, j] = weights[i, j] * passed(answer.ffi, values["growth"]) / n
+        answer.mp = kappa = weakest(answer.g, weights) if balance else total(answer.g)
+        past = kappa if answers[-2].steady is None else answers[-2].steady
+        answer.steady = past + (1 - math.exp(-seconds / tau_m)) * (kappa - past)
+        answer.mp = max(kappa - c_m * past, 0.0)
     return answers
+
+
+def threshold_of(answer, *, c_s, s_min, **_):
+    """What S of an active cell exceeds."""
+    return max(s_min, c_s * answer.sigma)
+
+
+def connections_of(*, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
+    """The kernels, and what is left of the parameters."""
+    excite, inhibit = kernels(**connections, formulation="default")
+    values = {"c_p": c_p, "p_min": p_min, "c_n": c_n, "w_sigma": w_sigma, "growth": growth}
+    return excite, inhibit, values | {"w_m": w_m}
+
+
+def see(frame, change, answers, n, *, c_p, p_min, c_n, w_sigma, growth, w_m):
+    """P' of a frame, after `n` usual intervals, and what follows from the picture as a whole."""
+    w_sigma, w_m = 1 - (1 - w_sigma) ** n, 1 - (1 - w_m) ** n
+    newest = deviation(frame)
+    sigma = newest if not answers else (1.0 - w_sigma) * answers[-1].sigma + w_sigma * newest
+    answer = Answer(sigma)
+    if change is not None:
+        quartile = sorted(change.flat)[change.size // 4]
+        noise = answers[-1].noise
+        answer.noise = quartile if noise is None else (1 - w_sigma) * noise + w_sigma * quartile
+        answer.p_sum = total(change)
+        answer.floor = max(p_min, c_p * sigma, c_n * answer.noise)
+        answer.p = above(change, answer.floor)
+        m = total(answer.p) / answer.p.size / n
+        before = answers[-1].usual
+        if before is None:
+            answer.usual = m
+        else:
+            answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
+            answer.usual = (1 - w_m) * before + w_m * m
+    return answer

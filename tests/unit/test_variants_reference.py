@@ -52,6 +52,28 @@ def test_contrast_with_other_thresholds(changes):
     check_contrast(CLIPS["looming 10x13"], **changes)
 
 
+TURNING = [np.roll(CLIPS["looming 10x13"][t], (t // 2, 2 * t - 7), (0, 1)) for t in range(8)]
+UNEVEN_S = (0.0, 0.02, 0.06, 0.1, 0.15, 0.16, 0.2, 0.3)
+QUIET = [
+    {"shift": 3},
+    {"balance": True},
+    {"c_m": 0.7, "tau_m": 0.1},
+    {"w_fps": 30.0},
+    {"shift": 16, "balance": True, "c_m": 0.4, "tau_m": 0.2, "w_fps": 24.0},
+]
+
+
+@pytest.mark.parametrize("times", [None, UNEVEN_S], ids=["no times", "uneven times"])
+@pytest.mark.parametrize("changes", QUIET, ids=str)
+def test_what_keeps_contrast_quiet_agrees_with_its_equations(changes, times):
+    for frames in (*CLIPS.values(), TURNING):
+        answers = check_contrast(frames, times=times and times[: len(frames)], **changes)
+    if "shift" in changes:
+        assert len({one.shift for one in answers}) > 3
+    plain = check_contrast(TURNING)
+    assert [one.mp for one in answers[2:]] != [one.mp for one in plain[2:]]
+
+
 def test_the_clips_reach_every_branch_of_contrast():
     answers = [
         one for frames in CLIPS.values() for one in check_contrast(frames) if one.g is not None
