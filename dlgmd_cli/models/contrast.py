@@ -24,6 +24,8 @@ Series = npt.NDArray[np.float64]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
+# Frame rate where neither times nor `w_fps` tell.
+NOMINAL_FPS = 30.0
 
 
 class ContrastDLGMD(Distributed):
@@ -55,8 +57,9 @@ class ContrastDLGMD(Distributed):
 
     Five parameters, off by default, keep it quiet on real footage:
 
-    - `shift`: L(t-1) and the earlier P' are first moved along with the picture, by whole cells, see
-      `profile_shift`, if that lowers Σ|L(t) - L(t-1)|. Cells that enter have no change, and P' = 0.
+    - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells, see
+      `profile_shift`, if that lowers the mean |L(t) - L(t-1)| where both frames overlap. Cells that enter have no
+      change, and P' = 0.
     - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants about
       the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.
@@ -262,7 +265,7 @@ class ContrastReceptors(Photoreceptors):
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
         interval_s, usual_fps = self.time_s - self._last_s, self._params.w_fps
-        self.interval_s = interval_s if interval_s > 0.0 else 1.0 / (usual_fps or 30.0)
+        self.interval_s = interval_s if interval_s > 0.0 else 1.0 / (usual_fps or NOMINAL_FPS)
         self.n_usual = self.interval_s * usual_fps or 1.0
         super().take(luminance)
         self._last_s = self.time_s
@@ -290,16 +293,17 @@ class ContrastReceptors(Photoreceptors):
             self._profiles = profiles(self.previous)
         before, self._profiles = self._profiles, profiles(self.current)
         dy, dx = map(profile_shift, self._profiles, before, [self._params.shift] * 2)
-        if dx == dy == 0:
-            return
-        moved = self._moved(self.previous, self.current, dx, dy)
-        if cv2.norm(self.current, moved, cv2.NORM_L1) < cv2.norm(
-            self.current, self.previous, cv2.NORM_L1
-        ):
-            np.copyto(self.previous, moved)
+        if (dx or dy) and self._change(dx, dy) < self._change(0, 0):
+            np.copyto(self.previous, self._moved(self.previous, self.current, dx, dy))
             for delay in range(1, self._depth):
                 p = self.p(delay)
                 np.copyto(p, self._moved(p, np.zeros_like(p), dx, dy))
+
+    def _change(self, dx: int, dy: int) -> float:
+        """Mean |L(t) - L(t-1)| where the previous frame, moved by dx and dy, overlaps."""
+        (rows, from_rows), (columns, from_columns) = map(overlap, self.current.shape, (dy, dx))
+        now, before = self.current[rows, columns], self.previous[from_rows, from_columns]
+        return cv2.norm(now, before, cv2.NORM_L1) / now.size
 
     def _moved(self, image: Grey, entering: Grey, dx: int, dy: int) -> Grey:
         """An image moved by dx and dy, with `entering` in cells of which nothing is known."""

@@ -85,7 +85,8 @@ def shift_along(newest, before, most):
     """The shift of a profile: that of its steps from cell to cell with the least mean error."""
     a, b = ([one[i + 1] - one[i] for i in range(len(one) - 1)] for one in (newest, before))
     errors = {}
-    for d in range(-min(most, len(a) // 3), min(most, len(a) // 3) + 1):
+    furthest = min(most, len(a) // 3)
+    for d in range(furthest, -furthest - 1, -1):
         both = [(a[i], b[i - d]) for i in range(len(a)) if 0 <= i - d < len(a)]
         errors[d] = sum(abs(x - y) for x, y in both) / len(both) if both else 0.0
     return min(errors, key=lambda d: (errors[d], abs(d)))
@@ -106,6 +107,13 @@ def moved(image, dy, dx, entering):
         if 0 <= i - dy < image.shape[0] and 0 <= j - dx < image.shape[1]:
             result[i, j] = image[i - dy, j - dx]
     return result
+
+
+def mean_change(frame, before, dy, dx):
+    """Mean change over the cells that the moved picture covers."""
+    other = moved(before, dy, dx, entering=np.full(frame.shape, np.nan))
+    covered = [abs(a - b) for a, b in zip(frame.flat, other.flat, strict=True) if b == b]
+    return sum(covered) / len(covered)
 
 
 def weakest(g, weights):
@@ -135,9 +143,8 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
         if t > 0:
             before = frames[t - 1].astype(float)
             d = shift_between(frame, before, shift) if shift else d
-            other = moved(before, *d, entering=frame)
-            if total(abs(frame - other)) < total(abs(frame - before)):
-                before = other
+            if mean_change(frame, before, *d) < mean_change(frame, before, 0, 0):
+                before = moved(before, *d, entering=frame)
                 history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
             else:
                 d = (0, 0)

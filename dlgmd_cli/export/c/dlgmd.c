@@ -35,6 +35,10 @@ typedef struct {
     total g;
     total g_column;
     total g_row;
+#if DLGMD_BALANCE
+    total quadrants[4]; /* G of each: top left and right, bottom left and right */
+#endif
+    total mp; /* K, in the unit of `g` */
 } totals;
 
 void dlgmd_reset(dlgmd_state *state)
@@ -90,6 +94,113 @@ static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
     sum_columns(sources, state->work.rows.columns);
     sum_along(sources, state->work.rows.columns, s);
 }
+
+#if DLGMD_SHIFT > 0
+
+static int size_of(int a)
+{
+    return a < 0 ? -a : a;
+}
+
+/* By how much the profile `a` has moved from `b`: the shift that makes its steps from cell to cell
+   most alike. Of `n` sums, the steps take the place of all but the last. */
+static int profile_shift(int32_t *a, int32_t *b, int n)
+{
+    int most = (n - 1) / 3 < DLGMD_SHIFT ? (n - 1) / 3 : DLGMD_SHIFT, best = 0;
+    uint64_t least = UINT64_MAX, of = 1;
+    for (int i = 0; i < n - 1; i++) {
+        a[i] = a[i + 1] - a[i];
+        b[i] = b[i + 1] - b[i];
+    }
+    for (int k = 0; k <= 2 * most; k++) {
+        int shift = k % 2 == 0 ? -k / 2 : (k + 1) / 2; /* 0, 1, -1, 2, … */
+        uint32_t apart = 0;
+        for (int i = shift > 0 ? shift : 0; i < n - 1 + (shift < 0 ? shift : 0); i++) {
+            apart += (uint32_t)size_of(a[i] - b[i - shift]);
+        }
+        uint64_t cells = (uint64_t)(n - 1 - size_of(shift));
+        if (k == 0 || apart * of < least * cells) {
+            least = apart;
+            of = cells;
+            best = shift;
+        }
+    }
+    return best;
+}
+
+/* Move a row by `dx`: `from` may be the row itself. */
+static void move_row(uint8_t *row, const uint8_t *from, int dx)
+{
+    memmove(row + (dx > 0 ? dx : 0), from - (dx < 0 ? dx : 0), (size_t)(WIDTH - size_of(dx)));
+}
+
+/* Where the cells of a row enter that has moved by `dx`. */
+static int entering(int dx)
+{
+    return dx > 0 ? 0 : WIDTH + dx;
+}
+
+/* Sum of the change where the picture, moved by dx and dy, overlaps with the frame. */
+static uint32_t change_of(const uint8_t *before, const uint8_t *frame, int dx, int dy)
+{
+    uint32_t sum = 0;
+    for (int y = dy > 0 ? dy : 0; y < HEIGHT + (dy < 0 ? dy : 0); y++) {
+        const uint8_t *now = frame + y * WIDTH, *then = before + (y - dy) * WIDTH - dx;
+        for (int x = dx > 0 ? dx : 0; x < WIDTH + (dx < 0 ? dx : 0); x++) {
+            sum += distance(now[x], then[x]);
+        }
+    }
+    return sum;
+}
+
+/* Move the frame before, and the change of earlier frames, along with the picture. */
+static void align(dlgmd_state *state, const uint8_t *frame)
+{
+    const uint8_t *frames[2] = {frame, state->previous};
+    memset(&state->work.profiles, 0, sizeof state->work.profiles);
+    for (int k = 0; k < 2; k++) {
+        int32_t *rows = state->work.profiles.rows[k], *columns = state->work.profiles.columns[k];
+        for (int y = 0; y < HEIGHT; y++) {
+            for (int x = 0; x < WIDTH; x++) {
+                rows[y] += frames[k][y * WIDTH + x];
+                columns[x] += frames[k][y * WIDTH + x];
+            }
+        }
+    }
+    int dx = profile_shift(state->work.profiles.columns[0], state->work.profiles.columns[1], WIDTH);
+    int dy = profile_shift(state->work.profiles.rows[0], state->work.profiles.rows[1], HEIGHT);
+    uint64_t moved = change_of(state->previous, frame, dx, dy);
+    uint64_t cells = (uint64_t)(WIDTH - size_of(dx)) * (uint64_t)(HEIGHT - size_of(dy));
+    if ((dx == 0 && dy == 0) || moved * CELLS >= change_of(state->previous, frame, 0, 0) * cells) {
+        return;
+    }
+    for (int i = 0; i < HEIGHT; i++) {
+        int y = dy > 0 ? HEIGHT - 1 - i : i; /* no row is overwritten before it is read */
+        bool is_known = y - dy >= 0 && y - dy < HEIGHT;
+        uint8_t *row = state->previous + y * WIDTH;
+        if (is_known) {
+            move_row(row, row - dy * WIDTH, dx);
+            memcpy(row + entering(dx), frame + y * WIDTH + entering(dx), (size_t)size_of(dx));
+        } else {
+            memcpy(row, frame + y * WIDTH, WIDTH);
+        }
+        for (int delay = 1; delay < DELAYS; delay++) {
+            int first = (int)state->start + ROWS + RADIUS - delay * DLGMD_PERIOD;
+            row = ring_row(state, (first + y) % ROWS);
+            if (is_known) {
+                move_row(row, ring_row(state, (first + y - dy) % ROWS), dx);
+                memset(row + entering(dx), 0, (size_t)size_of(dx));
+            } else {
+                memset(row, 0, WIDTH);
+            }
+            if ((first + y) % ROWS < 2 * RADIUS) {
+                memcpy(ring_row(state, (first + y) % ROWS + ROWS), row, WIDTH);
+            }
+        }
+    }
+}
+
+#endif
 
 #if DLGMD_CONTRAST
 
@@ -161,6 +272,20 @@ static total scaled(total value, number share)
     return value * share >> 15;
 }
 
+#if DLGMD_BALANCE
+static total both_of(total value)
+{
+    return value * BOTH >> 15;
+}
+#endif
+
+#if DLGMD_ADAPTS
+static total above_mean(total mean)
+{
+    return mean * C_M >> 16;
+}
+#endif
+
 #else
 
 /* found / 2^shift / CELLS */
@@ -211,6 +336,20 @@ static total scaled(total value, number share)
 {
     return value * share;
 }
+
+#if DLGMD_BALANCE
+static total both_of(total value)
+{
+    return value * BOTH;
+}
+#endif
+
+#if DLGMD_ADAPTS
+static total above_mean(total mean)
+{
+    return mean * C_M;
+}
+#endif
 
 #endif
 
@@ -289,22 +428,79 @@ static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *
 static void read_row(const dlgmd_sum *s, int y, dlgmd_sum above, totals *sums)
 {
     number active = 0, column = 0;
+#if DLGMD_BALANCE
+    number left = 0;
+#endif
     for (int x = 0; x < WIDTH; x++) {
         if (s[x] > above) {
             active += weights_x[x];
             column += weights_x[x] * (number)x;
         }
+#if DLGMD_BALANCE
+        if (x == (WIDTH - 1) / 2) {
+            left = active;
+        }
+#endif
     }
     total row = (total)active * weights_y[y];
     sums->g += row;
     sums->g_column += (total)column * weights_y[y];
     sums->g_row += row * (total)y;
+#if DLGMD_BALANCE
+    /* A middle row or column belongs to both sides. */
+    number right = active - left;
+    if (WIDTH % 2 == 1 && s[WIDTH / 2] > above) {
+        right += weights_x[WIDTH / 2];
+    }
+    for (int below = y < (HEIGHT + 1) / 2 ? 0 : 1; below <= (y < HEIGHT / 2 ? 0 : 1); below++) {
+        sums->quadrants[2 * below] += (total)left * weights_y[y];
+        sums->quadrants[2 * below + 1] += (total)right * weights_y[y];
+    }
+#endif
 }
+
+#if DLGMD_BALANCE
+
+/* K by the two quadrants with the least G. */
+static total weakest(const total *quadrants)
+{
+    total least = quadrants[0], second = quadrants[1];
+    for (int i = 1; i < 4; i++) {
+        total one = quadrants[i];
+        if (i == 1 ? one <= least : one < least) {
+            second = least;
+            least = one;
+        } else if (i == 1 || one < second) {
+            second = one;
+        }
+    }
+    return both_of(least + second);
+}
+
+#endif
+
+#if DLGMD_ADAPTS
+
+/* What of K exceeds its mean over the earlier frames. */
+static total adapted(dlgmd_state *state, total mp)
+{
+    total before = state->frame == FIRST_VALID ? mp : state->mean;
+    state->mean = smoothed(before, mp, W_MEAN);
+    before = above_mean(before);
+    return mp > before ? mp - before : 0;
+}
+
+#endif
 
 /* Process a frame and sum G; false while the history is not full. */
 static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 {
     dlgmd_sum above = 0;
+#if DLGMD_SHIFT > 0
+    if (state->frame > 0) {
+        align(state, frame);
+    }
+#endif
     number share = see_contrast(state, frame, &above);
     bool valid = state->frame >= FIRST_VALID;
     memset(&state->work.rows, 0, sizeof state->work.rows);
@@ -315,6 +511,16 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
             read_row(state->work.rows.s, y, above, sums);
         }
     }
+#if DLGMD_BALANCE
+    sums->mp = scaled(weakest(sums->quadrants), share);
+#else
+    sums->mp = scaled(sums->g, share);
+#endif
+#if DLGMD_ADAPTS
+    if (valid) {
+        sums->mp = adapted(state, sums->mp);
+    }
+#endif
     sums->g = scaled(sums->g, share);
     sums->g_column = scaled(sums->g_column, share);
     sums->g_row = scaled(sums->g_row, share);
@@ -417,6 +623,7 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
         memset(s[y & 3], 0, sizeof s[0]);
         read_row(s, y, t_de, sums);
     }
+    sums->mp = sums->g;
     return valid;
 }
 
@@ -439,11 +646,11 @@ static int16_t centroid(total g_place, total g, int32_t side)
 static void finish(dlgmd_answer *answer, const totals *sums)
 {
 #if DLGMD_CONTRAST
-    answer->mp = (uint32_t)(sums->g * CELLS >> 20);
+    answer->mp = (uint32_t)(sums->mp * CELLS >> 20);
 #else
-    answer->mp = (uint32_t)sums->g;
+    answer->mp = (uint32_t)sums->mp;
 #endif
-    answer->mp_abs = (uint16_t)((sums->g << 15) / (sums->g + KAPPA));
+    answer->mp_abs = (uint16_t)((sums->mp << 15) / (sums->mp + KAPPA));
     answer->g_x = centroid(sums->g_column, sums->g, WIDTH);
     answer->g_y = centroid(sums->g_row, sums->g, HEIGHT);
 }
@@ -452,8 +659,8 @@ static void finish(dlgmd_answer *answer, const totals *sums)
 
 static void finish(dlgmd_answer *answer, const totals *sums)
 {
-    answer->mp = sums->g;
-    answer->mp_abs = sums->g / (sums->g + KAPPA);
+    answer->mp = sums->mp;
+    answer->mp_abs = sums->mp / (sums->mp + KAPPA);
     if (sums->g > 0.0f) {
         answer->g_x = (2.0f * sums->g_column / sums->g + 1.0f) / WIDTH - 1.0f;
         answer->g_y = (2.0f * sums->g_row / sums->g + 1.0f) / HEIGHT - 1.0f;

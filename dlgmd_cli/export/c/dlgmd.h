@@ -34,10 +34,16 @@ typedef float dlgmd_change;
 typedef struct {
 #if DLGMD_CONTRAST
 #if DLGMD_FIXED
+#if DLGMD_ADAPTS
+    uint64_t mean; /* mean K so far, in the unit of the weights */
+#endif
     uint64_t usual; /* mean change so far, summed over the cells, in levels / 128 */
     uint32_t sigma; /* contrast, in levels / 65536 */
     uint32_t noise; /* in levels / 65536 */
 #else
+#if DLGMD_ADAPTS
+    float mean; /* mean K so far */
+#endif
     float usual; /* mean change so far, summed over the cells, in levels */
     float sigma; /* contrast, in levels */
     float noise; /* in levels */
@@ -63,6 +69,11 @@ typedef struct {
             uint32_t some[256]; /* of the cells that the lower quartile is taken of */
         } counts;
 #endif
+#if DLGMD_SHIFT > 0
+        struct { /* sums of the rows and of the columns, of this frame and of the one before */
+            int32_t rows[2][DLGMD_HEIGHT], columns[2][DLGMD_WIDTH];
+        } profiles;
+#endif
     } work;
 #if DLGMD_CONTRAST
     dlgmd_change passed[DLGMD_MAX_DELAY + 1][256]; /* P' by change, for each frame kept */
@@ -82,12 +93,12 @@ typedef struct {
     uint32_t mp;     /* membrane potential K, in 1/4096 */
     uint16_t mp_abs; /* normalised to 0..1, in 1/32768 */
     int16_t g_x;     /* centroid of G: -1 at the left edge, 1 at the right, in 1/32768 */
-    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
+    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
 #else
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
     float g_x;    /* centroid of G: -1 at the left edge, 1 at the right */
-    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
+    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
 #endif
 } dlgmd_answer;
 
