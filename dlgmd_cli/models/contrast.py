@@ -24,6 +24,8 @@ Series = npt.NDArray[np.float64]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
+# The picture is moved if less than this share of the change is left.
+MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
 NOMINAL_FPS = 30.0
 
@@ -58,8 +60,8 @@ class ContrastDLGMD(Distributed):
     Five parameters, off by default, keep it quiet on real footage:
 
     - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells, see
-      `profile_shift`, if that lowers the mean |L(t) - L(t-1)| where both frames overlap. Cells that enter have no
-      change, and P' = 0.
+      `profile_shift`, if that lowers the mean |L(t) - L(t-1)| where both frames overlap by more than
+      a twentieth. Cells that enter have no change, and P' = 0.
     - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants about
       the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.
@@ -293,7 +295,7 @@ class ContrastReceptors(Photoreceptors):
             self._profiles = profiles(self.previous)
         before, self._profiles = self._profiles, profiles(self.current)
         dy, dx = map(profile_shift, self._profiles, before, [self._params.shift] * 2)
-        if (dx or dy) and self._change(dx, dy) < self._change(0, 0):
+        if self._change(dx, dy) < MAX_LEFT * self._change(0, 0):
             np.copyto(self.previous, self._moved(self.previous, self.current, dx, dy))
             for delay in range(1, self._depth):
                 p = self.p(delay)

@@ -143,7 +143,7 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
         if t > 0:
             before = frames[t - 1].astype(float)
             d = shift_between(frame, before, shift) if shift else d
-            if mean_change(frame, before, *d) < mean_change(frame, before, 0, 0):
+            if mean_change(frame, before, *d) < 0.95 * mean_change(frame, before, 0, 0):
                 before = moved(before, *d, entering=frame)
                 history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
             else:

@@ -171,8 +171,9 @@ static void align(dlgmd_state *state, const uint8_t *frame)
     int dy = profile_shift(state->work.profiles.rows[0], state->work.profiles.rows[1], HEIGHT);
     uint64_t moved = change_of(state->previous, frame, dx, dy);
     uint64_t cells = (uint64_t)(WIDTH - size_of(dx)) * (uint64_t)(HEIGHT - size_of(dy));
-    if ((dx == 0 && dy == 0) || moved * CELLS >= change_of(state->previous, frame, 0, 0) * cells) {
-        return;
+    uint64_t still = change_of(state->previous, frame, 0, 0);
+    if (moved * CELLS * 20 >= still * cells * 19) {
+        return; /* less than a twentieth of the change would be gone */
     }
     for (int i = 0; i < HEIGHT; i++) {
         int y = dy > 0 ? HEIGHT - 1 - i : i; /* no row is overwritten before it is read */
