@@ -1,10 +1,11 @@
 """The contrast-relative D-LGMD: it counts cells that change strongly relative to the contrast."""
 
 import math
+from functools import cache, partial
+from itertools import product
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.models.base import (
     AUTO,
@@ -20,10 +21,13 @@ from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.parameters import ContrastParameters
 
-Series = npt.NDArray[np.float64]
+# Rows and columns.
+Shift = tuple[int, int]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
+# Side of the blocks whose means tell how the picture moves, in cells.
+BLOCK = 4
 # The picture is moved if less than this share of the change is left.
 MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
@@ -59,9 +63,12 @@ class ContrastDLGMD(Distributed):
 
     Five parameters, off by default, keep it quiet on real footage:
 
-    - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells, see
-      `profile_shift`, if that lowers the mean |L(t) - L(t-1)| where both frames overlap by more than
-      a twentieth. Cells that enter have no change, and P' = 0.
+    - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells. Of means
+      over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
+      neighbours from the better of no shift and the last frame's; along each axis, with the
+      changes a, b and c at one block less, there, and at one more, it is refined by
+      (a - c) / 2 (max(a, c) - b). The frames move if that lowers the mean |L(t) - L(t-1)| where
+      they overlap by more than a twentieth. Cells that enter have no change, and P' = 0.
     - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants about
       the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.
@@ -175,32 +182,65 @@ def quadrants(weights: FloatImage) -> list[tuple[tuple[slice, slice], float]]:
     return [(place, total) for place, total in totals if total > 0.0]
 
 
-def profile_shift(newest: Series, before: Series, most: int) -> int:
-    """By how many cells a profile has moved, from -most to most.
+def coarse(frame: Grey) -> FloatImage:
+    """Means over whole blocks of `BLOCK` x `BLOCK` cells, in levels."""
+    height, width = (n // BLOCK for n in frame.shape)
+    if height == 0 or width == 0:
+        return np.zeros((0, 0), np.float32)
+    whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def overlap(n: int, shift: int) -> tuple[slice, slice]:
+    """Where the cells of a side of n remain after a shift, and where they were."""
+    return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
+
+
+def mean_change(frame: Grey, before: Grey, shift: Shift) -> float:
+    """Mean |a(i) - b(i - shift)| where an image a and an earlier one b, moved, overlap."""
+    (rows, from_rows), (columns, from_columns) = map(overlap, frame.shape, shift)
+    now = frame[rows, columns]
+    return cv2.norm(now, before[from_rows, from_columns], cv2.NORM_L1) / now.size
+
+
+def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tuple[Shift, Shift]:
+    """By how much the picture has moved, see `ContrastDLGMD`.
 
     Parameters
     ----------
-    newest, before : ndarray, shape (n,), float64
-        Sums of the rows or of the columns of two frames.
+    now, before : ndarray
+        The two frames, `coarse`.
+    start : (int, int)
+        The shift in blocks, rows first, that was found one frame earlier.
     most : int
-        Largest shift; at most a third of the profile.
+        Largest shift, in blocks; at most a third of a side.
 
     Returns
     -------
-    int
-        The shift d with the least mean of |a(i) - b(i - d)| over the cells that both have, where a
-        and b are the differences between neighbours in `newest` and in `before`; of equal ones, the
-        shortest.
+    blocks, cells : (int, int)
+        The shift in whole blocks, and in cells.
     """
-    a, b = np.diff(newest), np.diff(before)
-    most = min(most, len(a) // 3)
-    if most == 0:
-        return 0
-    # Row k of `moved` is b moved by most - k, and NaN where nothing is known.
-    moved = np.lib.stride_tricks.sliding_window_view(np.pad(b, most, constant_values=np.nan), len(a))
-    shifts = most - np.arange(2 * most + 1)
-    costs = np.nansum(np.abs(a - moved), axis=1) / (len(a) - np.abs(shifts))
-    return int(min(shifts[costs == costs.min()], key=abs))
+    limits = [min(most, n // 3) for n in now.shape]
+    if 0 in limits:
+        return (0, 0), (0, 0)
+    change = cache(partial(mean_change, now, before))
+    best = min(((0, 0), start), key=change)
+    while True:
+        ((y, x), (y_most, x_most)) = best, limits
+        around = product(range(y - 1, y + 2), range(x - 1, x + 2))
+        near = min((d for d in around if abs(d[0]) <= y_most and abs(d[1]) <= x_most), key=change)
+        if change(near) >= change(best):
+            break
+        best = near
+
+    def cells(blocks: int, before: float, after: float) -> int:
+        """Cells of a shift in blocks, by the change at one block less and at one more."""
+        rise = max(before, after) - change(best)
+        part = (before - after) / (2.0 * rise) if rise > 0.0 else 0.0
+        return BLOCK * blocks + math.floor(BLOCK * part + 0.5)
+
+    down = cells(y, change((y - 1, x)), change((y + 1, x)))
+    return best, (down, cells(x, change((y, x - 1)), change((y, x + 1))))
 
 
 def lower_quartile(image: Grey, hidden: Flags | None = None) -> float:
@@ -227,18 +267,6 @@ def smoothed(before: float, newest: float, weight: float) -> float:
     return before + weight * (newest - before)
 
 
-def profiles(frame: Grey) -> tuple[Series, Series]:
-    """Sums of the rows, (H,), and of the columns, (W,), in levels."""
-    reduced = (cv2.reduce(frame, axis, cv2.REDUCE_SUM, dtype=cv2.CV_64F) for axis in (1, 0))
-    rows, columns = (one.ravel() for one in reduced)
-    return rows, columns
-
-
-def overlap(n: int, shift: int) -> tuple[slice, slice]:
-    """Where the cells of a side of n remain after a shift, and where they were."""
-    return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
-
-
 class ContrastReceptors(Photoreceptors):
     """P' of the last few frames, each with the threshold of its own frame.
 
@@ -263,6 +291,7 @@ class ContrastReceptors(Photoreceptors):
         """Forget all earlier frames; the next one may have another size."""
         super().reset()
         self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
+        self._coarse, self._blocks = np.zeros((0, 0), np.float32), (0, 0)
 
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
@@ -291,27 +320,23 @@ class ContrastReceptors(Photoreceptors):
 
     def _align(self) -> None:
         """Move the previous frame and the earlier P' along with the picture."""
+        before, self._coarse = self._coarse, coarse(self.current)
         if self.frame == 1:
-            self._profiles = profiles(self.previous)
-        before, self._profiles = self._profiles, profiles(self.current)
-        dy, dx = map(profile_shift, self._profiles, before, [self._params.shift] * 2)
-        if self._change(dx, dy) < MAX_LEFT * self._change(0, 0):
-            np.copyto(self.previous, self._moved(self.previous, self.current, dx, dy))
+            before = coarse(self.previous)
+        most = self._params.shift // BLOCK
+        self._blocks, shift = follow(self._coarse, before, self._blocks, most)
+        still = mean_change(self.current, self.previous, (0, 0))
+        if mean_change(self.current, self.previous, shift) < MAX_LEFT * still:
+            np.copyto(self.previous, self._moved(self.previous, self.current, shift))
             for delay in range(1, self._depth):
                 p = self.p(delay)
-                np.copyto(p, self._moved(p, np.zeros_like(p), dx, dy))
+                np.copyto(p, self._moved(p, np.zeros_like(p), shift))
 
-    def _change(self, dx: int, dy: int) -> float:
-        """Mean |L(t) - L(t-1)| where the previous frame, moved by dx and dy, overlaps."""
-        (rows, from_rows), (columns, from_columns) = map(overlap, self.current.shape, (dy, dx))
-        now, before = self.current[rows, columns], self.previous[from_rows, from_columns]
-        return cv2.norm(now, before, cv2.NORM_L1) / now.size
-
-    def _moved(self, image: Grey, entering: Grey, dx: int, dy: int) -> Grey:
-        """An image moved by dx and dy, with `entering` in cells of which nothing is known."""
+    def _moved(self, image: Grey, entering: Grey, shift: Shift) -> Grey:
+        """An image moved by a shift, with `entering` in cells of which nothing is known."""
         moved = aligned(image.shape, image.dtype)
         np.copyto(moved, entering)
-        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, (dy, dx))
+        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, shift)
         source = from_rows, from_columns
         known = True if self.hidden is None else ~self.hidden[source]
         np.copyto(moved[rows, columns], image[source], where=known)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -81,23 +82,40 @@ def passed(ffi, growth):
     return min(1.0, growth / ffi) ** 2 if ffi else 1.0
 
 
-def shift_along(newest, before, most):
-    """The shift of a profile: that of its steps from cell to cell with the least mean error."""
-    a, b = ([one[i + 1] - one[i] for i in range(len(one) - 1)] for one in (newest, before))
-    errors = {}
-    furthest = min(most, len(a) // 3)
-    for d in range(furthest, -furthest - 1, -1):
-        both = [(a[i], b[i - d]) for i in range(len(a)) if 0 <= i - d < len(a)]
-        errors[d] = sum(abs(x - y) for x, y in both) / len(both) if both else 0.0
-    return min(errors, key=lambda d: (errors[d], abs(d)))
+def blocks_of(frame):
+    """Means over blocks of 4 x 4 cells."""
+    height, width = (side // 4 for side in frame.shape)
+    means = np.zeros((height, width))
+    for i, j in np.ndindex(height, width):
+        means[i, j] = total(frame[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]) / 16
+    return means
 
 
-def shift_between(frame, before, most):
-    """The shift of the picture in rows and columns."""
-    height, width = frame.shape
-    rows = ([sum(map(float, one[i])) for i in range(height)] for one in (frame, before))
-    columns = ([sum(map(float, one[:, j])) for j in range(width)] for one in (frame, before))
-    return shift_along(*rows, most), shift_along(*columns, most)
+def shift_between(frame, before, last, most):
+    """The shift of the picture: in blocks, by descent, and in cells, between the blocks."""
+    now, then = blocks_of(frame), blocks_of(before)
+    limits = [min(most // 4, side // 3) for side in now.shape]
+    if min(limits) == 0:
+        return (0, 0), (0, 0)
+    change = partial(mean_change, now, then)
+    best = last if change(*last) < change(0, 0) else (0, 0)
+    while True:
+        found = best
+        for i in (best[0] - 1, best[0], best[0] + 1):
+            for j in (best[1] - 1, best[1], best[1] + 1):
+                inside = abs(i) <= limits[0] and abs(j) <= limits[1]
+                if inside and change(i, j) < change(*found):
+                    found = i, j
+        if found == best:
+            break
+        best = found
+    i, j = best
+    sides = ((change(i - 1, j), change(i + 1, j)), (change(i, j - 1), change(i, j + 1)))
+    fine = []
+    for blocks, (less, more) in zip(best, sides, strict=True):
+        rise = max(less, more) - change(i, j)
+        fine.append(4 * blocks + math.floor(4 * (less - more) / (2 * rise) + 0.5 if rise else 0.5))
+    return best, tuple(fine)
 
 
 def moved(image, dy, dx, entering):
@@ -137,12 +155,13 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
     times = [t * interval for t in range(len(frames))] if times is None else times
     weights, answers, history = weights_of(frames[0].shape, rest["sigma_c"]), [], []
     excite, inhibit, values = connections_of(**rest)
+    blocks = (0, 0)
     for t, frame in enumerate(frames):
         frame = frame.astype(float)
         before, d = frame, (0, 0)
         if t > 0:
             before = frames[t - 1].astype(float)
-            d = shift_between(frame, before, shift) if shift else d
+            blocks, d = shift_between(frame, before, blocks, shift)
             if mean_change(frame, before, *d) < 0.95 * mean_change(frame, before, 0, 0):
                 before = moved(before, *d, entering=frame)
                 history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]

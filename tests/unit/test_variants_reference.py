@@ -52,10 +52,20 @@ def test_contrast_with_other_thresholds(changes):
     check_contrast(CLIPS["looming 10x13"], **changes)
 
 
-TURNING = [np.roll(CLIPS["looming 10x13"][t], (t // 2, 2 * t - 7), (0, 1)) for t in range(8)]
+# A picture that turns by up to 8 cells from frame to frame.
+_GROUND = np.kron(clips.drifting(26, 30, 1, seed=7)[0], np.ones((3, 3), np.float32))
+TURNING = [
+    _GROUND[20 + dy : 44 + dy, 20 + dx : 48 + dx] + frame / 8
+    for frame, dy, dx in zip(
+        clips.looming(24, 28, 8, seed=6),
+        (0, 1, 3, 3, 0, -8, -9, -9),
+        (0, 4, 8, 16, 17, 17, 14, 6),
+        strict=True,
+    )
+]
 UNEVEN_S = (0.0, 0.02, 0.06, 0.1, 0.15, 0.16, 0.2, 0.3)
 QUIET = [
-    {"shift": 3},
+    {"shift": 8},
     {"balance": True},
     {"c_m": 0.7, "tau_m": 0.1},
     {"w_fps": 30.0},
