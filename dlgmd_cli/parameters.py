@@ -23,7 +23,9 @@ ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
-PRESETS = ("flight",)
+PRESETS = ("flight", "flight-small")
+# Up to this width, frames are for the last one.
+SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The keys of a file that are not parameters.
@@ -127,7 +129,7 @@ class ContrastParameters(
     shift: int = key(0, "d_max", "px", "largest shift of the picture that is undone", 0, 64)
     balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
     c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
-    tau_m: float = key(1.5, "τ_m", "s", "time constant of that mean", 0.01, 1000)
+    tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)

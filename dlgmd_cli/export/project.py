@@ -12,6 +12,7 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
 from dlgmd_cli.export.sums import float_literal as f
 from dlgmd_cli.models.contrast import (
+    BLOCK,
     MAX_QUARTILE_CELLS,
     NOMINAL_FPS,
     centre_weights,
@@ -77,6 +78,11 @@ class Export:
         return isinstance(self.params, ContrastParameters)
 
     @property
+    def shift(self) -> int:
+        """The largest shift of the picture that is undone; 0 if it is less than a block."""
+        return self.params.shift if self.is_contrast and self.params.shift >= BLOCK else 0
+
+    @property
     def adapts(self) -> bool:
         """Whether K is compared with its own past."""
         return self.is_contrast and self.params.c_m > 0.0
@@ -117,7 +123,7 @@ class Export:
             "DLGMD_HEIGHT": self.height,
             "DLGMD_CONTRAST": int(self.is_contrast),
             "DLGMD_FIXED": int(self.is_fixed),
-            "DLGMD_SHIFT": self.params.shift if self.is_contrast else 0,
+            "DLGMD_SHIFT": self.shift,
             "DLGMD_BALANCE": int(self.is_contrast and self.params.balance),
             "DLGMD_ADAPTS": int(self.adapts),
             "DLGMD_RADIUS": self.connections.radius_px,
@@ -135,11 +141,11 @@ class Export:
         number = 2 if self.is_fixed else 4
         columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
         if self.is_contrast:
-            profiles = 2 * 4 * (self.width + self.height) if self.params.shift else 0
-            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256, profiles)
+            blocks = 2 * 2 * (self.width // 4) * (self.height // 4) if self.shift else 0
+            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks)
             work += number * 256 * delays
             scalars = (16 if self.is_fixed else 12) + 12
-            scalars += (8 if self.is_fixed else 4) * self.adapts
+            scalars += (8 if self.is_fixed else 4) * self.adapts + 8 * (self.shift > 0)
         else:
             work = _whole(columns + number * 4 * (self.width + 3), number)
             scalars = 4 * (self.ffi_delay + 1) + 12

@@ -67,16 +67,16 @@ class ContrastDLGMD(Distributed):
       over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
       neighbours from the better of no shift and the last frame's; along each axis, with the
       changes a, b and c at one block less, there, and at one more, it is refined by
-      (a - c) / 2 (max(a, c) - b). The frames move if that lowers the mean |L(t) - L(t-1)| where
+      (a - c) / 2 (max(a, c) - b), at most half a block. The frames move if that lowers the mean |L(t) - L(t-1)| where
       they overlap by more than a twentieth. Cells that enter have no change, and P' = 0.
-    - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants about
-      the centre. A middle row or column belongs to both sides. What looms expands in all
+    - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants
+      about the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.
     - `c_m`: K(t) = max(κ(t) - c_m m(t-1), 0), where κ(t) is K as above, and m its mean so far,
       m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
       what goes on all the time.
-    - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by n.
-      So the answers depend little on the frame rate. Δt is one frame at `w_fps`, or at 30 frames/s,
+    - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
+      n. So the answers depend little on the frame rate. Δt is one frame at `w_fps`, or at 30 frames/s,
       if times are unknown.
 
     Parameters
@@ -188,7 +188,7 @@ def coarse(frame: Grey) -> FloatImage:
     if height == 0 or width == 0:
         return np.zeros((0, 0), np.float32)
     whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
-    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def overlap(n: int, shift: int) -> tuple[slice, slice]:
@@ -237,7 +237,10 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
         """Cells of a shift in blocks, by the change at one block less and at one more."""
         rise = max(before, after) - change(best)
         part = (before - after) / (2.0 * rise) if rise > 0.0 else 0.0
-        return BLOCK * blocks + math.floor(BLOCK * part + 0.5)
+        part = min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
+        return BLOCK * blocks + math.floor(
+            BLOCK * part + 0.5 + 1e-9
+        )  # halves up, also rounded ones
 
     down = cells(y, change((y - 1, x)), change((y + 1, x)))
     return best, (down, cells(x, change((y, x - 1)), change((y, x + 1))))

@@ -114,7 +114,8 @@ def shift_between(frame, before, last, most):
     fine = []
     for blocks, (less, more) in zip(best, sides, strict=True):
         rise = max(less, more) - change(i, j)
-        fine.append(4 * blocks + math.floor(4 * (less - more) / (2 * rise) + 0.5 if rise else 0.5))
+        part = (less - more) / (2 * rise) if rise else 0.0
+        fine.append(4 * blocks + math.floor(4 * min(max(part, -0.5), 0.5) + 0.5 + 1e-9))
     return best, tuple(fine)
 
 

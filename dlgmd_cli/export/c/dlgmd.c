@@ -97,35 +97,103 @@ static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
 
 #if DLGMD_SHIFT > 0
 
+enum { BLOCKS_Y = DLGMD_HEIGHT / 4, BLOCKS_X = DLGMD_WIDTH / 4 };
+
 static int size_of(int a)
 {
     return a < 0 ? -a : a;
 }
 
-/* By how much the profile `a` has moved from `b`: the shift that makes its steps from cell to cell
-   most alike. Of `n` sums, the steps take the place of all but the last. */
-static int profile_shift(int32_t *a, int32_t *b, int n)
+/* The smallest shift that is too large along a side of `n` blocks. */
+static int limit_of(int n)
 {
-    int most = (n - 1) / 3 < DLGMD_SHIFT ? (n - 1) / 3 : DLGMD_SHIFT, best = 0;
-    uint64_t least = UINT64_MAX, of = 1;
-    for (int i = 0; i < n - 1; i++) {
-        a[i] = a[i + 1] - a[i];
-        b[i] = b[i + 1] - b[i];
-    }
-    for (int k = 0; k <= 2 * most; k++) {
-        int shift = k % 2 == 0 ? -k / 2 : (k + 1) / 2; /* 0, 1, -1, 2, … */
-        uint32_t apart = 0;
-        for (int i = shift > 0 ? shift : 0; i < n - 1 + (shift < 0 ? shift : 0); i++) {
-            apart += (uint32_t)size_of(a[i] - b[i - shift]);
+    return (n / 3 < DLGMD_SHIFT / 4 ? n / 3 : DLGMD_SHIFT / 4) + 1;
+}
+
+/* A mean as a fraction. */
+typedef struct {
+    uint64_t sum, of;
+} fraction;
+
+static bool is_less(fraction a, fraction b)
+{
+    return a.sum * b.of < b.sum * a.of;
+}
+
+/* Sums over whole blocks of 4 x 4 cells. */
+static void see_blocks(uint16_t (*blocks)[BLOCKS_X], const uint8_t *frame)
+{
+    memset(blocks, 0, BLOCKS_Y * sizeof *blocks);
+    for (int y = 0; y < 4 * BLOCKS_Y; y++) {
+        for (int x = 0; x < 4 * BLOCKS_X; x++) {
+            blocks[y / 4][x / 4] = (uint16_t)(blocks[y / 4][x / 4] + frame[y * WIDTH + x]);
         }
-        uint64_t cells = (uint64_t)(n - 1 - size_of(shift));
-        if (k == 0 || apart * of < least * cells) {
-            least = apart;
-            of = cells;
-            best = shift;
+    }
+}
+
+/* Mean change of the blocks where both frames overlap, the earlier one moved. */
+static fraction change_of_blocks(const dlgmd_state *state, int dy, int dx)
+{
+    fraction change = {0, 0};
+    for (int y = dy > 0 ? dy : 0; y < BLOCKS_Y + (dy < 0 ? dy : 0); y++) {
+        const uint16_t *now = state->work.blocks[0][y], *then = state->work.blocks[1][y - dy];
+        uint32_t sum = 0;
+        for (int x = dx > 0 ? dx : 0; x < BLOCKS_X + (dx < 0 ? dx : 0); x++) {
+            sum += (uint32_t)size_of(now[x] - then[x - dx]);
+        }
+        change.sum += sum;
+    }
+    change.of = (uint64_t)((BLOCKS_Y - size_of(dy)) * (BLOCKS_X - size_of(dx)));
+    return change;
+}
+
+/* Cells of a shift in blocks, by the change at one block less, there, and at one more. */
+static int cells_of(int blocks, fraction less, fraction here, fraction more)
+{
+    int64_t a = (int64_t)(less.sum * here.of * more.of), b = (int64_t)(here.sum * less.of * more.of);
+    int64_t c = (int64_t)(more.sum * less.of * here.of), rise = (a > c ? a : c) - b;
+    if (rise <= 0) {
+        return 4 * blocks;
+    }
+    int64_t slope = a - c > rise ? rise : a - c < -rise ? -rise : a - c;
+    return 4 * blocks + (int)((4 * slope + 9 * rise) / (2 * rise)) - 4; /* halves go up */
+}
+
+/* By how much the picture has moved. */
+static void follow(dlgmd_state *state, const uint8_t *frame, int *dy, int *dx)
+{
+    int most_y = limit_of(BLOCKS_Y), most_x = limit_of(BLOCKS_X), y = 0, x = 0;
+    see_blocks(state->work.blocks[0], frame);
+    see_blocks(state->work.blocks[1], state->previous);
+    fraction here = change_of_blocks(state, 0, 0);
+    fraction last = change_of_blocks(state, state->blocks_y, state->blocks_x);
+    if (is_less(last, here)) {
+        y = state->blocks_y;
+        x = state->blocks_x;
+        here = last;
+    }
+    for (bool is_better = true; is_better;) {
+        int from_y = y, from_x = x;
+        is_better = false;
+        for (int i = from_y - 1; i <= from_y + 1; i++) {
+            for (int j = from_x - 1; j <= from_x + 1; j++) {
+                if (size_of(i) >= most_y || size_of(j) >= most_x) {
+                    continue;
+                }
+                fraction change = change_of_blocks(state, i, j);
+                if (is_less(change, here)) {
+                    here = change;
+                    y = i;
+                    x = j;
+                    is_better = true;
+                }
+            }
         }
     }
-    return best;
+    state->blocks_y = y;
+    state->blocks_x = x;
+    *dy = cells_of(y, change_of_blocks(state, y - 1, x), here, change_of_blocks(state, y + 1, x));
+    *dx = cells_of(x, change_of_blocks(state, y, x - 1), here, change_of_blocks(state, y, x + 1));
 }
 
 /* Move a row by `dx`: `from` may be the row itself. */
@@ -156,19 +224,8 @@ static uint32_t change_of(const uint8_t *before, const uint8_t *frame, int dx, i
 /* Move the frame before, and the change of earlier frames, along with the picture. */
 static void align(dlgmd_state *state, const uint8_t *frame)
 {
-    const uint8_t *frames[2] = {frame, state->previous};
-    memset(&state->work.profiles, 0, sizeof state->work.profiles);
-    for (int k = 0; k < 2; k++) {
-        int32_t *rows = state->work.profiles.rows[k], *columns = state->work.profiles.columns[k];
-        for (int y = 0; y < HEIGHT; y++) {
-            for (int x = 0; x < WIDTH; x++) {
-                rows[y] += frames[k][y * WIDTH + x];
-                columns[x] += frames[k][y * WIDTH + x];
-            }
-        }
-    }
-    int dx = profile_shift(state->work.profiles.columns[0], state->work.profiles.columns[1], WIDTH);
-    int dy = profile_shift(state->work.profiles.rows[0], state->work.profiles.rows[1], HEIGHT);
+    int dy, dx;
+    follow(state, frame, &dy, &dx);
     uint64_t moved = change_of(state->previous, frame, dx, dy);
     uint64_t cells = (uint64_t)(WIDTH - size_of(dx)) * (uint64_t)(HEIGHT - size_of(dy));
     uint64_t still = change_of(state->previous, frame, 0, 0);

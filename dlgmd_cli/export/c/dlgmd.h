@@ -54,6 +54,9 @@ typedef struct {
     uint32_t frame;  /* number of frames; it wraps after years, which has the effect of a reset */
     uint32_t start;  /* row of `change` where the zeros above the next frame begin */
     uint32_t spikes; /* consecutive spikes */
+#if DLGMD_SHIFT > 0
+    int32_t blocks_y, blocks_x; /* how far the picture moved last, in blocks of 4 x 4 cells */
+#endif
     union { /* used only during a step */
         struct {
             dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
@@ -70,9 +73,7 @@ typedef struct {
         } counts;
 #endif
 #if DLGMD_SHIFT > 0
-        struct { /* sums of the rows and of the columns, of this frame and of the one before */
-            int32_t rows[2][DLGMD_HEIGHT], columns[2][DLGMD_WIDTH];
-        } profiles;
+        uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
 #endif
     } work;
 #if DLGMD_CONTRAST
