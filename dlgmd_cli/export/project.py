@@ -36,6 +36,8 @@ CODE_BYTES = {
     (True, False): (1540, 14),
     (True, True): (2170, 8),
 }
+# Bytes of code that follow the picture, compare quadrants and adapt.
+FOLLOWING_BYTES = 2250
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ class Export:
         """
         multiplications, additions = self.code.operations
         base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
+        base += FOLLOWING_BYTES * (self.shift > 0)
         tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
         return {
             "ram_bytes": self.state_bytes,

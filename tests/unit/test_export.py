@@ -107,9 +107,10 @@ def test_table_of_costs():
     (section,) = re.findall(r"^## On a microcontroller\n(.*?)^## ", page, re.DOTALL | re.MULTILINE)
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines()]
     rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
-    assert len(rows) == 16
+    assert len(rows) == 20
     for model, arithmetic, size, ram, flash, *_ in rows:
-        params = FLIGHT if model == "`flight`" else load_set(9)
+        is_preset = model.startswith("`")
+        params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
