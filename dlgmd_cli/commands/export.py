@@ -79,8 +79,8 @@ def c(
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
     it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
 
-    The models dlgmd and dlgmd-contrast can be exported; the presets are of the latter. For frames up
-    to 128 px wide, the default is the preset flight-small instead of flight.
+    The models dlgmd and dlgmd-contrast can be exported; the presets are of the latter. For frames
+    up to 128 px wide, the default is the preset flight-small instead of flight.
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export

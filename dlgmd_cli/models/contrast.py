@@ -67,8 +67,9 @@ class ContrastDLGMD(Distributed):
       over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
       neighbours from the better of no shift and the last frame's; along each axis, with the
       changes a, b and c at one block less, there, and at one more, it is refined by
-      (a - c) / 2 (max(a, c) - b), at most half a block. The frames move if that lowers the mean |L(t) - L(t-1)| where
-      they overlap by more than a twentieth. Cells that enter have no change, and P' = 0.
+      (a - c) / 2 (max(a, c) - b), at most half a block. The frames move if that lowers the mean
+      |L(t) - L(t-1)| where they overlap by more than a twentieth. Cells that enter have no change,
+      and P' = 0.
     - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants
       about the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.
@@ -76,8 +77,7 @@ class ContrastDLGMD(Distributed):
       m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
       what goes on all the time.
     - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
-      n. So the answers depend little on the frame rate. Δt is one frame at `w_fps`, or at 30 frames/s,
-      if times are unknown.
+      n. Δt is one frame at `w_fps`, or at 30 frames/s, if times are unknown.
 
     Parameters
     ----------
