@@ -23,7 +23,9 @@ ENGINES = ("opencv", "numba")
 FORMULATIONS = ("default", "released", "equations")
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
-PRESETS = ("flight",)
+PRESETS = ("flight", "flight-small")
+# Up to this width, frames are for the last one.
+SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
 DEFAULT_WIDTH_PX, DEFAULT_MODEL_FPS = 480, 30.0
 # The keys of a file that are not parameters.
@@ -100,7 +102,10 @@ _ONE_FRAME_LATENCY = {"alpha": 0.0, "beta": 0.0, "lam": 0.0}
 class ContrastParameters(
     DistributedParameters, defaults=_ONE_FRAME_LATENCY | {"sigma_e": 0.9, "sigma_i": 3.0, "a": 1.7}
 ):
-    """Parameters of the contrast-relative D-LGMD; the defaults are the preset `flight`."""
+    """Parameters of the contrast-relative D-LGMD.
+
+    By default, its last five keys do nothing: the preset `flight` sets them.
+    """
 
     model: ClassVar[str] = "dlgmd-contrast"
     module: ClassVar[str] = "dlgmd_cli.models.contrast"
@@ -118,6 +123,13 @@ class ContrastParameters(
     sigma_c: float = key(
         0.45, "σ_c", "half sides", "width of the weighting about the centre", 0.05, 100
     )
+    w_fps: float = key(
+        0.0, "f_w", "1/s", "frame rate at which w_σ and w_M hold; 0 ignores times", 0, 1000
+    )
+    shift: int = key(0, "d_max", "px", "largest shift of the picture that is undone", 0, 64)
+    balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
+    c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
+    tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)

@@ -84,11 +84,9 @@ def answers_of_python(params, frames):
 
 
 def error_of_mp(export, answers, right):
-    """By how much mp is wrong, (n,): of itself; fixed, of itself and where mp_abs is 1/2."""
-    error, mp = np.abs(answers[:, 3] - right[:, 3]), right[:, 3]
-    if export.is_fixed:
-        return error / (mp + export.params.kappa * export.n_cells)
-    return error / np.where(mp > 0.0, mp, 1.0)
+    """By how much mp is wrong, (n,), as a share of itself and of mp where mp_abs is 1/2."""
+    half = export.params.kappa * export.n_cells
+    return np.abs(answers[:, 3] - right[:, 3]) / (right[:, 3] + half)
 
 
 def error_of_place(export, answers, right):

@@ -1,16 +1,41 @@
 """`dlgmd export`: the model for other machines."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
 from dlgmd_cli.commands.frame import write_files
-from dlgmd_cli.commands.options import SIZE, json_option, overwrite_option, parameter_options
+from dlgmd_cli.commands.options import (
+    ONE_MODEL,
+    SIZE,
+    json_option,
+    option_group,
+    overwrite_option,
+    setup_of,
+)
+from dlgmd_cli.parameters import PRESETS, SMALL_WIDTH_PX
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
+
+
+def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]]":
+    """The model for frames of a size; small ones have a preset of their own."""
+    is_default = all(asked[name] is None for name in ("set_name", "config", "model"))
+    if is_default and size[0] <= SMALL_WIDTH_PX:
+        asked["config"] = PRESETS[-1]
+    return setup_of(**asked), size
+
+
+size_option = click.option(
+    "--size",
+    type=SIZE,
+    default="96x72",
+    show_default=True,
+    help="Size of the frames in px.",
+)
 
 
 @click.group(
@@ -23,14 +48,7 @@ def export() -> None:
 
 
 @export.command(cls=Command, epilog="Example: dlgmd export c --size 96x72 --fixed --out firmware")
-@parameter_options
-@click.option(
-    "--size",
-    type=SIZE,
-    default="96x72",
-    show_default=True,
-    help="Size of the frames in px.",
-)
+@option_group("sized", _sized, *ONE_MODEL, size_option)
 @click.option(
     "--fixed", "is_fixed", is_flag=True, help="Compute with integers, for boards without an FPU."
 )
@@ -46,7 +64,11 @@ def export() -> None:
 @overwrite_option
 @json_option
 def c(
-    setup: "Setup", size: tuple[int, int], is_fixed: bool, out: Path, overwrite: bool, as_json: bool
+    sized: "tuple[Setup, tuple[int, int]]",
+    is_fixed: bool,
+    out: Path,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Write a D-LGMD and its alarm as C99 for a microcontroller.
 
@@ -57,13 +79,15 @@ def c(
     Writes the sources, an example, and a test with Python's answers ('make test'; 'make qemu' runs
     it on emulated Cortex-M boards). DIR/README.md explains them, and states memory and operations.
 
-    The models dlgmd and dlgmd-contrast can be exported; the preset flight is of the latter.
+    The models dlgmd and dlgmd-contrast can be exported; the presets are of the latter. For frames
+    up to 128 px wide, the default is the preset flight-small instead of flight.
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
     from dlgmd_cli.lab.stimuli.flat import ball_approaches
     from dlgmd_cli.results.store import file_of
 
+    setup, size = sized
     made = Export(setup.params, *size, is_fixed, setup.label)
     contents = files(made, ball_approaches(*size))
     writes = {out / name: file_of(data) for name, data in contents.items()}

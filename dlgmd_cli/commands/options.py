@@ -268,7 +268,7 @@ def _naming_options(*, many: bool) -> list[Option]:
 ONE_MODEL = (*_naming_options(many=False), param_option, formulation_option)
 
 
-def _setup(
+def setup_of(
     set_name: str | None,
     config: Path | None,
     pairs: tuple[str, ...],
@@ -276,13 +276,14 @@ def _setup(
     formulation: str | None,
     engine: str | None = None,
 ) -> "Setup":
+    """The model that the options of `ONE_MODEL` name."""
     from dlgmd_cli.runs.setup import choose  # brings in NumPy
 
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", _setup, *ONE_MODEL, engine_option)
-parameter_options = option_group("setup", _setup, *ONE_MODEL)
+model_options = option_group("setup", setup_of, *ONE_MODEL, engine_option)
+parameter_options = option_group("setup", setup_of, *ONE_MODEL)
 
 
 def setup_options(collect: Callable[..., Any], *more: Option) -> Option:

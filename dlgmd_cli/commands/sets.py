@@ -63,8 +63,7 @@ def sets(ctx: click.Context) -> None:
     others = [name for name in MODELS if name != DlgmdParameters.model]
     click.echo(f"Other models: {', '.join(others)}.")
     click.echo("'dlgmd sets lgmd' shows the parameters of one of them.")
-    for name in PRESETS:
-        click.echo(f"Preset: {name}, the default; 'dlgmd sets {name}' shows its parameters.")
+    click.echo(f"Presets: {', '.join(PRESETS)}; the first is the default.")
 
 
 def _complete_name(

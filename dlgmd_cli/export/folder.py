@@ -24,7 +24,7 @@ STATIC = (
 )
 
 ACCURACY = {
-    False: "The membrane potential differs from Python's by at most 1e-5 of its value.",
+    False: "The normalised membrane potential differs from Python's by at most 1e-5.",
     True: "Integers are rounded: in rendered flights mp_abs differs from Python's by at most 0.03, "
     "and\nthe alarms are the same. In other videos an alarm may start one frame earlier or later.",
 }

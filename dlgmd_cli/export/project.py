@@ -11,7 +11,13 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
 from dlgmd_cli.export.sums import float_literal as f
-from dlgmd_cli.models.contrast import MAX_QUARTILE_CELLS, centre_weights
+from dlgmd_cli.models.contrast import (
+    BLOCK,
+    MAX_QUARTILE_CELLS,
+    NOMINAL_FPS,
+    centre_weights,
+    quadrants,
+)
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, Parameters
@@ -30,6 +36,8 @@ CODE_BYTES = {
     (True, False): (1540, 14),
     (True, True): (2170, 8),
 }
+# Bytes of code that follow the picture, compare quadrants and adapt.
+FOLLOWING_BYTES = 2250
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,16 @@ class Export:
         """Whether it is the contrast-relative model."""
         return isinstance(self.params, ContrastParameters)
 
+    @property
+    def shift(self) -> int:
+        """The largest shift of the picture that is undone; 0 if it is less than a block."""
+        return self.params.shift if self.is_contrast and self.params.shift >= BLOCK else 0
+
+    @property
+    def adapts(self) -> bool:
+        """Whether K is compared with its own past."""
+        return self.is_contrast and self.params.c_m > 0.0
+
     @cached_property
     def connections(self) -> Connections:
         """The kernels."""
@@ -107,6 +125,9 @@ class Export:
             "DLGMD_HEIGHT": self.height,
             "DLGMD_CONTRAST": int(self.is_contrast),
             "DLGMD_FIXED": int(self.is_fixed),
+            "DLGMD_SHIFT": self.shift,
+            "DLGMD_BALANCE": int(self.is_contrast and self.params.balance),
+            "DLGMD_ADAPTS": int(self.adapts),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
             "DLGMD_FFI_DELAY": self.ffi_delay,
@@ -122,9 +143,11 @@ class Export:
         number = 2 if self.is_fixed else 4
         columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
         if self.is_contrast:
-            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256)
+            blocks = 2 * 2 * (self.width // 4) * (self.height // 4) if self.shift else 0
+            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks)
             work += number * 256 * delays
             scalars = (16 if self.is_fixed else 12) + 12
+            scalars += (8 if self.is_fixed else 4) * self.adapts + 8 * (self.shift > 0)
         else:
             work = _whole(columns + number * 4 * (self.width + 3), number)
             scalars = 4 * (self.ffi_delay + 1) + 12
@@ -142,6 +165,7 @@ class Export:
         """
         multiplications, additions = self.code.operations
         base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
+        base += FOLLOWING_BYTES * (self.shift > 0)
         tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
         return {
             "ram_bytes": self.state_bytes,
@@ -176,7 +200,14 @@ class Export:
             "C_S": params.c_s,
             "S_MIN": params.s_min * LEVELS,
         }
-        shares = {"W_SIGMA": params.w_sigma, "W_M": params.w_m}
+        interval_s = 1.0 / (params.w_fps or NOMINAL_FPS)
+        shares = {
+            "W_SIGMA": params.w_sigma,
+            "W_M": params.w_m,
+            "W_MEAN": -math.expm1(-interval_s / params.tau_m),
+            "BOTH": self.n_cells / 2.0 / self._quadrant_weight,
+        }
+        values["C_M"] = params.c_m
         if self.is_fixed:
             constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
             constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
@@ -186,6 +217,12 @@ class Export:
             values |= {**shares, "GROWTH": params.growth}
             constants = {key: f(value) for key, value in values.items()}
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
+
+    @property
+    def _quadrant_weight(self) -> float:
+        """Σw of a quadrant."""
+        weights = centre_weights((self.height, self.width), self.params.sigma_c)
+        return quadrants(weights)[0]
 
     def _of_product(self) -> dict[str, str]:
         """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from functools import cache, partial
+from itertools import product
 
 import cv2
 import numpy as np
@@ -13,14 +15,24 @@ from dlgmd_cli.models.base import (
     Grey,
     Photoreceptors,
     Response,
+    aligned,
     centroid,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.parameters import ContrastParameters
 
+# Rows and columns.
+Shift = tuple[int, int]
+
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
+# Side of the blocks whose means tell how the picture moves, in cells.
+BLOCK = 4
+# The picture is moved if less than this share of the change is left.
+MAX_LEFT = 0.95
+# Frame rate where neither times nor `w_fps` tell.
+NOMINAL_FPS = 30.0
 
 
 class ContrastDLGMD(Distributed):
@@ -50,6 +62,24 @@ class ContrastDLGMD(Distributed):
     `t_de` is the threshold of S. The layer P is P', but `p_sum` is Σ|L(t) - L(t-1)| as in the other
     models.
 
+    Five parameters, off by default, keep it quiet on real footage:
+
+    - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells. Of means
+      over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
+      neighbours from the better of no shift and the last frame's; along each axis, with the
+      changes a, b and c at one block less, there, and at one more, it is refined by
+      (a - c) / 2 (max(a, c) - b), at most half a block. The frames move if that lowers the mean
+      |L(t) - L(t-1)| where they overlap by more than a twentieth. Cells that enter have no change,
+      and P' = 0.
+    - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants
+      about the centre. A middle row or column belongs to both sides. What looms expands in all
+      directions; what passes by does not.
+    - `c_m`: K(t) = max(κ(t) - c_m m(t-1), 0), where κ(t) is K as above, and m its mean so far,
+      m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
+      what goes on all the time.
+    - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
+      n. Δt is one frame at `w_fps`, or at 30 frames/s, if times are unknown.
+
     Parameters
     ----------
     params : ContrastParameters, optional
@@ -74,6 +104,19 @@ class ContrastDLGMD(Distributed):
         super().__init__(params, engine)
         self.receptors = ContrastReceptors(self.first_valid_frame, self.params)
         self._weights: tuple[FloatImage, FloatImage] | None = None
+        self._mean = math.nan
+
+    def reset(self) -> None:
+        """Forget all earlier frames; the next one may have another size."""
+        super().reset()
+        self._mean = math.nan
+
+    def step(
+        self, luminance: Grey, time_s: float | None = None, *, layers: bool = False
+    ) -> Response:
+        """Process the next frame, see `Model.step`."""
+        self.receptors.time_s = math.nan if time_s is None else time_s
+        return super().step(luminance, layers=layers)
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells, see `Model.ignore`, also in σ, ν and w."""
@@ -85,19 +128,41 @@ class ContrastDLGMD(Distributed):
         shape = receptors.current.shape
         if self._weights is None:
             self._weights = centre_weights(shape, self.params.sigma_c, receptors.hidden)
+            self._quadrants = quadrants(self._weights, receptors.hidden)
         sums = self._engine.respond(receptors, Counting(threshold, self._weights), images)
         ffi = receptors.growth
         passed = min(1.0, self.params.growth / ffi) ** 2 if ffi > 0.0 else 1.0
+        passed /= receptors.n_usual
         if images is not None:
             np.multiply(images[1], np.float32(passed), out=images[1])
-        mp, (m_x, m_y) = passed * sums.g, sums.moments
-        g_x, g_y = centroid(mp, (passed * m_x, passed * m_y), shape)
+        g_sum, (m_x, m_y) = passed * sums.g, sums.moments
+        mp = passed * self._weakest(sums.quarters) if self.params.balance else g_sum
+        g_x, g_y = centroid(g_sum, (passed * m_x, passed * m_y), shape)
+        mp = self._adapted(mp)
         return Response(receptors.p_sum(0), sums.s, mp, ffi, threshold, g_x=g_x, g_y=g_y)
 
     def _prepare(self, luminance: Grey) -> None:
         super()._prepare(luminance)
         self.receptors.subtract = self._engine.subtract
         self._weights = None
+
+    def _weakest(self, quarters: tuple[float, ...]) -> float:
+        """K by the two quadrants with the least ΣG, relative to their weights."""
+        shares = [
+            part / total for part, total in zip(quarters, self._quadrants, strict=True) if total
+        ]
+        least = sorted(shares)[:2]
+        return self.n_cells * sum(least) / max(1, len(least))
+
+    def _adapted(self, mp: float) -> float:
+        """What of K exceeds `c_m` times its mean over the earlier frames."""
+        c_m, tau_s = self.params.c_m, self.params.tau_m
+        if c_m == 0.0:
+            return mp
+        before = mp if math.isnan(self._mean) else self._mean
+        newest = -math.expm1(-self.receptors.interval_s / tau_s)
+        self._mean = before + newest * (mp - before)
+        return max(mp - c_m * before, 0.0)
 
     def _threshold(self) -> float:
         """Threshold of S for an active cell, in luminance."""
@@ -118,6 +183,79 @@ def centre_weights(
     rows, columns = (np.exp(-(side**2) / (2 * sigma**2)) for side in (y, x))
     mean = np.outer(rows, columns)[... if hidden is None else ~hidden].mean()
     return (rows / mean).astype(np.float32), columns.astype(np.float32)
+
+
+def quadrants(weights: tuple[FloatImage, FloatImage], hidden: Flags | None = None) -> list[float]:
+    """Σw of the quadrants, see `Sums.quarters`; of hidden cells, w is 0."""
+    image = np.outer(*weights)
+    if hidden is not None:
+        image[hidden] = 0.0
+    sides = [(slice(0, (n + 1) // 2), slice(n // 2, n)) for n in image.shape]
+    return [float(image[rows, columns].sum()) for rows in sides[0] for columns in sides[1]]
+
+
+def coarse(frame: Grey) -> FloatImage:
+    """Means over whole blocks of `BLOCK` x `BLOCK` cells, in levels."""
+    height, width = (n // BLOCK for n in frame.shape)
+    if height == 0 or width == 0:
+        return np.zeros((0, 0), np.float32)
+    whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def overlap(n: int, shift: int) -> tuple[slice, slice]:
+    """Where the cells of a side of n remain after a shift, and where they were."""
+    return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
+
+
+def mean_change(frame: Grey, before: Grey, shift: Shift) -> float:
+    """Mean |a(i) - b(i - shift)| where an image a and an earlier one b, moved, overlap."""
+    (rows, from_rows), (columns, from_columns) = map(overlap, frame.shape, shift)
+    now = frame[rows, columns]
+    return cv2.norm(now, before[from_rows, from_columns], cv2.NORM_L1) / now.size
+
+
+def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tuple[Shift, Shift]:
+    """By how much the picture has moved, see `ContrastDLGMD`.
+
+    Parameters
+    ----------
+    now, before : ndarray
+        The two frames, `coarse`.
+    start : (int, int)
+        The shift in blocks, rows first, that was found one frame earlier.
+    most : int
+        Largest shift, in blocks; at most a third of a side.
+
+    Returns
+    -------
+    blocks, cells : (int, int)
+        The shift in whole blocks, and in cells.
+    """
+    limits = [min(most, n // 3) for n in now.shape]
+    if 0 in limits:
+        return (0, 0), (0, 0)
+    change = cache(partial(mean_change, now, before))
+    best = min(((0, 0), start), key=change)
+    while True:
+        ((y, x), (y_most, x_most)) = best, limits
+        around = product(range(y - 1, y + 2), range(x - 1, x + 2))
+        near = min((d for d in around if abs(d[0]) <= y_most and abs(d[1]) <= x_most), key=change)
+        if change(near) >= change(best):
+            break
+        best = near
+
+    def cells(blocks: int, before: float, after: float) -> int:
+        """Cells of a shift in blocks, by the change at one block less and at one more."""
+        rise = max(before, after) - change(best)
+        part = (before - after) / (2.0 * rise) if rise > 0.0 else 0.0
+        part = min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
+        return BLOCK * blocks + math.floor(
+            BLOCK * part + 0.5 + 1e-9
+        )  # halves up, also rounded ones
+
+    down = cells(y, change((y - 1, x)), change((y + 1, x)))
+    return best, (down, cells(x, change((y, x - 1)), change((y, x + 1))))
 
 
 def lower_quartile(current: Grey, previous: Grey, hidden: Flags | None = None) -> float:
@@ -155,10 +293,14 @@ class ContrastReceptors(Photoreceptors):
     lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; both from frame 1 on. `growth` is F(t),
     the change relative to its earlier average, from frame 2 on: infinite if nothing changed before,
     0 if nothing changes now.
+
+    `time_s` is the time of the next frame, NaN if unknown; `interval_s` is the time between the
+    last two frames, and `n_usual` the same in frames at `w_fps`, 1 if times are ignored.
     """
 
     sigma: float
     subtract: Callable[..., tuple[float, float]]  # of the model's engine
+    time_s = math.nan
     _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
@@ -168,21 +310,62 @@ class ContrastReceptors(Photoreceptors):
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         super().reset()
-        self.sigma = self.noise = self.growth = self._usual = math.nan
+        self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
+        self._coarse, self._blocks = np.zeros((0, 0), np.float32), (0, 0)
+
+    def take(self, luminance: Grey) -> None:
+        """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
+        interval_s, usual_fps = self.time_s - self._last_s, self._params.w_fps
+        self.interval_s = interval_s if interval_s > 0.0 else 1.0 / (usual_fps or NOMINAL_FPS)
+        self.n_usual = self.interval_s * usual_fps or 1.0
+        super().take(luminance)
+        self._last_s = self.time_s
 
     def _compute_p(self, out: Grey) -> float:
         """Write P' of the newest frame to `out`; returns Σ|L(t) - L(t-1)|."""
-        weight = self._params.w_sigma
+        weight = self._weight(self._params.w_sigma)
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
+        if self._params.shift > 0:
+            self._align()
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
         quartile = lower_quartile(self.current, self.previous, self.hidden)
         self.noise = smoothed(self.noise, quartile * self.unit, weight)
         floor = self._floor() / self.unit
         p_sum, change_sum = self.subtract(self.current, self.previous, floor, out)
+        p_sum /= self.n_usual
         self.growth = p_sum / self._usual if self._usual else math.inf if p_sum else 0.0
-        self._usual = smoothed(self._usual, p_sum, self._params.w_m)
+        self._usual = smoothed(self._usual, p_sum, self._weight(self._params.w_m))
         return change_sum
+
+    def _align(self) -> None:
+        """Move the previous frame and the earlier P' along with the picture."""
+        before, self._coarse = self._coarse, coarse(self.current)
+        if self.frame == 1:
+            before = coarse(self.previous)
+        most = self._params.shift // BLOCK
+        self._blocks, shift = follow(self._coarse, before, self._blocks, most)
+        still = mean_change(self.current, self.previous, (0, 0))
+        if mean_change(self.current, self.previous, shift) < MAX_LEFT * still:
+            np.copyto(self.previous, self._moved(self.previous, self.current, shift))
+            for delay in range(1, self._depth):
+                p = self.p(delay)
+                np.copyto(p, self._moved(p, np.zeros_like(p), shift))
+
+    def _moved(self, image: Grey, entering: Grey, shift: Shift) -> Grey:
+        """An image moved by a shift, with `entering` in cells of which nothing is known."""
+        moved = aligned(image.shape, image.dtype)
+        np.copyto(moved, entering)
+        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, shift)
+        source = from_rows, from_columns
+        known = True if self.hidden is None else ~self.hidden[source]
+        np.copyto(moved[rows, columns], image[source], where=known)
+        self.clear(moved)
+        return moved
+
+    def _weight(self, weight: float) -> float:
+        """The weight of the newest frame after `n_usual` frames, if it is `weight` after one."""
+        return weight if self.n_usual == 1.0 else 1.0 - (1.0 - weight) ** self.n_usual
 
     def _floor(self) -> float:
         """Threshold of |L(t) - L(t-1)|, in luminance."""

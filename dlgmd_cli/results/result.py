@@ -33,6 +33,8 @@ Flags = npt.NDArray[np.bool_]
 NEAR_FRAMES = 5
 # The first frame at which all of the paper's sets are valid; sharpness starts there.
 FIRST_COMMON_ROW = 3
+# Models whose weights hold at a frame rate are unreliable below this one.
+MIN_FPS = 15.0
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
@@ -260,12 +262,20 @@ class Result:
 
     def doubts(self) -> list[str]:
         """Warnings about an implausible result, one line each."""
-        if not self.n_valid or np.isfinite(self.level).any():
-            return []
-        return [
-            "the membrane potential never changes by more than rounding, so it cannot be "
-            "normalised by its own sequence; there are no spikes"
-        ]
+        found = []
+        if self.n_valid and not np.isfinite(self.level).any():
+            found.append(
+                "the membrane potential never changes by more than rounding, so it cannot be "
+                "normalised by its own sequence; there are no spikes"
+            )
+        intervals_s = np.diff(self.time_s[~self.is_repeat])
+        rate_fps = 1.0 / np.median(intervals_s) if intervals_s.size else math.inf
+        if getattr(self.params, "w_fps", 0.0) and rate_fps < MIN_FPS - 0.1:
+            found.append(
+                f"{rate_fps:.3g} frames/s: alarms are unreliable below {MIN_FPS:g} frames/s, since "
+                "too much changes from frame to frame"
+            )
+        return found
 
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""

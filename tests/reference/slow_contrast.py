@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from reference.slow import kernels, photoreceptors, summation, total
+from reference.slow import kernels, summation, total
 
 DEFAULTS = {
     "alpha": 0.0,
@@ -24,6 +25,11 @@ DEFAULTS = {
     "growth": 1.5,
     "w_m": 0.3,
     "sigma_c": 0.6,
+    "w_fps": 0.0,
+    "shift": 0,
+    "balance": False,
+    "c_m": 0.0,
+    "tau_m": 1.5,
 }
 
 
@@ -42,6 +48,8 @@ class Answer:
     p_sum: float | None = None
     s_sum: float | None = None
     mp: float | None = None
+    steady: float | None = None
+    shift: tuple[int, int] = (0, 0)
     t_de: float | None = None
 
 
@@ -74,38 +82,143 @@ def passed(ffi, growth):
     return min(1.0, growth / ffi) ** 2 if ffi else 1.0
 
 
-def run(frames, *, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
-    """One `Answer` for every frame."""
-    weights = weights_of(frames[0].shape, sigma_c)
-    excite, inhibit = kernels(**connections, formulation="default")
-    answers, history = [], []
-    for t, change in enumerate(photoreceptors(frames)):
-        newest = deviation(frames[t])
-        sigma = newest if t == 0 else (1.0 - w_sigma) * answers[-1].sigma + w_sigma * newest
-        answer = Answer(sigma)
-        answers.append(answer)
-        if change is not None:
-            quartile = sorted(change.flat)[change.size // 4]
-            noise = answers[-2].noise
-            answer.noise = quartile if noise is None else (1 - w_sigma) * noise + w_sigma * quartile
-            answer.p_sum = total(change)
-            answer.floor = max(p_min, c_p * sigma, c_n * answer.noise)
-            answer.p = above(change, answer.floor)
-            m = total(answer.p) / answer.p.size
-            before = answers[-2].usual
-            if before is None:
-                answer.usual = m
+def blocks_of(frame):
+    """Means over blocks of 4 x 4 cells."""
+    height, width = (side // 4 for side in frame.shape)
+    means = np.zeros((height, width))
+    for i, j in np.ndindex(height, width):
+        means[i, j] = total(frame[4 * i : 4 * i + 4, 4 * j : 4 * j + 4]) / 16
+    return means
+
+
+def shift_between(frame, before, last, most):
+    """The shift of the picture: in blocks, by descent, and in cells, between the blocks."""
+    now, then = blocks_of(frame), blocks_of(before)
+    limits = [min(most // 4, side // 3) for side in now.shape]
+    if min(limits) == 0:
+        return (0, 0), (0, 0)
+    change = partial(mean_change, now, then)
+    best = last if change(*last) < change(0, 0) else (0, 0)
+    while True:
+        found = best
+        for i in (best[0] - 1, best[0], best[0] + 1):
+            for j in (best[1] - 1, best[1], best[1] + 1):
+                inside = abs(i) <= limits[0] and abs(j) <= limits[1]
+                if inside and change(i, j) < change(*found):
+                    found = i, j
+        if found == best:
+            break
+        best = found
+    i, j = best
+    sides = ((change(i - 1, j), change(i + 1, j)), (change(i, j - 1), change(i, j + 1)))
+    fine = []
+    for blocks, (less, more) in zip(best, sides, strict=True):
+        rise = max(less, more) - change(i, j)
+        part = (less - more) / (2 * rise) if rise else 0.0
+        fine.append(4 * blocks + math.floor(4 * min(max(part, -0.5), 0.5) + 0.5 + 1e-9))
+    return best, tuple(fine)
+
+
+def moved(image, dy, dx, entering):
+    """The image moved down and right; `entering` where it does not reach."""
+    result = entering.astype(float)
+    for i, j in np.ndindex(image.shape):
+        if 0 <= i - dy < image.shape[0] and 0 <= j - dx < image.shape[1]:
+            result[i, j] = image[i - dy, j - dx]
+    return result
+
+
+def mean_change(frame, before, dy, dx):
+    """Mean change over the cells that the moved picture covers."""
+    other = moved(before, dy, dx, entering=np.full(frame.shape, np.nan))
+    covered = [abs(a - b) for a, b in zip(frame.flat, other.flat, strict=True) if b == b]
+    return sum(covered) / len(covered)
+
+
+def weakest(g, weights):
+    """K by the mean of the two quadrants with the least share of active cells."""
+    (height, width), shares = g.shape, []
+    for below in (False, True):
+        for right in (False, True):
+            active = whole = 0.0
+            for i, j in np.ndindex(g.shape):
+                y, x = i - (height - 1) / 2, j - (width - 1) / 2
+                if (y >= 0 if below else y <= 0) and (x >= 0 if right else x <= 0):
+                    active, whole = active + g[i, j], whole + weights[i, j]
+            shares.append(active / whole)
+    least, second, *_ = sorted(shares)
+    return g.size * (least + second) / 2
+
+
+def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
+    """One `Answer` for every frame; `times` are those of the frames, in seconds."""
+    interval = 1 / w_fps if w_fps else 1 / 30
+    times = [t * interval for t in range(len(frames))] if times is None else times
+    weights, answers, history = weights_of(frames[0].shape, rest["sigma_c"]), [], []
+    excite, inhibit, values = connections_of(**rest)
+    blocks = (0, 0)
+    for t, frame in enumerate(frames):
+        frame = frame.astype(float)
+        before, d = frame, (0, 0)
+        if t > 0:
+            before = frames[t - 1].astype(float)
+            blocks, d = shift_between(frame, before, blocks, shift)
+            if mean_change(frame, before, *d) < 0.95 * mean_change(frame, before, 0, 0):
+                before = moved(before, *d, entering=frame)
+                history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
             else:
-                answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
-                answer.usual = (1 - w_m) * before + w_m * m
+                d = (0, 0)
+        seconds = times[t] - times[t - 1] if t else interval
+        n = seconds * w_fps if w_fps else 1.0
+        change = abs(frame - before) if t else None
+        answer = see(frame, change, answers, n, **values)
+        answer.shift = d
         history.append(answer.p)
+        answers.append(answer)
         if t < 1 + max([1, *inhibit]):
             continue
-        answer.s, answer.t_de = summation(history, excite, inhibit, t), max(s_min, c_s * sigma)
-        answer.s_sum = total(answer.s)
-        answer.g = np.zeros(answer.s.shape)
+        answer.s, answer.t_de = summation(history, excite, inhibit, t), threshold_of(answer, **rest)
+        answer.s_sum, answer.g = total(answer.s), np.zeros(answer.s.shape)
         for i, j in np.ndindex(answer.s.shape):
             if answer.s[i, j] > answer.t_de:
-                answer.g[i, j] = weights[i, j] * passed(answer.ffi, growth)
-        answer.mp = total(answer.g)
+                answer.g[i, j] = weights[i, j] * passed(answer.ffi, values["growth"]) / n
+        answer.mp = kappa = weakest(answer.g, weights) if balance else total(answer.g)
+        past = kappa if answers[-2].steady is None else answers[-2].steady
+        answer.steady = past + (1 - math.exp(-seconds / tau_m)) * (kappa - past)
+        answer.mp = max(kappa - c_m * past, 0.0)
     return answers
+
+
+def threshold_of(answer, *, c_s, s_min, **_):
+    """What S of an active cell exceeds."""
+    return max(s_min, c_s * answer.sigma)
+
+
+def connections_of(*, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
+    """The kernels, and what is left of the parameters."""
+    excite, inhibit = kernels(**connections, formulation="default")
+    values = {"c_p": c_p, "p_min": p_min, "c_n": c_n, "w_sigma": w_sigma, "growth": growth}
+    return excite, inhibit, values | {"w_m": w_m}
+
+
+def see(frame, change, answers, n, *, c_p, p_min, c_n, w_sigma, growth, w_m):
+    """P' of a frame, after `n` usual intervals, and what follows from the picture as a whole."""
+    w_sigma, w_m = 1 - (1 - w_sigma) ** n, 1 - (1 - w_m) ** n
+    newest = deviation(frame)
+    sigma = newest if not answers else (1.0 - w_sigma) * answers[-1].sigma + w_sigma * newest
+    answer = Answer(sigma)
+    if change is not None:
+        quartile = sorted(change.flat)[change.size // 4]
+        noise = answers[-1].noise
+        answer.noise = quartile if noise is None else (1 - w_sigma) * noise + w_sigma * quartile
+        answer.p_sum = total(change)
+        answer.floor = max(p_min, c_p * sigma, c_n * answer.noise)
+        answer.p = above(change, answer.floor)
+        m = total(answer.p) / answer.p.size / n
+        before = answers[-1].usual
+        if before is None:
+            answer.usual = m
+        else:
+            answer.ffi = 0.0 if m == 0 else m / before if before else math.inf
+            answer.usual = (1 - w_m) * before + w_m * m
+    return answer

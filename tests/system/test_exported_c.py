@@ -28,12 +28,12 @@ from dlgmd_cli import load_set, open_video
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.lab.flights.scenes import find_scene
-from dlgmd_cli.parameters import FORMULATIONS, ContrastParameters
+from dlgmd_cli.parameters import FORMULATIONS, load_config, parameters_of
 
 pytestmark = [pytest.mark.slow, needs_cc]
 OWN_FLIGHT = Path(__file__).parents[1] / "own_flight"
 SAMPLE = Path(__file__).parents[2] / "sample_videos/group2.mp4"
-FLIGHT = ContrastParameters()
+FLIGHT = parameters_of(load_config("flight"))
 ARITHMETIC = pytest.mark.parametrize("is_fixed", [False, True], ids=["float", "fixed"])
 MODELS = pytest.mark.parametrize("params", [FLIGHT, load_set(9)], ids=["flight", "set9"])
 HAS_ARM = all(map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size", "make")))

@@ -14,7 +14,9 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.parameters import ContrastParameters
+from dlgmd_cli.parameters import ContrastParameters, load_config, parameters_of
+
+FLIGHT = parameters_of(load_config("flight"))
 
 FILES = {
     *("dlgmd.h", "dlgmd.c", "dlgmd_model.h", "example.c", "test.c", "vectors.h", "frames.gray"),
@@ -25,7 +27,7 @@ FILES = {
 @needs_cc
 @pytest.mark.parametrize("fixed", [[], ["--fixed"]], ids=["float", "fixed"])
 def test_make_test_and_the_example(dlgmd, tmp_path, fixed):
-    result = dlgmd("export", "c", "--config", "flight", "--size", "64x48", "--out", "x", *fixed)
+    result = dlgmd("export", "c", "--size", "64x48", "--out", "x", *fixed)
     assert result.exit_code == 0 and result.stdout.splitlines()[0] == "x", result.output
     assert {path.name for path in (tmp_path / "x").iterdir()} == FILES
     printed = make(tmp_path / "x", "test").splitlines()
@@ -73,12 +75,13 @@ def rough_frames(width, height):
 @pytest.mark.parametrize(
     ("params", "is_fixed"),
     [
-        (ContrastParameters(), False),
+        (FLIGHT, False),
+        (FLIGHT, True),
         (ContrastParameters(), True),
         (load_set(9), False),
         (load_set(3, formulation="released"), True),
     ],
-    ids=["flight", "flight-fixed", "set9", "set3-fixed"],
+    ids=["flight", "flight-fixed", "contrast-fixed", "set9", "set3-fixed"],
 )
 def test_c_answers_as_python(tmp_path, params, is_fixed):
     export = Export(params, 40, 30, is_fixed)
@@ -104,9 +107,10 @@ def test_table_of_costs():
     (section,) = re.findall(r"^## On a microcontroller\n(.*?)^## ", page, re.DOTALL | re.MULTILINE)
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines()]
     rows = [row for row in cells if len(row) == 7 and "x" in row[2]]
-    assert len(rows) == 16
+    assert len(rows) == 20
     for model, arithmetic, size, ram, flash, *_ in rows:
-        params = ContrastParameters() if model == "`flight`" else load_set(9)
+        is_preset = model.startswith("`")
+        params = parameters_of(load_config(model.strip("`"))) if is_preset else load_set(9)
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"

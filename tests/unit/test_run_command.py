@@ -517,3 +517,13 @@ def test_a_formulation_of_a_default_without_any(dlgmd, clips, monkeypatch):
     result = dlgmd("run", clips / "loom.avi", "--formulation", "released")
     assert result.exit_code == 2
     assert "--formulation works only with the D-LGMD model. Add --set 9." in result.stderr
+
+
+def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
+    frames = np.random.default_rng(4).integers(0, 256, (8, 24, 32), np.uint8)
+    np.save("noise.npy", frames)
+    for fps, is_warned in ((10, True), (15, False)):
+        told = dlgmd("run", "noise.npy", "--input-fps", fps, "--overwrite", "--no-plots").stderr
+        assert ("alarms are unreliable below 15 frames/s" in told) == is_warned
+    options = ("--model", "dlgmd-contrast", "--input-fps", 10, "--overwrite", "--no-plots")
+    assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr

@@ -52,6 +52,71 @@ def test_contrast_with_other_thresholds(changes):
     check_contrast(CLIPS["looming 10x13"], **changes)
 
 
+# A picture that turns by up to 8 cells from frame to frame.
+_GROUND = np.kron(clips.drifting(26, 30, 1, seed=7)[0], np.ones((3, 3), np.float32))
+TURNING = [
+    _GROUND[20 + dy : 44 + dy, 20 + dx : 48 + dx] + frame / 8
+    for frame, dy, dx in zip(
+        clips.looming(24, 28, 8, seed=6),
+        (0, 1, 3, 3, 0, -8, -9, -9),
+        (0, 4, 8, 16, 17, 17, 14, 6),
+        strict=True,
+    )
+]
+UNEVEN_S = (0.0, 0.02, 0.06, 0.1, 0.15, 0.16, 0.2, 0.3)
+QUIET = [
+    {"shift": 8},
+    {"balance": True},
+    {"c_m": 0.7, "tau_m": 0.1},
+    {"w_fps": 30.0},
+    {"shift": 16, "balance": True, "c_m": 0.4, "tau_m": 0.2, "w_fps": 24.0},
+]
+
+
+@pytest.mark.parametrize("times", [None, UNEVEN_S], ids=["no times", "uneven times"])
+@pytest.mark.parametrize("changes", QUIET, ids=str)
+def test_what_keeps_contrast_quiet_agrees_with_its_equations(changes, times):
+    for frames in (*CLIPS.values(), TURNING):
+        answers = check_contrast(frames, times=times and times[: len(frames)], **changes)
+    if "shift" in changes:
+        assert len({one.shift for one in answers}) > 3
+    plain = check_contrast(TURNING)
+    assert [one.mp for one in answers[2:]] != [one.mp for one in plain[2:]]
+
+
+def test_a_camera_that_turns_changes_nothing():
+    y, x = np.mgrid[:100, :160].astype(np.float32)
+    ground = 0.5 + 0.2 * np.sin(x / 9) + 0.2 * np.sin(y / 7 + x / 23)
+    frames = [ground[20:80, 8 * t : 8 * t + 80] for t in range(6)]
+    still, follows = (ContrastDLGMD(ContrastParameters(shift=shift)) for shift in (0, 12))
+    for t, frame in enumerate(frames):
+        moved, followed = still.step(frame), follows.step(frame)
+        if t > 0:
+            assert moved.p_sum > 200.0 and followed.p_sum == 0.0
+
+
+def test_one_side_alone_raises_no_potential_and_a_hidden_side_does_not_matter():
+    noise = np.random.default_rng(2).random((6, 24, 30), np.float32)
+    beside = noise.copy()
+    beside[:, :, :22] = 0.5
+    model = ContrastDLGMD(ContrastParameters(balance=True, growth=1e6, a=0.2))
+    assert [model.step(frame).mp for frame in beside][-1] == 0.0
+    assert [model.step(frame).mp for frame in noise][-1] > 50.0
+    model.reset()
+    hidden = np.zeros((24, 30), np.bool_)
+    hidden[:, :22] = True
+    model.ignore(hidden)
+    assert [model.step(frame).mp for frame in beside][-1] > 20.0
+
+
+def test_what_goes_on_all_the_time_is_no_news():
+    noise = np.random.default_rng(3).random((60, 24, 30), np.float32)
+    noise[30:50] = noise[29]  # a pause
+    model = ContrastDLGMD(ContrastParameters(c_m=2.0, tau_m=0.1, a=0.2, growth=1e6))
+    mp = [model.step(frame, t / 30).mp for t, frame in enumerate(noise)]
+    assert max(mp[2:50]) == 0.0 and mp[50] > 50.0 and max(mp[55:]) == 0.0
+
+
 def test_the_clips_reach_every_branch_of_contrast():
     answers = [
         one for frames in CLIPS.values() for one in check_contrast(frames) if one.g is not None

@@ -35,6 +35,10 @@ typedef struct {
     total g;
     total g_column;
     total g_row;
+#if DLGMD_BALANCE
+    total quadrants[4]; /* G of each: top left and right, bottom left and right */
+#endif
+    total mp; /* K, in the unit of `g` */
 } totals;
 
 void dlgmd_reset(dlgmd_state *state)
@@ -90,6 +94,171 @@ static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
     sum_columns(sources, state->work.rows.columns);
     sum_along(sources, state->work.rows.columns, s);
 }
+
+#if DLGMD_SHIFT > 0
+
+enum { BLOCKS_Y = DLGMD_HEIGHT / 4, BLOCKS_X = DLGMD_WIDTH / 4 };
+
+static int size_of(int a)
+{
+    return a < 0 ? -a : a;
+}
+
+/* The smallest shift that is too large along a side of `n` blocks. */
+static int limit_of(int n)
+{
+    return (n / 3 < DLGMD_SHIFT / 4 ? n / 3 : DLGMD_SHIFT / 4) + 1;
+}
+
+/* A mean as a fraction. */
+typedef struct {
+    uint64_t sum, of;
+} fraction;
+
+static bool is_less(fraction a, fraction b)
+{
+    return a.sum * b.of < b.sum * a.of;
+}
+
+/* Sums over whole blocks of 4 x 4 cells. */
+static void see_blocks(uint16_t (*blocks)[BLOCKS_X], const uint8_t *frame)
+{
+    memset(blocks, 0, BLOCKS_Y * sizeof *blocks);
+    for (int y = 0; y < 4 * BLOCKS_Y; y++) {
+        for (int x = 0; x < 4 * BLOCKS_X; x++) {
+            blocks[y / 4][x / 4] = (uint16_t)(blocks[y / 4][x / 4] + frame[y * WIDTH + x]);
+        }
+    }
+}
+
+/* Mean change of the blocks where both frames overlap, the earlier one moved. */
+static fraction change_of_blocks(const dlgmd_state *state, int dy, int dx)
+{
+    fraction change = {0, 0};
+    for (int y = dy > 0 ? dy : 0; y < BLOCKS_Y + (dy < 0 ? dy : 0); y++) {
+        const uint16_t *now = state->work.blocks[0][y], *then = state->work.blocks[1][y - dy];
+        uint32_t sum = 0;
+        for (int x = dx > 0 ? dx : 0; x < BLOCKS_X + (dx < 0 ? dx : 0); x++) {
+            sum += (uint32_t)size_of(now[x] - then[x - dx]);
+        }
+        change.sum += sum;
+    }
+    change.of = (uint64_t)((BLOCKS_Y - size_of(dy)) * (BLOCKS_X - size_of(dx)));
+    return change;
+}
+
+/* Cells of a shift in blocks, by the change at one block less, there, and at one more. */
+static int cells_of(int blocks, fraction less, fraction here, fraction more)
+{
+    int64_t a = (int64_t)(less.sum * here.of * more.of), b = (int64_t)(here.sum * less.of * more.of);
+    int64_t c = (int64_t)(more.sum * less.of * here.of), rise = (a > c ? a : c) - b;
+    if (rise <= 0) {
+        return 4 * blocks;
+    }
+    int64_t slope = a - c > rise ? rise : a - c < -rise ? -rise : a - c;
+    return 4 * blocks + (int)((4 * slope + 9 * rise) / (2 * rise)) - 4; /* halves go up */
+}
+
+/* By how much the picture has moved. */
+static void follow(dlgmd_state *state, const uint8_t *frame, int *dy, int *dx)
+{
+    int most_y = limit_of(BLOCKS_Y), most_x = limit_of(BLOCKS_X), y = 0, x = 0;
+    see_blocks(state->work.blocks[0], frame);
+    see_blocks(state->work.blocks[1], state->previous);
+    fraction here = change_of_blocks(state, 0, 0);
+    fraction last = change_of_blocks(state, state->blocks_y, state->blocks_x);
+    if (is_less(last, here)) {
+        y = state->blocks_y;
+        x = state->blocks_x;
+        here = last;
+    }
+    for (bool is_better = true; is_better;) {
+        int from_y = y, from_x = x;
+        is_better = false;
+        for (int i = from_y - 1; i <= from_y + 1; i++) {
+            for (int j = from_x - 1; j <= from_x + 1; j++) {
+                if (size_of(i) >= most_y || size_of(j) >= most_x) {
+                    continue;
+                }
+                fraction change = change_of_blocks(state, i, j);
+                if (is_less(change, here)) {
+                    here = change;
+                    y = i;
+                    x = j;
+                    is_better = true;
+                }
+            }
+        }
+    }
+    state->blocks_y = y;
+    state->blocks_x = x;
+    *dy = cells_of(y, change_of_blocks(state, y - 1, x), here, change_of_blocks(state, y + 1, x));
+    *dx = cells_of(x, change_of_blocks(state, y, x - 1), here, change_of_blocks(state, y, x + 1));
+}
+
+/* Move a row by `dx`: `from` may be the row itself. */
+static void move_row(uint8_t *row, const uint8_t *from, int dx)
+{
+    memmove(row + (dx > 0 ? dx : 0), from - (dx < 0 ? dx : 0), (size_t)(WIDTH - size_of(dx)));
+}
+
+/* Where the cells of a row enter that has moved by `dx`. */
+static int entering(int dx)
+{
+    return dx > 0 ? 0 : WIDTH + dx;
+}
+
+/* Sum of the change where the picture, moved by dx and dy, overlaps with the frame. */
+static uint32_t change_of(const uint8_t *before, const uint8_t *frame, int dx, int dy)
+{
+    uint32_t sum = 0;
+    for (int y = dy > 0 ? dy : 0; y < HEIGHT + (dy < 0 ? dy : 0); y++) {
+        const uint8_t *now = frame + y * WIDTH, *then = before + (y - dy) * WIDTH - dx;
+        for (int x = dx > 0 ? dx : 0; x < WIDTH + (dx < 0 ? dx : 0); x++) {
+            sum += distance(now[x], then[x]);
+        }
+    }
+    return sum;
+}
+
+/* Move the frame before, and the change of earlier frames, along with the picture. */
+static void align(dlgmd_state *state, const uint8_t *frame)
+{
+    int dy, dx;
+    follow(state, frame, &dy, &dx);
+    uint64_t moved = change_of(state->previous, frame, dx, dy);
+    uint64_t cells = (uint64_t)(WIDTH - size_of(dx)) * (uint64_t)(HEIGHT - size_of(dy));
+    uint64_t still = change_of(state->previous, frame, 0, 0);
+    if (moved * CELLS * 20 >= still * cells * 19) {
+        return; /* less than a twentieth of the change would be gone */
+    }
+    for (int i = 0; i < HEIGHT; i++) {
+        int y = dy > 0 ? HEIGHT - 1 - i : i; /* no row is overwritten before it is read */
+        bool is_known = y - dy >= 0 && y - dy < HEIGHT;
+        uint8_t *row = state->previous + y * WIDTH;
+        if (is_known) {
+            move_row(row, row - dy * WIDTH, dx);
+            memcpy(row + entering(dx), frame + y * WIDTH + entering(dx), (size_t)size_of(dx));
+        } else {
+            memcpy(row, frame + y * WIDTH, WIDTH);
+        }
+        for (int delay = 1; delay < DELAYS; delay++) {
+            int first = (int)state->start + ROWS + RADIUS - delay * DLGMD_PERIOD;
+            row = ring_row(state, (first + y) % ROWS);
+            if (is_known) {
+                move_row(row, ring_row(state, (first + y - dy) % ROWS), dx);
+                memset(row + entering(dx), 0, (size_t)size_of(dx));
+            } else {
+                memset(row, 0, WIDTH);
+            }
+            if ((first + y) % ROWS < 2 * RADIUS) {
+                memcpy(ring_row(state, (first + y) % ROWS + ROWS), row, WIDTH);
+            }
+        }
+    }
+}
+
+#endif
 
 #if DLGMD_CONTRAST
 
@@ -161,6 +330,20 @@ static total scaled(total value, number share)
     return value * share >> 15;
 }
 
+#if DLGMD_BALANCE
+static total both_of(total value)
+{
+    return value * BOTH >> 15;
+}
+#endif
+
+#if DLGMD_ADAPTS
+static total above_mean(total mean)
+{
+    return mean * C_M >> 16;
+}
+#endif
+
 #else
 
 /* found / 2^shift / CELLS */
@@ -211,6 +394,20 @@ static total scaled(total value, number share)
 {
     return value * share;
 }
+
+#if DLGMD_BALANCE
+static total both_of(total value)
+{
+    return value * BOTH;
+}
+#endif
+
+#if DLGMD_ADAPTS
+static total above_mean(total mean)
+{
+    return mean * C_M;
+}
+#endif
 
 #endif
 
@@ -289,22 +486,79 @@ static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *
 static void read_row(const dlgmd_sum *s, int y, dlgmd_sum above, totals *sums)
 {
     number active = 0, column = 0;
+#if DLGMD_BALANCE
+    number left = 0;
+#endif
     for (int x = 0; x < WIDTH; x++) {
         if (s[x] > above) {
             active += weights_x[x];
             column += weights_x[x] * (number)x;
         }
+#if DLGMD_BALANCE
+        if (x == (WIDTH - 1) / 2) {
+            left = active;
+        }
+#endif
     }
     total row = (total)active * weights_y[y];
     sums->g += row;
     sums->g_column += (total)column * weights_y[y];
     sums->g_row += row * (total)y;
+#if DLGMD_BALANCE
+    /* A middle row or column belongs to both sides. */
+    number right = active - left;
+    if (WIDTH % 2 == 1 && s[WIDTH / 2] > above) {
+        right += weights_x[WIDTH / 2];
+    }
+    for (int below = y < (HEIGHT + 1) / 2 ? 0 : 1; below <= (y < HEIGHT / 2 ? 0 : 1); below++) {
+        sums->quadrants[2 * below] += (total)left * weights_y[y];
+        sums->quadrants[2 * below + 1] += (total)right * weights_y[y];
+    }
+#endif
 }
+
+#if DLGMD_BALANCE
+
+/* K by the two quadrants with the least G. */
+static total weakest(const total *quadrants)
+{
+    total least = quadrants[0], second = quadrants[1];
+    for (int i = 1; i < 4; i++) {
+        total one = quadrants[i];
+        if (i == 1 ? one <= least : one < least) {
+            second = least;
+            least = one;
+        } else if (i == 1 || one < second) {
+            second = one;
+        }
+    }
+    return both_of(least + second);
+}
+
+#endif
+
+#if DLGMD_ADAPTS
+
+/* What of K exceeds its mean over the earlier frames. */
+static total adapted(dlgmd_state *state, total mp)
+{
+    total before = state->frame == FIRST_VALID ? mp : state->mean;
+    state->mean = smoothed(before, mp, W_MEAN);
+    before = above_mean(before);
+    return mp > before ? mp - before : 0;
+}
+
+#endif
 
 /* Process a frame and sum G; false while the history is not full. */
 static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
 {
     dlgmd_sum above = 0;
+#if DLGMD_SHIFT > 0
+    if (state->frame > 0) {
+        align(state, frame);
+    }
+#endif
     number share = see_contrast(state, frame, &above);
     bool valid = state->frame >= FIRST_VALID;
     memset(&state->work.rows, 0, sizeof state->work.rows);
@@ -315,6 +569,16 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
             read_row(state->work.rows.s, y, above, sums);
         }
     }
+#if DLGMD_BALANCE
+    sums->mp = scaled(weakest(sums->quadrants), share);
+#else
+    sums->mp = scaled(sums->g, share);
+#endif
+#if DLGMD_ADAPTS
+    if (valid) {
+        sums->mp = adapted(state, sums->mp);
+    }
+#endif
     sums->g = scaled(sums->g, share);
     sums->g_column = scaled(sums->g_column, share);
     sums->g_row = scaled(sums->g_row, share);
@@ -417,6 +681,7 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
         memset(s[y & 3], 0, sizeof s[0]);
         read_row(s, y, t_de, sums);
     }
+    sums->mp = sums->g;
     return valid;
 }
 
@@ -439,11 +704,11 @@ static int16_t centroid(total g_place, total g, int32_t side)
 static void finish(dlgmd_answer *answer, const totals *sums)
 {
 #if DLGMD_CONTRAST
-    answer->mp = (uint32_t)(sums->g * CELLS >> 20);
+    answer->mp = (uint32_t)(sums->mp * CELLS >> 20);
 #else
-    answer->mp = (uint32_t)sums->g;
+    answer->mp = (uint32_t)sums->mp;
 #endif
-    answer->mp_abs = (uint16_t)((sums->g << 15) / (sums->g + KAPPA));
+    answer->mp_abs = (uint16_t)((sums->mp << 15) / (sums->mp + KAPPA));
     answer->g_x = centroid(sums->g_column, sums->g, WIDTH);
     answer->g_y = centroid(sums->g_row, sums->g, HEIGHT);
 }
@@ -452,8 +717,8 @@ static void finish(dlgmd_answer *answer, const totals *sums)
 
 static void finish(dlgmd_answer *answer, const totals *sums)
 {
-    answer->mp = sums->g;
-    answer->mp_abs = sums->g / (sums->g + KAPPA);
+    answer->mp = sums->mp;
+    answer->mp_abs = sums->mp / (sums->mp + KAPPA);
     if (sums->g > 0.0f) {
         answer->g_x = (2.0f * sums->g_column / sums->g + 1.0f) / WIDTH - 1.0f;
         answer->g_y = (2.0f * sums->g_row / sums->g + 1.0f) / HEIGHT - 1.0f;

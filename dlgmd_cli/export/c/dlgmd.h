@@ -34,10 +34,16 @@ typedef float dlgmd_change;
 typedef struct {
 #if DLGMD_CONTRAST
 #if DLGMD_FIXED
+#if DLGMD_ADAPTS
+    uint64_t mean; /* mean K so far, in the unit of the weights */
+#endif
     uint64_t usual; /* mean change so far, summed over the cells, in levels / 128 */
     uint32_t sigma; /* contrast, in levels / 65536 */
     uint32_t noise; /* in levels / 65536 */
 #else
+#if DLGMD_ADAPTS
+    float mean; /* mean K so far */
+#endif
     float usual; /* mean change so far, summed over the cells, in levels */
     float sigma; /* contrast, in levels */
     float noise; /* in levels */
@@ -48,6 +54,9 @@ typedef struct {
     uint32_t frame;  /* number of frames; it wraps after years, which has the effect of a reset */
     uint32_t start;  /* row of `change` where the zeros above the next frame begin */
     uint32_t spikes; /* consecutive spikes */
+#if DLGMD_SHIFT > 0
+    int32_t blocks_y, blocks_x; /* how far the picture moved last, in blocks of 4 x 4 cells */
+#endif
     union { /* used only during a step */
         struct {
             dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
@@ -62,6 +71,9 @@ typedef struct {
             uint32_t all[256];  /* histogram of the change of all cells */
             uint32_t some[256]; /* of the cells that the lower quartile is taken of */
         } counts;
+#endif
+#if DLGMD_SHIFT > 0
+        uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
 #endif
     } work;
 #if DLGMD_CONTRAST
@@ -82,12 +94,12 @@ typedef struct {
     uint32_t mp;     /* membrane potential K, in 1/4096 */
     uint16_t mp_abs; /* normalised to 0..1, in 1/32768 */
     int16_t g_x;     /* centroid of G: -1 at the left edge, 1 at the right, in 1/32768 */
-    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
+    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
 #else
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
     float g_x;    /* centroid of G: -1 at the left edge, 1 at the right */
-    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where mp is 0 */
+    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
 #endif
 } dlgmd_answer;
 

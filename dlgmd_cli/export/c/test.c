@@ -100,12 +100,7 @@ int main(void)
         first[1] = right->alarm && i < first[1] ? i : first[1];
         /* The error of the centroid is weighted by how much of G is active. */
         double share = right->mp / (right->mp + HALF);
-#if DLGMD_FIXED
-        double scale = right->mp + HALF;
-#else
-        double scale = right->mp > 0 ? right->mp : 1;
-#endif
-        mp = larger(mp, apart((double)answer->mp * MP_UNIT, right->mp) / scale);
+        mp = larger(mp, apart((double)answer->mp * MP_UNIT, right->mp) / (right->mp + HALF));
         mp_abs = larger(mp_abs, apart((double)answer->mp_abs * UNIT, right->mp_abs));
         place = larger(place, share * apart((double)answer->g_x * UNIT, right->g_x));
         place = larger(place, share * apart((double)answer->g_y * UNIT, right->g_y));

@@ -43,7 +43,7 @@ class Sums(NamedTuple):
     """ΣS and ΣG of a frame, and the `first_moments` of G.
 
     `quarters` are parts of ΣG after `Counting`: upper left, upper right, lower left, lower right.
-    The lower half begins at row H // 2, the right half at column W // 2.
+    A middle row or column belongs to both sides.
     """
 
     s: float

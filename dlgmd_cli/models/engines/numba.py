@@ -202,7 +202,8 @@ def _sum_layers(
     gain, below, cap, row_weights, column_weights = grouping
     four, g = row_memory
     _, height, width = stack.shape
-    half = width // 2
+    # A middle row or column belongs to both sides: the columns are in three parts.
+    edges = (0, width // 2, (width + 1) // 2, width)
     block, size = n_rows * stride, (2 * radius + n_rows) * stride
     # S of a block and of the three rows above it.
     s = memory[outs[-1] - 3 * stride : outs[-1] + block]
@@ -235,12 +236,16 @@ def _sum_layers(
                 if not row_weights.size:
                     break
                 total = 0.0
-                for side in range(2):
-                    a, b = (half, width) if side else (0, half)
+                for k in range(3):
+                    a, b = edges[k], edges[k + 1]
                     s_part = s[(row + 1) * stride + 1 + a : (row + 1) * stride + 1 + b]
                     part = _count(s_part, g[a:b], row_weights[y], column_weights[a:b], below)
-                    quarters[side if y < height // 2 else 2 + side] += part
                     total += part
+                    for side in range(2):
+                        if k != 2 - 2 * side and y < (height + 1) // 2:
+                            quarters[side] += part
+                        if k != 2 - 2 * side and y >= height // 2:
+                            quarters[2 + side] += part
             else:
                 total = _group(s[row * stride :], stride, four, g, gain, below, cap)
             if total > 0.0:

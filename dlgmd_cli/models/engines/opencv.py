@@ -79,13 +79,11 @@ class OpencvEngine:
                 rows, columns = (w[a] for w, a in zip(readout.weights, tile.target, strict=True))
                 np.multiply(rows[:, None], columns, out=part[tile.core])
                 cv2.multiply(g[tile.core], part[tile.core], dst=g[tile.core])
-                parts = quarters_of(g[tile.core], tile.target, receptors.current.shape)
-                quarters += parts
-                g_of_tile = sum(parts)
+                quarters += quarters_of(g[tile.core], tile.target, receptors.current.shape)
             else:
                 sum_4x4(s, out=part)
                 group(s[tile.core], part[tile.core], readout, g[tile.core])
-                g_of_tile = cv2.sumElems(g[tile.core])[0]
+            g_of_tile = cv2.sumElems(g[tile.core])[0]
             if g_of_tile > 0.0:
                 (dx, dy), (down, right) = first_moments(g[tile.core]), tile.target
                 m_x += dx + right.start * g_of_tile
@@ -137,8 +135,11 @@ def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
 
 def quarters_of(g: FloatImage, target: Window, shape: tuple[int, ...]) -> list[float]:
     """The sums of a tile's G over the four quarters of an image of `shape`, see `Sums`."""
-    row, column = (max(0, n // 2 - part.start) for n, part in zip(shape, target, strict=True))
-    parts = g[:row, :column], g[:row, column:], g[row:, :column], g[row:, column:]
+    sides = [
+        (slice(0, max(0, (n + 1) // 2 - part.start)), slice(max(0, n // 2 - part.start), None))
+        for n, part in zip(shape, target, strict=True)
+    ]
+    parts = (g[rows, columns] for rows in sides[0] for columns in sides[1])
     return [cv2.sumElems(part)[0] if part.size else 0.0 for part in parts]
 
 
