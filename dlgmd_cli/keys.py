@@ -54,6 +54,11 @@ def key(
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
+def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
+    """A `key` whose default follows from other keys: it is None until the class fills it in."""
+    return field(default=None, metadata=key(usual, *facts, **more).metadata)
+
+
 # The keys of every model; a parameter class gets them if it does not have them.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
@@ -171,7 +176,7 @@ class Parameters:
     @classmethod
     def defaults(cls) -> dict[str, Any]:
         """Key -> default value."""
-        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+        return cls().to_dict()
 
     @classmethod
     def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:

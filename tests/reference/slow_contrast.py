@@ -77,7 +77,7 @@ def passed(ffi, growth):
 def run(frames, *, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
     """One `Answer` for every frame."""
     weights = weights_of(frames[0].shape, sigma_c)
-    excite, inhibit = kernels(**connections, formulation="default")
+    excite, inhibit = kernels(**connections, rounding="bands")
     answers, history = [], []
     for t, change in enumerate(photoreceptors(frames)):
         newest = deviation(frames[t])
