@@ -30,6 +30,7 @@ from dlgmd_cli.lab.reproduce.stimuli import (
     LGMDS,
     ONSET,
     SIGMOID,
+    TWO,
     Steps,
     level,
     mean_db,
@@ -43,9 +44,11 @@ from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.video.opening import open_video
 
 _SET9, _LGMD = all_versions("set9"), other_models("lgmd")
-_LABELS = {f"set9/{v}": f"set 9, {v}" for v in FEW} | LGMDS
+_LABELS = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
 # Length of the approach, and of the window before contact in which a model must respond.
 APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
+# The threshold of a spike.
+T_MP = 0.4
 # Phases in which a model must be silent.
 _BEFORE = ("pitch", "accelerate")
 # Group 2 is that of Fig. 14, with its brakes at the paper's frame.
@@ -104,7 +107,17 @@ def _panel(title: str, flight: ClipResults, curves: dict[str, Series], **more: A
 def _levels(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
     """A panel of levels; `labels` maps labels of results to the legend's."""
     curves = {shown: level(flight.results, label) for label, shown in labels.items()}
-    return _panel(title, flight, curves, level=0.4)
+    return _panel(title, flight, curves, level=T_MP)
+
+
+def _attenuation(flight: ClipResults) -> Panel:
+    """A panel of the attenuation of set 9 and the LGMD."""
+    found = {
+        shown: np.maximum(flight.results[label].attenuation_db, FLOOR_DB)
+        for label, shown in _LABELS.items()
+        if label in flight.results
+    }
+    return _panel("Attenuation", flight, found, y_label="dB")
 
 
 def fig1(plan: Plan) -> Steps:
@@ -186,8 +199,8 @@ def fig13(plan: Plan) -> Steps:
     }
     ffi = []
     for v in FEW:
-        names = {"without FFI-GD": f"set9/{v}/raw", "with FFI-GD": f"set9/{v}"}
-        curves = {shown: positive(flights[0].results[of].mp) for shown, of in names.items()}
+        without, kept = (flights[0].results[of].mp for of in (f"set9/{v}/raw", f"set9/{v}"))
+        curves = {"with FFI-GD": positive(kept), "removed by it": positive(without - kept)}
         ffi.append(_panel(v, flights[0], curves))
     figures = {
         "fig13": partial(plot_panels, panels, "Frame", "Level", share_y=False),
@@ -201,6 +214,8 @@ _BRAKE_FRAMES = 10
 # Least level before braking whose drop is measured, and in the pitch that is compared; as shares of
 # the peak.
 _TO_DROP, _TO_COMPARE = 0.05, 0.001
+# Lowest level in the figure.
+_LOWEST = 1e-4
 
 
 def fig14(plan: Plan) -> Steps:
@@ -247,15 +262,21 @@ def fig14(plan: Plan) -> Steps:
     }
     values |= {f"fig14b-set{n}": by_version(partial(drop, n)) for n in _FIG_14_SETS}
     shown = {v: {f"set{n}/{v}": f"set {n}" for n in _FIG_14_SETS} for v in FEW}
-    panels = [_levels(v, flights[0], {**own, SIGMOID: LGMDS[SIGMOID]}) for v, own in shown.items()]
-    return Evidence(values, {"fig14": partial(plot_panels, panels, "Frame", "Level")})
+    panels = []
+    for v, own in shown.items():
+        labels = {**own, SIGMOID: LGMDS[SIGMOID]}
+        curves = {text: level(flights[0].results, label) for label, text in labels.items()}
+        floored = {text: np.maximum(one, _LOWEST) for text, one in curves.items()}
+        panels.append(_panel(v, flights[0], floored, level=T_MP))
+    draw = partial(plot_panels, panels, "Frame", "Level", log_y=True)
+    return Evidence(values, {"fig14": draw})
 
 
 def small_peaks(level: Series, end: int) -> int:
     """The number of separate peaks of at least `ONSET`, but below T_MP, up to a frame."""
     before = level[:end]
     is_peak = (before[1:-1] > before[:-2]) & (before[1:-1] >= before[2:])
-    return int(np.count_nonzero(is_peak & (before[1:-1] >= ONSET) & (before[1:-1] < 0.4)))
+    return int(np.count_nonzero(is_peak & (before[1:-1] >= ONSET) & (before[1:-1] < T_MP)))
 
 
 def _approach(group: int, plan: Plan) -> Steps:
@@ -289,15 +310,7 @@ def _approach(group: int, plan: Plan) -> Steps:
     def of_lgmd(measure: Callable[[ClipResults, str], float], label: str) -> dict[str, list[float]]:
         return {ANY: [measure(flight, label) for flight in flights]}
 
-    found = {f"set9/{v}": f"set 9, {v}" for v in FEW} | {"lgmd": "LGMD, signed"}
-    db = {
-        shown: np.maximum(flights[0].results[of].attenuation_db, FLOOR_DB)
-        for of, shown in found.items()
-    }
-    panels = [
-        _levels(f"Group {group}", flights[0], _LABELS),
-        _panel("Attenuation", flights[0], db, y_label="dB"),
-    ]
+    panels = [_levels(f"Group {group}", flights[0], _LABELS), _attenuation(flights[0])]
     values = {
         f"{name}-attenuates": of_set9(flying),
         f"{name}-stronger": of_set9(weaker),
@@ -329,14 +342,7 @@ def fig17(plan: Plan) -> Steps:
         "fig17-answers": _of_set9(lambda label: [level_in(s, label, "contact") for s in flights]),
         "fig17-db": _of_set9(opened),
     }
-    db = {
-        f"set 9, {v}": np.maximum(flights[0].results[f"set9/{v}"].attenuation_db, FLOOR_DB)
-        for v in FEW
-    }
-    panels = [
-        _levels("Group 3", flights[0], _LABELS),
-        _panel("Attenuation", flights[0], db, y_label="dB"),
-    ]
+    panels = [_levels("Group 3", flights[0], _LABELS), _attenuation(flights[0])]
     draw = partial(plot_panels, panels, "Frame", "Level", share_y=False)
     return Evidence(values, {"fig17": draw})
 
@@ -355,7 +361,7 @@ def false_positive(flight: ClipResults) -> int:
     """
     first, end = phase(flight, "pitch")[0], flight.collision_frame - APPROACH_FRAMES
     shown = sigmoid(flight.results["lgmd"])[first - 1 : end]
-    is_peak = (shown[1:-1] >= shown[:-2]) & (shown[1:-1] >= shown[2:]) & (shown[1:-1] >= 0.4)
+    is_peak = (shown[1:-1] >= shown[:-2]) & (shown[1:-1] >= shown[2:]) & (shown[1:-1] >= T_MP)
     return int(first + (np.argmax(is_peak) if is_peak.any() else np.argmax(shown[1:-1])))
 
 
@@ -422,6 +428,10 @@ def table4_da(plan: Plan) -> Steps:
         """The median factor between ours and the paper's, where both are measured."""
         known = np.isfinite(table) & (table > 0.0) & (paper < benchmark.MOST_DA)
         return float(np.exp(np.median(np.abs(np.log(table[known] / paper[known])))))
+
+    def at_full_scale(table: Series) -> float:
+        """DA at r = 2."""
+        return math.nan if plan.quick else float(table[RADII.index(2), 0])
 
     def of(measure: Callable[[Series], float]) -> dict[str, list[float]]:
         return by_version(lambda v: [measure(table) for table in tables[v]])

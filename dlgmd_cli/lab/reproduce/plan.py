@@ -15,7 +15,7 @@ ANY = "any"
 # Calls whose names begin with this are timed, and have the machine to themselves.
 TIMING = "timing"
 # Models that see a clip together: more would take too much memory at 1920x1080.
-_AT_ONCE = 24
+_AT_ONCE = 32
 
 # For a clip, the models that see it, by label; for a name, a call without arguments.
 Needs = dict[Any, Any]

@@ -85,7 +85,7 @@ def answering(level: Series) -> npt.NDArray[np.intp]:
 # Versions in figures with a panel each; where only the connections matter; and with few curves.
 SHOWN = ("default", "bands-unlimited", "nearest", "nearest-unlimited", "interpolated", "equations")
 BY_LATENCY = ("default", "nearest", "interpolated")
-FEW = ("default", "nearest-unlimited", "equations")
+FEW, TWO = ("default", "nearest-unlimited", "equations"), ("default", "equations")
 _LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
 Steps = Generator[Needs, Data, Evidence]
 
@@ -246,7 +246,7 @@ _APPROACHES = {
     "ball": Clip.of("looming-ball", size=SIZE),
     "receding": Clip.of("receding-cube", size=SIZE),
 }
-LGMDS = {"lgmd": "LGMD, K / max K", SIGMOID: "LGMD, sigmoid"}
+LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
 
 
 def fig9(plan: Plan) -> Steps:
@@ -279,7 +279,7 @@ def fig9(plan: Plan) -> Steps:
         "fig9-ball-later": by_version(partial(after, "ball", 0, frames("ball", "lgmd")[0])),
         "fig9-ball-sharper": by_version(partial(sharper, "ball")),
     }
-    shown = {**{f"set9/{v}": f"set 9, {v}" for v in ("default", "equations")}, **LGMDS}
+    shown = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
 
     def panel(title: str, kind: str, first: int = 0, last: int | None = None) -> Panel:
         time_s = results[kind]["lgmd"].time_s[first:last]
@@ -381,7 +381,7 @@ def fig12(plan: Plan) -> Steps:
         raw.append(Panel(v, {name: (frame, positive(r.mp)) for name, r in own.items()}))
         last = slice(-_NEAR, None)
         scaled.append(
-            Panel(v, {name: (frame[last], share_of_peak(r)[last]) for name, r in own.items()})
+            Panel(v, {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in own.items()})
         )
     values = {
         "fig12a-early-plain": by_version(partial(early, 3, 1)),
@@ -394,7 +394,7 @@ def fig12(plan: Plan) -> Steps:
     }
     figures = {
         "fig12a": partial(plot_panels, raw, "Frame", "Raw K", log_y=True),
-        "fig12b": partial(plot_panels, scaled, "Frame", "K / max K"),
+        "fig12b": partial(plot_panels, scaled, "Frame", "K / max K", log_y=True),
     }
     return Evidence(values, figures)
 
