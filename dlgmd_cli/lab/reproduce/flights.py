@@ -183,11 +183,14 @@ def fig13(plan: Plan) -> Steps:
         return found
 
     def smoother(label: str) -> list[float]:
-        return [
-            roughness(flight.results[label], flight.collision_frame)
-            / roughness(flight.results[f"{label}/raw"], flight.collision_frame)
-            for flight in flights
-        ]
+        found = []
+        for flight in flights:
+            kept, raw = (
+                roughness(flight.results[of], flight.collision_frame)
+                for of in (label, f"{label}/raw")
+            )
+            found.append(kept / raw if raw else math.nan)
+        return found
 
     values |= {
         "fig13-rises": _of_set9(near),

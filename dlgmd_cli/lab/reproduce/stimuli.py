@@ -362,11 +362,12 @@ def fig12(plan: Plan) -> Steps:
         return float(k(wide, version).max() / k(narrow, version).max())
 
     def steeper(version: str) -> float:
-        """How much more a radial set grows in its last frames, the worst pair."""
+        """How much more a radial set grows in the frames before its peak, the worst pair."""
 
         def rise(number: int) -> float:
             mp = k(number, version)
-            return float(mp[-1] / mp[-1 - _RISE]) if mp[-1 - _RISE] else np.nan
+            peak = int(np.argmax(mp))
+            return float(mp[peak] / mp[peak - _RISE]) if mp[peak - _RISE] else np.nan
 
         return float(np.min([rise(radial) / rise(plain) for radial, plain in _PAIRS]))
 
