@@ -66,6 +66,13 @@ class Section:
         """The findings grouped by claim, in the order of the file."""
         return [list(some) for _, some in groupby(self.found, lambda one: one.claim.id)]
 
+    @property
+    def held(self) -> dict[str, tuple[int, int]]:
+        """Version -> numbers of the paper's claims about its model that hold, and of all."""
+        of_paper = [one for one in self.found if one.claim.whose == WHOSE[0] and one.version != ANY]
+        by_version = {v: [one.verdict for one in of_paper if one.version == v] for v in VERSIONS}
+        return {v: (all_.count(YES), len(all_)) for v, all_ in by_version.items() if all_}
+
 
 @dataclass(frozen=True)
 class Report:
