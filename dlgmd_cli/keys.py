@@ -56,7 +56,7 @@ def key(
 
 def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
     """A `key` whose default follows from other keys: it is None until the class fills it in."""
-    return field(default=None, metadata=key(usual, *facts, **more).metadata)
+    return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
 
 
 # The keys of every model; a parameter class gets them if it does not have them.
@@ -159,7 +159,9 @@ class Parameters:
         for one in fields(kind):
             if one.name in _RESERVED:
                 why = f"has a key {one.name!r}, a name with another meaning in run.yaml"
-            elif not isinstance(one.default, bool | int | float | str):
+            elif not isinstance(one.default, bool | int | float | str) and (
+                "implied" not in one.metadata
+            ):
                 why = f"has no number, word, True or False as the default of {one.name}"
         if why:
             raise ParameterError(model, f"its parameter class {why}")
