@@ -54,6 +54,11 @@ def key(
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
+def implied_key(usual: Any, *facts: Any, **more: Any) -> Any:
+    """A `key` whose default follows from other keys: it is None until the class fills it in."""
+    return field(default=None, metadata={**key(usual, *facts, **more).metadata, "implied": True})
+
+
 # The keys of every model; a parameter class gets them if it does not have them.
 _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
@@ -154,7 +159,9 @@ class Parameters:
         for one in fields(kind):
             if one.name in _RESERVED:
                 why = f"has a key {one.name!r}, a name with another meaning in run.yaml"
-            elif not isinstance(one.default, bool | int | float | str):
+            elif not isinstance(one.default, bool | int | float | str) and (
+                "implied" not in one.metadata
+            ):
                 why = f"has no number, word, True or False as the default of {one.name}"
         if why:
             raise ParameterError(model, f"its parameter class {why}")
@@ -171,7 +178,7 @@ class Parameters:
     @classmethod
     def defaults(cls) -> dict[str, Any]:
         """Key -> default value."""
-        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+        return cls().to_dict()
 
     @classmethod
     def from_mapping(cls: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:

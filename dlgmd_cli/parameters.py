@@ -14,13 +14,20 @@ from typing import Any, ClassVar
 
 from dlgmd_cli.checks import Spec, blame, require_known, shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.keys import RECORD_KEYS, common_key, imported_model, key
+from dlgmd_cli.keys import RECORD_KEYS, common_key, implied_key, imported_model, key
 from dlgmd_cli.keys import Parameters as Parameters
 from dlgmd_cli.keys import ParametersT as ParametersT
 from dlgmd_cli.plain_yaml import SHOW_HINT, parse, read
 
 ENGINES = ("opencv", "numba")
-FORMULATIONS = ("default", "released", "equations")
+LATENCIES = ("bands", "nearest", "interpolated")
+# What a formulation stands for, unless the keys are given. `released` also has another lag and
+# divisor of FFI, see `DLGMD`.
+FORMULATIONS: dict[str, dict[str, Any]] = {
+    "default": {"latency": "bands", "saturate": True},
+    "released": {"latency": "bands", "saturate": True},
+    "equations": {"latency": "interpolated", "saturate": False},
+}
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
 PRESETS = ("flight", "flight-small")
@@ -41,7 +48,7 @@ _DESCRIBING = {
 class DistributedParameters(Parameters, partial=True):
     """Parameters of the presynaptic connections, [Zhao2023] Eqs. (2) to (7); defaults of set 9."""
 
-    formulation = "default"
+    formulation, latency = "default", "bands"
 
     alpha: float = key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", -10, 64)
     beta: float = key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", 0, 100)
@@ -49,7 +56,7 @@ class DistributedParameters(Parameters, partial=True):
     sigma_e: float = key(1.5, "σ_E", "px", "width of excitation, Eq. (4)", 0.01, 100)
     sigma_i: float = key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", 0.01, 100)
     r: int = key(6, "r", "px", "radius of the kernels", 1, 32)
-    a: float = key(1.5, "a", "–", "strength of inhibition, Eq. (7)", 0, 100)
+    a: float = key(1.5, "a", "–", "strength of inhibition, Eq. (6)", 0, 100)
 
     def _check_together(self) -> None:
         """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
@@ -89,9 +96,19 @@ class DlgmdParameters(DistributedParameters):
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
     formulation: str = key(
-        *("default", "–", "–", "how delays that are not whole frames are rounded"),
-        choices=FORMULATIONS,
+        *("default", "–", "–", "whose latency, saturation and FFI: ours, the code's, the paper's"),
+        choices=tuple(FORMULATIONS),
     )
+    latency: str = implied_key(
+        *("bands", "–", "–", "how delays that are not whole frames are rounded"), choices=LATENCIES
+    )
+    saturate: bool = implied_key(True, "–", "–", "limit G to 1 and T_de to 0.3")
+
+    def __post_init__(self) -> None:
+        for name, value in reformulated({"formulation": self.formulation}).items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        super().__post_init__()
 
 
 # As in sets 1 to 3: the latency is one frame everywhere.
@@ -410,13 +427,23 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     return values
 
 
+def reformulated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """`values`, and what their formulation stands for, if they name one.
+
+    For changes of parameters that already have a latency and a saturation.
+    """
+    name = values.get("formulation")
+    stands_for = FORMULATIONS.get(name, {}) if isinstance(name, str) else {}
+    return {**values, **{key: value for key, value in stands_for.items() if key not in values}}
+
+
 def merge(
     kind: type[ParametersT], config: Config | None, overrides: Mapping[str, Any]
 ) -> ParametersT:
     """Merge defaults, `config` and `overrides`; a ParameterError names the one at fault."""
     values = config.values if config else {}
     try:
-        return kind.from_mapping({**values, **overrides})
+        return kind.from_mapping({**values, **reformulated(overrides)})
     except ParameterError as error:
         with blame(config.name if config else ""):
             kind.from_mapping(values)

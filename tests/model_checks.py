@@ -50,11 +50,16 @@ def undecided(answer):
     return bool(answer.t_de > 0.0 and near.any())
 
 
+def rounding_of(params):
+    """How delays are rounded, by name or by the formulation."""
+    return params.get("latency") or slow.NAMED[params.get("formulation", "default")][0]
+
+
 def strength(params):
     """Σ|K| over all delays: how far S moves, at most, when P moves by one."""
     keys = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a")
     connections = {key: params[key] for key in keys}
-    excite, inhibit = slow.kernels(**connections, formulation=params.get("formulation", "default"))
+    excite, inhibit = slow.kernels(**connections, rounding=rounding_of(params))
     return sum(sum(weights.values()) for weights in (excite, *inhibit.values()))
 
 

@@ -27,7 +27,12 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.names import distinct_names, numbered
-from dlgmd_cli.parameters import FORMULATIONS, DistributedParameters, DlgmdParameters
+from dlgmd_cli.parameters import (
+    FORMULATIONS,
+    DistributedParameters,
+    DlgmdParameters,
+    reformulated,
+)
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
@@ -87,7 +92,8 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
     variants = {one.label: one.params}
     for formulation in formulations:
         if formulation != one.params.formulation:
-            variants[f"{one.label}/{formulation}"] = replace(one.params, formulation=formulation)
+            changes = reformulated({"formulation": formulation})
+            variants[f"{one.label}/{formulation}"] = replace(one.params, **changes)
     if no_ffi_gd and one.params.ffi_gd:
         for label, params in list(variants.items()):
             variants[f"{label}/no-ffi-gd"] = replace(params, ffi_gd=False)
@@ -106,7 +112,7 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         "--formulation",
         "formulations",
         multiple=True,
-        type=click.Choice(FORMULATIONS),
+        type=click.Choice(tuple(FORMULATIONS)),
         help="Also run each D-LGMD in this formulation, see 'dlgmd run --help'; repeatable.",
     ),
     click.option(

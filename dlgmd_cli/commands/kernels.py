@@ -38,8 +38,9 @@ def kernels(setup: "Setup", output: Output) -> None:
 
     connections = connect(params)
     stem = f"kernels-{store.fitting(setup.label)}"
-    if params.formulation != "default":
-        stem += f"-{params.formulation}"
+    version = params.latency if params.formulation == "default" else params.formulation
+    if version != "bands":
+        stem += f"-{version}"
     files: dict[str, Write] = {f"{stem}.csv": partial(_write_csv, connections)}
     if output.formats:
         from dlgmd_cli.plots.kernels import plot_kernels

@@ -218,12 +218,13 @@ param_option = click.option(
 )
 formulation_option = click.option(
     "--formulation",
-    type=click.Choice(FORMULATIONS),
-    help="How inhibition is computed where its delay is not a whole number of frames. default: "
-    "delays are rounded in bands, as in the authors' released code, with the paper's threshold of "
-    "G. released: exactly as in the released code, which also divides FFI by 200000 whatever the "
-    "frames' size; at 480x270, little of FFI-GD is left. equations: interpolated, as the paper's "
-    "equations read literally.  [default: default]",
+    type=click.Choice(tuple(FORMULATIONS)),
+    help="Whose version of the D-LGMD. default: the connections and the saturation of the authors' "
+    "released code, where distributed excitation is one to five taps, with the paper's threshold "
+    "of G. released: exactly the released code, to 1e-5; it divides FFI by 200000 whatever the "
+    "frames' size, so at 480x270 little of FFI-GD is left. equations: as the paper prints them. A "
+    "name sets the keys latency and saturate; choose them singly with --param.  "
+    "[default: default]",
 )
 engine_option = click.option(
     "--engine",

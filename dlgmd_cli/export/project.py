@@ -65,9 +65,9 @@ class Export:
                 f"{self.width}x{self.height} is out of range",
                 f"Choose sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px and at most {MAX_CELLS} cells.",
             )
-        if self.is_fixed and self.params.formulation == "equations":
-            why = "G has no upper bound under the formulation equations, which integers need"
-            raise ParameterError("--fixed", why, "Choose another --formulation.")
+        if self.is_fixed and not self.is_contrast and not self.params.saturate:
+            why = "G has no upper bound without saturation, and integers need one"
+            raise ParameterError("--fixed", why, "Add --param saturate=true.")
 
     @property
     def n_cells(self) -> int:
@@ -229,12 +229,11 @@ class Export:
         params = self.params
         cells = RELEASED_CELLS if params.formulation == "released" else self.n_cells * params.m
         t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
-        is_literal = params.formulation == "equations"
         if not self.is_fixed:
             return {
                 "T_DE": f(t_de),
-                "T_DE_MAX": "FLT_MAX" if is_literal else f(MAX_T_DE),
-                "G_MAX": "FLT_MAX" if is_literal else "1.0f",
+                "T_DE_MAX": f(MAX_T_DE) if params.saturate else "FLT_MAX",
+                "G_MAX": "1.0f" if params.saturate else "FLT_MAX",
                 "GAIN": f(params.k),
             }
         one = 2 ** (2 * (self.code.s_bits - self.code.s_shift))

@@ -53,15 +53,14 @@ class DLGMD(Distributed):
         """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).
 
         The released code divides FFI by a constant. The printed equations neither limit the
-        threshold nor saturate G.
+        threshold nor saturate G; the released code does both.
         """
         params, receptors = self.params, self.receptors
-        is_literal = params.formulation == "equations"
         t_de = 0.0
         if params.ffi_gd:
             is_released = params.formulation == "released"
             cells = RELEASED_CELLS if is_released else receptors.n_cells * params.m
             t_de = receptors.p_sum(self._least_delay) * params.t0 / cells
-        if not is_literal:
-            t_de = min(t_de, MAX_T_DE)
-        return Grouping(params.k, t_de, math.inf if is_literal else 1.0)
+        if not params.saturate:
+            return Grouping(params.k, t_de, math.inf)
+        return Grouping(params.k, min(t_de, MAX_T_DE), 1.0)

@@ -102,17 +102,19 @@ def connect(params: DistributedParameters) -> Connections:
     Parameters
     ----------
     params : DistributedParameters
-        The formulation `equations` follows the printed equations literally: excitation everywhere,
-        and inhibition at a fractional latency interpolated between two frames. The other
-        formulations follow the authors' released code: three latency bands, and excitation only
-        where the latency is at most one frame.
+        The latency `bands` follows the authors' released code: inhibition in three bands, and
+        excitation only where the latency is at most one frame. With the others, excitation is
+        everywhere, as printed; inhibition is delayed to the `nearest` whole frame, or
+        `interpolated` between the two frames next to its latency.
     """
     wide, narrow = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
     excite, inhibit = narrow, params.a * wide
     latency = latency_map(params.r, params.alpha, params.beta, params.lam)
-    if params.formulation == "equations":
-        oldest = int(np.ceil(latency.max()))
-        weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in range(oldest + 1)}
+    delays = range(int(np.ceil(latency.max())) + 1)
+    if params.latency == "interpolated":
+        weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
+    elif params.latency == "nearest":
+        weights = {d: np.floor(latency + 0.5) == d for d in delays}
     else:
         near, far = BAND_EDGES_FRAMES
         # Inhibition without delay is subtracted from excitation and has no kernel of its own.

@@ -16,6 +16,7 @@ import yaml
 from dlgmd_cli import __version__, plain_yaml
 from dlgmd_cli.errors import ParameterError, ResultError
 from dlgmd_cli.files import open_regular
+from dlgmd_cli.parameters import reformulated
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,8 +141,9 @@ def differences(
         line. A file's hash belongs to the option that names the file.
     """
     known, found = record.get("input") or {}, record.get("options") or {}
-    asked = settings or {}
-    differing = [key for key in asked if record.get(key) != asked[key]]
+    # A record of before latency and saturate were keys has only their formulation.
+    asked, recorded = settings or {}, reformulated(record)
+    differing = [key for key in asked if recorded.get(key) != asked[key]]
     if options is not None:
         names = [key for key in {**options, **found} if options.get(key) != found.get(key)]
         differing += [f"--{key.removesuffix('_sha256').replace('_', '-')}" for key in names]

@@ -25,7 +25,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import choose_engine
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import DistributedParameters, Parameters
+from dlgmd_cli.parameters import DistributedParameters, Parameters, reformulated
 from dlgmd_cli.pool import run_tasks
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
@@ -221,7 +221,7 @@ class Sweep:
         self.fault: ParameterError | None = None
         for point in range(len(grid)):
             try:
-                self.points[point] = replace(setup.params, **grid.overrides(point))  # type: ignore[type-var]
+                self.points[point] = replace(setup.params, **reformulated(grid.overrides(point)))  # type: ignore[type-var]
             except ParameterError as error:
                 self.fault = self.fault or error
         if self.fault and not self.points:

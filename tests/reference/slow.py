@@ -7,6 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 FORMULATIONS = ("default", "released", "equations")
+# Latency and saturation that the names stand for, and all six ways to combine the two.
+NAMED = {
+    "default": ("bands", True),
+    "released": ("bands", True),
+    "equations": ("interpolated", False),
+}
+COMBINATIONS = list(itertools.product(("bands", "nearest", "interpolated"), (True, False)))
 BAND_EDGES = (1.0, 1.8999)
 
 # The paper's Table II: alpha, beta, lam, sigma_e, sigma_i, r; a = 1.5 and T0 = 0.5 in all.
@@ -56,14 +63,22 @@ def latency(x, y, alpha, beta, lam):
     return alpha + 1.0 / (beta + math.exp(-lam * lam * (x * x + y * y)))
 
 
-def kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, formulation):
+def kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, rounding):
     """K_E as (dx, dy) -> weight, and K_d as d -> (dx, dy) -> weight; only the delays in use."""
     excite, inhibit = {}, {}
     for y in range(-r, r + 1):
         for x in range(-r, r + 1):
             tau = latency(x, y, alpha, beta, lam)
             g_e, g_i = gaussian(x, y, sigma_e), a * gaussian(x, y, sigma_i)
-            if formulation == "equations":
+            if rounding == "nearest":
+                excite[x, y] = g_e
+                # The frame at most half a frame away; of two, the older one.
+                d = math.floor(tau)
+                if tau - d >= 0.5:
+                    d += 1
+                inhibit.setdefault(d, {})[x, y] = g_i
+                continue
+            if rounding == "interpolated":
                 excite[x, y] = g_e
                 for d in range(math.ceil(max(tau, 0.0)) + 1):
                     weight = 1.0 - abs(tau - d)
@@ -171,10 +186,18 @@ def run(
     m,
     ffi_gd,
     formulation,
+    latency=None,
+    saturate=None,
     on_off=False,
 ):
-    """One `Answer` for every frame, Eqs. (1) to (13); S is that of ON and OFF pathways if asked."""
-    excite, inhibit = kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, formulation)
+    """One `Answer` for every frame, Eqs. (1) to (13); S is that of ON and OFF pathways if asked.
+
+    `latency` and `saturate` are those that the formulation stands for, unless given.
+    """
+    named = NAMED[formulation]
+    rounding = named[0] if latency is None else latency
+    is_limited = named[1] if saturate is None else saturate
+    excite, inhibit = kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, rounding)
     history = photoreceptors(frames)
     histories = pathways(frames) if on_off else [history]
     lag = 2 if formulation == "released" else 1
@@ -195,7 +218,7 @@ def run(
         cells = 200_000.0 if formulation == "released" else p.size * m
         # T_de is the threshold in force: without one, every G passes, as it does at zero.
         answer.t_de = answer.ffi * t0 / cells if ffi_gd else 0.0
-        if formulation != "equations":
+        if is_limited:
             answer.t_de = min(answer.t_de, 0.3)
         answer.g_raw = grouping(answer.s, k)
         answer.g = np.zeros_like(answer.g_raw)
@@ -204,7 +227,7 @@ def run(
                 g = answer.g_raw[i, j]
                 if g < answer.t_de:
                     g = 0.0
-                if formulation != "equations":
+                if is_limited:
                     g = min(g, 1.0)
                 answer.g[i, j] = g
         answer.mp = total(answer.g)

@@ -196,7 +196,7 @@ def threshold_of(answer, *, c_s, s_min, **_):
 
 def connections_of(*, c_p, p_min, c_n, c_s, s_min, w_sigma, growth, w_m, sigma_c, **connections):
     """The kernels, and what is left of the parameters."""
-    excite, inhibit = kernels(**connections, formulation="default")
+    excite, inhibit = kernels(**connections, rounding="bands")
     values = {"c_p": c_p, "p_min": p_min, "c_n": c_n, "w_sigma": w_sigma, "growth": growth}
     return excite, inhibit, values | {"w_m": w_m}
 

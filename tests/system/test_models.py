@@ -15,7 +15,7 @@ from plan_checks import check_both, check_fused, check_plan
 from reference import clips, slow
 
 from dlgmd_cli.models.kernels import gaussian
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters import LATENCIES, DlgmdParameters
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def connections(draw, *, sigmas, max_r, max_a, longest=math.inf):
         "sigma_i": draw(st.floats(*sigmas)),
         "r": draw(st.integers(1, max_r)),
         "a": draw(st.floats(0.0, max_a)),
-        "formulation": draw(st.sampled_from(slow.FORMULATIONS)),
+        "latency": draw(st.sampled_from(LATENCIES)),
     }
     r, alpha, beta, lam = (values[key] for key in ("r", "alpha", "beta", "lam"))
     assume(slow.latency(0, 0, alpha, beta, lam) >= 0.0)
@@ -88,12 +88,12 @@ def test_the_engines_agree_at_every_size(numba, shape, dtype):
     assert_engines_agree(scene(*shape, dtype=dtype))
 
 
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("latency", LATENCIES)
 @pytest.mark.parametrize(
     "changes", [{"r": 12, "sigma_i": 9.0}, {"r": 32}, {"alpha": 3.0}, {"r": 1}]
 )
-def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, formulation):
-    assert_engines_agree(scene(90, 530, n_frames=9), formulation=formulation, **changes)
+def test_the_engines_agree_for_wide_and_late_kernels(numba, changes, latency):
+    assert_engines_agree(scene(90, 530, n_frames=9), latency=latency, **changes)
 
 
 def test_an_engine_announces_its_compilation(numba, tmp_path):
@@ -132,6 +132,8 @@ def parameters(draw):
         "t0": draw(st.floats(0.0, 4.0)),
         "m": draw(st.floats(0.1, 4.0)),
         "ffi_gd": draw(st.booleans()),
+        "formulation": draw(st.sampled_from(slow.FORMULATIONS)),
+        "saturate": draw(st.booleans()),
     }
 
 
@@ -156,7 +158,7 @@ def test_any_parameters_agree_with_the_equations(on_off, params, seed):
     seed=st.integers(0, 1000),
 )
 def test_any_parameters_of_contrast(params, seed, **thresholds):
-    params = {key: value for key, value in params.items() if key != "formulation"}
+    params = {key: value for key, value in params.items() if key != "latency"}
     check_contrast(clips.drifting(4, 5, 10, seed), assume, **params, **thresholds)
 
 

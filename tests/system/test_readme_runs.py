@@ -39,7 +39,7 @@ def reader(tmp_path_factory, clips):
 
 # Smaller work in place of what takes long; CI runs the first two commands as written.
 QUICKER = {
-    "reproduce --quick": "reproduce --quick --only fig3,fig5",
+    "reproduce --quick": "reproduce --quick --only fig2,fig5",
     "sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25": "sigma_e=1,2 --y sigma_i=2,5 --frames 15",
     "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
     "batch sample_videos": "batch flight.mp4",

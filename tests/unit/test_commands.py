@@ -238,5 +238,7 @@ def test_kernels_of_the_printed_equations(dlgmd):
     result = dlgmd("kernels", "--set", 4, "--formulation", "equations", "--no-plots")
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-equations.csv")]
+    own = dlgmd("kernels", "--set", 4, "--param", "latency=nearest", "--no-plots")
+    assert own.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-nearest.csv")]
     with open(result.stdout.strip(), encoding="ascii") as file:
         assert file.readline() == "x_px,y_px,latency_frames,k_e,k_0,k_1,k_2\n"

@@ -44,6 +44,14 @@ def test_sets_agree_with_the_equations(clip, number, formulation):
     check_dlgmd(CLIPS[clip], slow.table_2(number, formulation=formulation))
 
 
+@pytest.mark.parametrize(("latency", "saturate"), slow.COMBINATIONS)
+@pytest.mark.parametrize("number", [2, 5, 9])
+@pytest.mark.parametrize("formulation", ["default", "released"])
+def test_latency_and_saturation_of_ones_own(formulation, number, latency, saturate):
+    own = {"latency": latency, "saturate": saturate}
+    check_dlgmd(CLIPS["looming 10x13"], slow.table_2(number, formulation=formulation, **own))
+
+
 @pytest.mark.parametrize("formulation", slow.FORMULATIONS)
 @pytest.mark.parametrize("number", [1, 5, 7, 9])
 @pytest.mark.parametrize(("height", "width"), SMALL)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import slow
 
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
-from dlgmd_cli.parameters import DlgmdParameters, load_set
+from dlgmd_cli.parameters import LATENCIES, DlgmdParameters, load_set
 
 
 def as_array(weights, r):
@@ -62,13 +62,13 @@ def test_latency_never_falls_with_radius(radius_px, alpha, beta, lam):
     assert latency.min() == latency[radius_px, radius_px]
 
 
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("latency", LATENCIES)
 @pytest.mark.parametrize("number", sorted(slow.TABLE_2))
-def test_kernels_of_the_sets(number, formulation):
-    params = slow.table_2(number, formulation=formulation)
-    names = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a", "formulation")
-    excite, inhibit = slow.kernels(**{name: params[name] for name in names})
-    found = connect(DlgmdParameters(**params))
+def test_kernels_of_the_sets(number, latency):
+    params = slow.table_2(number)
+    names = ("alpha", "beta", "lam", "sigma_e", "sigma_i", "r", "a")
+    excite, inhibit = slow.kernels(**{name: params[name] for name in names}, rounding=latency)
+    found = connect(DlgmdParameters(**params, latency=latency))
     np.testing.assert_allclose(found.excitation, as_array(excite, params["r"]), atol=1e-15)
     assert sorted(found.inhibition) == sorted(inhibit)
     for delay, kernel in found.inhibition.items():
@@ -94,11 +94,11 @@ def test_bands_of_set_9():
     assert (found.max_delay_frames, found.radius_px) == (2, 6)
 
 
-def flat(latency_frames, formulation="default"):
+def flat(latency_frames, latency="bands"):
     """Connections whose latency is the same at every tap."""
     shape = {"alpha": latency_frames - 1.0, "beta": 0.0, "lam": 0.0}
     size = {"r": 2, "sigma_e": 1.0, "sigma_i": 2.0, "a": 1.5}
-    return connect(DlgmdParameters(**shape, **size, formulation=formulation))
+    return connect(DlgmdParameters(**shape, **size, latency=latency))
 
 
 EXCITE, INHIBIT = gaussian(2, 1.0), 1.5 * gaussian(2, 2.0)
@@ -123,18 +123,28 @@ def test_band_edges(latency_frames, delay):
         np.testing.assert_array_equal(kernel, INHIBIT)
 
 
-def test_excitation_is_gated_by_latency_except_in_the_equations():
+def test_excitation_is_gated_by_bands_alone():
     gated = np.maximum(EXCITE - INHIBIT, 0.0)
     assert (gated == 0.0).any() and (gated > 0.0).any()
     np.testing.assert_array_equal(flat(0.5).excitation, gated)
     np.testing.assert_array_equal(flat(1.0).excitation, EXCITE)
     assert not flat(1.0001).excitation.any()
     for latency_frames in (0.0, 0.5, 1.0, 3.7):
-        np.testing.assert_array_equal(flat(latency_frames, "equations").excitation, EXCITE)
+        for latency in ("nearest", "interpolated"):
+            np.testing.assert_array_equal(flat(latency_frames, latency).excitation, EXCITE)
+
+
+@pytest.mark.parametrize(
+    ("latency_frames", "delay"), [(0.0, 0), (0.499, 0), (0.5, 1), (1.49, 1), (1.5, 2), (7.0, 7)]
+)
+def test_the_nearest_frame_takes_all_inhibition(latency_frames, delay):
+    found = flat(latency_frames, "nearest")
+    assert list(found.inhibition) == [delay]
+    np.testing.assert_array_equal(found.inhibition[delay], INHIBIT)
 
 
 def test_interpolation_splits_between_two_frames():
-    found = flat(2.25, "equations")
+    found = flat(2.25, "interpolated")
     assert sorted(found.inhibition) == [2, 3] and found.max_delay_frames == 3
     np.testing.assert_allclose(found.inhibition[2], 0.75 * INHIBIT, rtol=1e-15)
     np.testing.assert_allclose(found.inhibition[3], 0.25 * INHIBIT, rtol=1e-15)
@@ -149,7 +159,7 @@ def test_interpolation_splits_between_two_frames():
 )
 def test_interpolation_loses_no_inhibition(alpha, beta, lam, r):
     assume(beta + math.exp(-(lam**2) * 2 * r**2) > 0.02)
-    params = load_set(9, alpha=alpha, beta=beta, lam=lam, r=r, formulation="equations")
+    params = load_set(9, alpha=alpha, beta=beta, lam=lam, r=r, latency="interpolated")
     found = connect(params)
     whole = sum(found.inhibition.values())
     np.testing.assert_allclose(whole, params.a * gaussian(params.r, params.sigma_i), rtol=1e-9)

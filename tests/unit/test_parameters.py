@@ -20,6 +20,7 @@ from dlgmd_cli.parameters import (
     FORMULATIONS,
     MODELS,
     PRESETS,
+    Config,
     DlgmdParameters,
     load_config,
     load_model_preset,
@@ -48,6 +49,22 @@ def test_keys_and_defaults():
     assert {key: actual[key] for key in expected} == expected
     assert list(actual) == list(DlgmdParameters.specs()) == list(DlgmdParameters.defaults())
     assert DlgmdParameters.defaults() == actual
+
+
+@pytest.mark.parametrize("name", slow.FORMULATIONS)
+def test_a_formulation_stands_for_latency_and_saturation(name):
+    params = DlgmdParameters(formulation=name)
+    assert (params.latency, params.saturate) == slow.NAMED[name]
+    # A record of before had the name alone.
+    old = {key: v for key, v in params.to_dict().items() if key not in ("latency", "saturate")}
+    assert DlgmdParameters.from_mapping(old) == params
+    # A name given later replaces both; a key that is given with it takes precedence.
+    full = Config("", values=load_set(9, latency="nearest", saturate=False).to_dict())
+    assert merge(DlgmdParameters, full, {"formulation": name}) == params.__class__(
+        formulation=name, kappa=load_set(9).kappa
+    )
+    both = merge(DlgmdParameters, full, {"formulation": name, "latency": "nearest"})
+    assert (both.latency, both.saturate) == ("nearest", slow.NAMED[name][1])
 
 
 @pytest.mark.parametrize(
@@ -114,6 +131,8 @@ def test_latency_is_between_0_and_64_frames():
     ids=lambda value: type(value).__name__,
 )
 def test_other_types_and_huge_numbers_are_refused_briefly(key, value):
+    if value is None and key in ("latency", "saturate"):
+        pytest.skip("None means as the formulation has it")
     line = complaint(**{key: value})
     assert line.startswith(f"{key} = ") and len(line) < 150 and "\n" not in line
 
@@ -192,6 +211,9 @@ def test_anything_is_kept_in_its_own_type_or_refused_in_one_line(key, value):
         params = DlgmdParameters(**{key: value})
     except ParameterError as error:
         assert "\n" not in str(error) and len(str(error)) < 300
+        return
+    if value is None:
+        assert params == DlgmdParameters()  # as the formulation has it
         return
     actual = getattr(params, key)
     assert type(actual) is type(DlgmdParameters.defaults()[key])

@@ -8,7 +8,7 @@ from reference import slow
 from dlgmd_cli.models.engines.opencv import apply, sum_4x4
 from dlgmd_cli.models.engines.plan import decompose, fuse, plan
 from dlgmd_cli.models.kernels import connect, gaussian
-from dlgmd_cli.parameters import load_set
+from dlgmd_cli.parameters import LATENCIES, load_set
 
 
 def products(filters):
@@ -16,10 +16,10 @@ def products(filters):
     return sum(np.count_nonzero(part) for ones in filters.values() for one in ones for part in one)
 
 
-@pytest.mark.parametrize("formulation", slow.FORMULATIONS)
+@pytest.mark.parametrize("latency", LATENCIES)
 @pytest.mark.parametrize("number", sorted(slow.TABLE_2))
-def test_plans_of_the_sets_add_up(number, formulation):
-    params = load_set(number, formulation=formulation)
+def test_plans_of_the_sets_add_up(number, latency):
+    params = load_set(number, latency=latency)
     filters, sums = check_both(params)
     n_taps = sum(np.count_nonzero(kernel) for kernel in connect(params).signed().values())
     assert sum(map(len, sums)) <= n_taps

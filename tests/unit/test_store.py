@@ -169,7 +169,7 @@ def test_where_there_are_only_figures_one_that_fails_is_an_error(dlgmd, clips, t
         ["evaluate", "labels.csv", "--out", "o"],
         ["calibrate", "labels.csv", "--out", "o"],
         ["export", "c", "--out", "o"],
-        ["reproduce", "--only", "fig3", "--out", "o"],
+        ["reproduce", "--only", "fig2", "--out", "o"],
         ["synth", "quick", "--out", "o"],
         ["synth", "quick", "--out", "o", "--count", "2"],
     ],
@@ -204,6 +204,13 @@ def test_what_differs_is_named():
     options = {"size": "2x2", "mask_sha256": "x", "input_fps": 3}
     assert differences(record, options=options) == ["--mask", "--input-fps", "--crop"]
     assert differences({}, identity={"path": "a"}) == ["input"]
+
+
+def test_a_record_with_a_formulation_alone_is_the_same_job():
+    old = {"formulation": "equations", "r": 4}
+    same = {"formulation": "equations", "r": 4, "latency": "interpolated", "saturate": False}
+    assert differences(old, settings=same) == []
+    assert differences(old, settings={**same, "latency": "nearest"}) == ["latency"]
 
 
 def test_fields_of_another_type_are_left_out(tmp_path):

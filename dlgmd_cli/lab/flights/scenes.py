@@ -250,12 +250,15 @@ class _Frames:
         return self._scene.n_frames(self._options)
 
 
-def open_scene(name: str, flags: Mapping[str, Any] | None = None, **options: Any) -> Video:
+def open_scene(
+    name: str | Scene[Any], flags: Mapping[str, Any] | None = None, **options: Any
+) -> Video:
     """Open a scene as a source, such as ``open_scene("group2", {"--size": (135, 240)})``.
 
-    `flags` are options of the scene, see `Scene.configure`, and `options` those of `open_video`.
+    `name` may be a scene of one's own. `flags` are options of the scene, see `Scene.configure`, and
+    `options` those of `open_video`.
     Raises ParameterError if there is no such scene, or it cannot be rendered like that.
     """
-    scene = find_scene(name)
+    scene = find_scene(name) if isinstance(name, str) else name
     chosen = scene.configure(flags or {})
     return open_video(_Frames(scene, chosen), input_fps=chosen.fps, **options)

@@ -50,12 +50,13 @@ def plot_panels(
     dots: bool = False,
     log_x: bool = False,
     log_y: bool = False,
+    share_x: bool = True,
     share_y: bool = True,
 ) -> Figure:
     """Draw panels, three in a row; a label has the same look in all of them.
 
     `dots` draws a marker at every value; `log_x` also puts a tick there. Both are for curves with
-    few values.
+    few values. `share_x` is for panels that share their y.
     """
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
@@ -64,7 +65,7 @@ def plot_panels(
     with house_style():
         figure = new_figure(n_rows * _ROW_IN + _AROUND_IN, "two")
         grid: Any = figure.subplots(
-            n_rows, per_row, squeeze=False, sharey=share_y, sharex=share_y and "col"
+            n_rows, per_row, squeeze=False, sharey=share_y, sharex=share_x and share_y and "col"
         )
         entries: Entries = []
         for place, axes in enumerate(grid.flat):

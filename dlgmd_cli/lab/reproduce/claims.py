@@ -12,13 +12,20 @@ import yaml
 
 from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.reproduce.clips import NULLS, VERSIONS
 from dlgmd_cli.lab.reproduce.plan import ANY
-from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.results.csv import cell, write_rows
 
 CLAIMS = Path(__file__).with_name("claims.yaml")
-COLUMNS = ("id", "claim", "source", "formulation", "measure", "value", "threshold", "holds")
+COLUMNS = (
+    *("id", "claim", "source", "formulation", "measure", "value", "threshold", "holds"),
+    *("whose", "unit", "criterion", "reason", "paper_value", "seeds", "null_value", "null_holds"),
+)
 YES, NO, UNDECIDED = "yes", "no", "undecided"
+# It holds, but it also does without inhibition.
+EMPTY = "empty"
+# Whose a claim is: the paper's about its model, the paper's about other models, or this project's.
+WHOSE = ("paper", "models", "ours")
 # Comparison of a value with the threshold; and the worst of the values of several seeds.
 _HOLDS = {
     "at least": (operator.ge, np.min),
@@ -38,16 +45,29 @@ class Claim:
     threshold: float
     holds: str
     reason: str
+    unit: str = ""
+    whose: str = "paper"
+    source: str = ""
+    paper: str = ""
     why_not: str = ""
+
+    @property
+    def sign(self) -> str:
+        """The comparison with the threshold."""
+        return {"at least": "≥", "above": ">", "at most": "≤", "below": "<"}[self.holds]
 
 
 @dataclass(frozen=True)
 class ExhibitSpec:
-    """Texts and claims of an exhibit, from `claims.yaml`; `repeat` has commands that repeat it."""
+    """Texts and claims of an exhibit, from `claims.yaml`; `repeat` has commands that repeat it.
+
+    `says` is what the paper says, in this project's words.
+    """
 
     id: str
     title: str
     source: str
+    says: str
     about: str
     repeat: Sequence[str]
     claims: Mapping[str, Claim]
@@ -55,12 +75,27 @@ class ExhibitSpec:
 
 @dataclass(frozen=True)
 class Finding:
-    """The values of a claim under one formulation, one per seed."""
+    """The values of a claim under one version of the model, one per seed.
+
+    `null` are those of the same version without inhibition, if it was measured.
+    """
 
     claim: Claim
     source: str
-    formulation: str
+    version: str
     values: tuple[float, ...]
+    null: tuple[float, ...] = ()
+
+    @property
+    def of_null(self) -> "Finding | None":
+        """The same of the null model."""
+        return replace(self, values=self.null, null=()) if self.null else None
+
+    @property
+    def verdict(self) -> str:
+        """As `holds`, but `empty` if it also holds for the null model."""
+        null = self.of_null
+        return EMPTY if self.holds == YES and null is not None and null.holds == YES else self.holds
 
     @property
     def value(self) -> float:
@@ -84,21 +119,21 @@ class Finding:
         return bool(_HOLDS[self.claim.holds][0](value, self.claim.threshold))
 
 
-def load_claims(path: Path = CLAIMS) -> tuple[dict[str, ExhibitSpec], list[str]]:
-    """The exhibits by id, in the order of the file, and the inconsistencies of the paper."""
+def load_claims(path: Path = CLAIMS) -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
+    """The exhibits by id, in the order of the file, and the lists of remarks on the whole."""
     document = yaml.safe_load(path.read_text("utf-8"))
     specs = {}
     for name, spec in document["exhibits"].items():
         claims = {key: Claim(key, **each) for key, each in spec.pop("claims").items()}
         specs[name] = ExhibitSpec(name, claims=claims, **spec)
-    return specs, document["inconsistencies"]
+    return specs, document["remarks"]
 
 
 def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, ExhibitSpec]:
     """The exhibits and claims whose ids begin with one of `only`; all of them if it is empty.
 
-    `fig1` selects fig1 alone, not fig10; `fig13` selects fig13a and fig13b; `table4` selects all of
-    Table IV.
+    `fig1` selects fig1 alone, not fig10; `fig9a` selects its claims in fig9; `table4` selects all
+    of Table IV.
 
     Raises
     ------
@@ -135,12 +170,18 @@ def _matches(text: str, name: str) -> bool:
 def findings(
     spec: ExhibitSpec, values: Mapping[str, Mapping[str, Sequence[float]]]
 ) -> list[Finding]:
-    """Each claim of an exhibit under each formulation; `values` by claim and formulation."""
+    """Each claim of an exhibit under each version of the model; `values` by claim and version."""
     return [
-        Finding(claim, spec.source, formulation, tuple(values[key][formulation]))
+        Finding(
+            claim,
+            claim.source or spec.source,
+            version,
+            tuple(values[key][version]),
+            tuple(values[key].get(NULLS.get(version, ""), ())),
+        )
         for key, claim in spec.claims.items()
-        for formulation in (ANY, *FORMULATIONS)
-        if formulation in values[key]
+        for version in (ANY, *VERSIONS)
+        if version in values[key]
     ]
 
 
@@ -148,19 +189,21 @@ def write_claims(path: Path, found: Iterable[Finding]) -> None:
     """Write `claims.csv`; OSError passes through."""
     rows = (
         [
-            *(one.claim.id, one.claim.claim, one.source, one.formulation, one.claim.measure),
+            *(one.claim.id, one.claim.claim, one.source, one.version, one.claim.measure),
             *(cell(one.value), cell(one.claim.threshold), one.holds),
+            *(one.claim.whose, one.claim.unit, one.claim.holds, one.claim.reason),
+            *(one.claim.paper, str(len(one.values))),
+            *((cell(one.of_null.value), one.of_null.holds) if one.of_null else ("", "")),
         ]
         for one in found
     )
     write_rows(path, COLUMNS, rows)
 
 
-def counts(found: Sequence[Finding]) -> dict[str, dict[str, int]]:
-    """Formulation -> numbers of claims that hold, do not hold, and are undecided.
-
-    Claims that are not about the D-LGMD count under `any`.
-    """
-    numbers = Counter((one.formulation, one.holds) for one in found)
-    names = dict.fromkeys(one.formulation for one in found)
-    return {name: {kind: numbers[name, kind] for kind in (YES, NO, UNDECIDED)} for name in names}
+def counts(found: Iterable[Finding]) -> dict[str, Counter[str]]:
+    """Version -> numbers of claims by verdict, of the paper's claims about its model."""
+    numbers: dict[str, Counter[str]] = {}
+    for one in found:
+        if one.claim.whose == WHOSE[0] and one.version != ANY:
+            numbers.setdefault(one.version, Counter())[one.verdict] += 1
+    return numbers

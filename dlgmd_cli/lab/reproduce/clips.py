@@ -1,19 +1,27 @@
 """The clips on which the paper's claims are checked, and the models' responses to them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import yaml
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights import scenes
 from dlgmd_cli.lab.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
-from dlgmd_cli.lab.flights.scenes import find_scene, open_scene
+from dlgmd_cli.lab.flights.scenes import FlightScene, find_scene, open_scene
+from dlgmd_cli.lab.flights.stages import named_flight
+from dlgmd_cli.lab.stimuli.base import Scene
+from dlgmd_cli.models.base import FloatImage
+from dlgmd_cli.models.engines.opencv import sum_4x4
+from dlgmd_cli.models.lgmd import INHIBITION
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import (
-    FORMULATIONS,
     MODELS,
     Parameters,
     load_model_preset,
@@ -29,6 +37,22 @@ from dlgmd_cli.video.source import Video
 REFERENCE_FPS = 30.0
 # Parameters of models by label.
 Models = dict[str, Parameters]
+
+# Every combination of latency and saturation, and the released code's FFI, by the name in reports.
+VERSIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "released": {"formulation": "released"},
+    "bands-unlimited": {"saturate": False},
+    "nearest": {"latency": "nearest"},
+    "nearest-unlimited": {"latency": "nearest", "saturate": False},
+    "interpolated": {"latency": "interpolated"},
+    "equations": {"formulation": "equations"},
+}
+# The null model of each version has no inhibition, and so no delay: some share theirs.
+NULL = "/a=0"
+NULLS = {name: name + NULL for name in VERSIONS}
+NULLS |= {"interpolated": NULLS["nearest"], "equations": NULLS["nearest-unlimited"]}
+EVERY = (*VERSIONS, *dict.fromkeys(NULLS.values()))
 
 
 @dataclass(frozen=True)
@@ -64,16 +88,18 @@ class ClipResults:
         return int(result.frame[-1]) if found is None else found
 
 
-def model(name: str, formulation: str = "default", **changes: Any) -> Parameters:
+def model(name: str, version: str = "default", **changes: Any) -> Parameters:
     """The parameters of `set9`, `lgmd` and so on, with some of them replaced."""
     if name in MODELS:
         return merge(MODELS[name], load_model_preset(name), changes)
-    return load_set(name.removeprefix("set"), formulation=formulation, **changes)
+    of, null, _ = version.partition(NULL)
+    silenced = {"a": 0.0} if null else {}
+    return load_set(name.removeprefix("set"), **{**VERSIONS[of], **changes, **silenced})
 
 
-def all_formulations(*names: str, **changes: Any) -> Models:
-    """Sets of the D-LGMD in every formulation, by labels such as `set9/released`."""
-    return {f"{name}/{f}": model(name, f, **changes) for name in names for f in FORMULATIONS}
+def all_versions(*names: str, only: Iterable[str] = EVERY, **changes: Any) -> Models:
+    """Sets of the D-LGMD in every version, by labels such as `set9/released`."""
+    return {f"{name}/{v}": model(name, v, **changes) for name in names for v in only}
 
 
 def other_models(*names: str) -> Models:
@@ -113,14 +139,30 @@ def open_clip(clip: Clip) -> Video:
     """The frames of a clip as a source, at full size."""
     if clip.folder:
         return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
-    return open_scene(clip.scene, dict(clip.flags), scale=1.0)
+    return open_scene(_scene(clip.scene), dict(clip.flags), scale=1.0)
+
+
+def _scene(name: str) -> Scene[Any]:
+    """A scene of the tool, or group 2 with its brakes at frame 125 instead of 105."""
+    return _late_group2() if name == LATE else find_scene(name)
+
+
+LATE = "group2, brakes at 125"
+
+
+def _late_group2() -> FlightScene:
+    """Group 2 as the paper's Fig. 14 shows it."""
+    scene, scripts = find_scene("group2"), Path(scenes.__file__).with_name("scenes.yaml")
+    spec = yaml.safe_load(scripts.read_text("utf-8"))["group2"]
+    spec["flies"][2][1] += 20  # the phase before the brakes is longer
+    return FlightScene(LATE, LATE, scene.defaults, partial(named_flight, spec))
 
 
 def _known(clip: Clip) -> tuple[dict[str, Any], dict[str, Series]]:
     """The record of a scene, and its ground truth by column; empty for a folder and a flight."""
     if clip.folder:
         return {}, {}
-    scene = find_scene(clip.scene)
+    scene = _scene(clip.scene)
     options = scene.configure(dict(clip.flags))
     rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
     truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
@@ -150,24 +192,73 @@ _HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
 LAST_APART = 42
 
 
-def object_sums(clip: Clip, models: Models) -> dict[str, Series]:
-    """Sums of P and S within a box around each object, by label.
+def object_sums(clip: Clip, models: Models) -> dict[str, tuple[Series, Series]]:
+    """Sums of P and S within a box around each object, and `layer_shares` of each frame, by label.
 
-    Shape (2, n_frames, 5): the ball, then the capsules. NaN until the model's first valid frame.
+    Shapes (2, n_frames, 5), the ball, then the capsules; and (n_frames, 4). NaN until the model's
+    first valid frame.
     """
     steppers = [Stepper(params, engine="opencv") for params in models.values()]
     sums: dict[str, list[Series]] = {label: [] for label in models}
+    shares: dict[str, list[Series]] = {label: [] for label in models}
     with open_clip(clip) as video:
         for frame, each in responses(video, steppers, layers=lambda frame: True):
             boxes = object_boxes(frame.grey.shape, frame.index)
             for label, response in zip(models, each, strict=True):
-                found = np.full((2, len(boxes)), np.nan)
+                found, about = np.full((2, len(boxes)), np.nan), np.full(4, np.nan)
                 if response.is_valid and response.layers is not None:
-                    for row, layer in enumerate((response.layers.p, response.layers.s)):
-                        assert layer is not None
-                        found[row] = [float(np.abs(layer[box]).sum()) for box in boxes]
+                    p, s, g = response.layers.p, response.layers.s, response.layers.g
+                    assert p is not None and s is not None and g is not None
+                    found = np.array([[float(one[box].sum()) for box in boxes] for one in (p, s)])
+                    about = layer_shares(p, s, g)
                 sums[label].append(found)
-    return {label: np.stack(found, axis=1) for label, found in sums.items()}
+                shares[label].append(about)
+    return {label: (np.stack(sums[label], axis=1), np.stack(shares[label])) for label in models}
+
+
+# A cell is active above this, in luminance; and sparse if at most so many of the 4x4 around it are.
+_ACTIVE, _SPARSE = 0.01, 4
+
+
+def layer_shares(p: FloatImage, s: FloatImage, g: FloatImage) -> Series:
+    """Of a frame: how P and S are spread, and which cells of S are not in G.
+
+    The standard deviations of P and of S over the cells where P is active, by their means; then the
+    shares of the sparse and of the other active cells of S that G removes. NaN without such cells.
+    """
+    moving = p > _ACTIVE
+    spread = [_spread(one[moving]) for one in (p, s)]
+    is_active = (s > _ACTIVE).astype(np.float32)
+    around = np.empty_like(is_active)
+    sum_4x4(is_active, around)
+    removed = [
+        (g[cells] == 0.0).mean() if cells.any() else np.nan
+        for cells in (is_active * (around <= _SPARSE) > 0, is_active * (around > _SPARSE) > 0)
+    ]
+    return np.array([*spread, *removed])
+
+
+def _spread(values: FloatImage) -> float:
+    """Standard deviation by mean; NaN if all are 0."""
+    return float(values.std() / values.mean()) if values.any() else math.nan
+
+
+def rectified_lgmd_db(clip: Clip) -> Series:
+    """The attenuation of an LGMD with |P| and S rectified, in dB by frame; NaN while undefined."""
+    earlier: list[FloatImage] = []
+    found = []
+    weight = model("lgmd").to_dict()["w_i"]
+    with open_clip(clip) as video:
+        last = None
+        for frame in video:
+            grey = frame.grey.astype(np.float32)
+            p = np.zeros_like(grey) if last is None else np.abs(grey - last)
+            blurred = cv2.filter2D(earlier[-1], -1, INHIBITION, borderType=0) if earlier else p
+            s_sum, p_sum = np.maximum(p - weight * blurred, 0.0).sum(), p.sum()
+            is_valid = len(earlier) > 1 and p_sum > 0.0
+            found.append(10.0 * math.log10(s_sum / p_sum) if is_valid else math.nan)
+            earlier, last = [*earlier[-1:], p], grey
+    return np.array(found)
 
 
 def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:

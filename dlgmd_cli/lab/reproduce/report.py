@@ -1,7 +1,7 @@
 """The report: one self-contained HTML page, its figures, and `claims.csv`."""
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -9,8 +9,10 @@ from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.lab.reproduce.claims import (
+    EMPTY,
     NO,
     UNDECIDED,
+    WHOSE,
     YES,
     ExhibitSpec,
     Finding,
@@ -18,17 +20,22 @@ from dlgmd_cli.lab.reproduce.claims import (
     findings,
     write_claims,
 )
-from dlgmd_cli.lab.reproduce.clips import model
+from dlgmd_cli.lab.reproduce.clips import VERSIONS, model
 from dlgmd_cli.lab.reproduce.plan import ANY, Evidence, Plan
-from dlgmd_cli.parameters import FORMULATIONS
 from dlgmd_cli.plots.style import save_figure
 from dlgmd_cli.results.record import versions
 from dlgmd_cli.results.store import replacing
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
-_WORDS = {YES: "holds", NO: "does not hold", UNDECIDED: "undecided"}
-_MARKS = {YES: "✓", NO: "✗", UNDECIDED: "?"}
+_WORDS = {
+    YES: "holds",
+    EMPTY: "holds, but also without inhibition",
+    NO: "does not hold",
+    UNDECIDED: "undecided",
+}
+_MARKS = {YES: "✓", EMPTY: "○", NO: "✗", UNDECIDED: "?"}
+_PARTS = ("The paper's claims about its model", "Its claims about other models", "Ours")
 _SETS = tuple(f"set{number}" for number in range(1, 10))
 
 
@@ -56,16 +63,23 @@ class Section:
 
     @property
     def by_claim(self) -> list[list[Finding]]:
-        """The findings grouped by claim."""
+        """The findings grouped by claim, in the order of the file."""
         return [list(some) for _, some in groupby(self.found, lambda one: one.claim.id)]
+
+    @property
+    def held(self) -> dict[str, tuple[int, int]]:
+        """Version -> numbers of the paper's claims about its model that hold, and of all."""
+        of_paper = [one for one in self.found if one.claim.whose == WHOSE[0] and one.version != ANY]
+        by_version = {v: [one.verdict for one in of_paper if one.version == v] for v in VERSIONS}
+        return {v: (all_.count(YES), len(all_)) for v, all_ in by_version.items() if all_}
 
 
 @dataclass(frozen=True)
 class Report:
-    """All sections, what the paper contradicts itself in, and the command that repeats this."""
+    """All sections, remarks on the whole, and the command that repeats this."""
 
     sections: Sequence[Section]
-    inconsistencies: Sequence[str]
+    remarks: Mapping[str, Sequence[str]]
     plan: Plan
     command: str
 
@@ -105,9 +119,10 @@ class Report:
                 picture=lambda stem: base64.b64encode(
                     (folder / f"{stem}.png").read_bytes()
                 ).decode(),
-                formulations=FORMULATIONS,
+                versions_of={name: model("set9", name) for name in VERSIONS},
                 any=ANY,
                 counts=counts(self.found),
+                whose=dict(zip(WHOSE, _PARTS, strict=True)),
                 words=_WORDS,
                 marks=_MARKS,
                 parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
@@ -116,8 +131,10 @@ class Report:
         )
 
 
-def number(value: float) -> str:
-    """A value with three digits, or whole from 1000 on; a dash for NaN."""
+def number(value: float | str) -> str:
+    """A value with three digits, or whole from 1000 on; a dash for NaN; a text as it is."""
+    if isinstance(value, str):
+        return value
     if value != value:
         return "–"
     text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"

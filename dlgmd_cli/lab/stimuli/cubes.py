@@ -8,8 +8,8 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.lab.stimuli.flat import Translation, TranslationOptions
 from dlgmd_cli.runs.sweep import SweepInput
 
-# The paper's Fig. 11: its parameters (no latency, a = 1.5 and r = 4, say comments in the paper's
-# source), except for those that it varies; speeds in px/frame, side of the cubes in px, and frames.
+# The paper's Fig. 11: its parameters, except for those that it varies (no latency, as a comment in
+# the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
 FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
 SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
 
