@@ -159,7 +159,9 @@ class PyAVDecoder:
     def details(self) -> Details:
         """How the stream is encoded; consumes the first few frames."""
         some = itertools.islice(itertools.chain([self._frame], self._frames), _N_FIELD_FRAMES)
-        is_stated = self._stream.codec_context.field_order != _PROGRESSIVE
+        # PyAV 17 does not tell what the stream states.
+        stated = getattr(self._stream.codec_context, "field_order", None)
+        is_stated = stated != _PROGRESSIVE
         is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
