@@ -257,6 +257,8 @@ def test_a_figure_is_drawn_once_for_all_its_formats(tmp_path):
 def test_pictures_cut_from_one_drawing_are_those_of_each_figure(tmp_path):
     undefined = part(make_result(), slice(0, 2))
     names = cycle(["flight", "long name " * 9])
+    # Before 3.11, Matplotlib cuts a fraction of a row off, so that lines fall between two rows.
+    is_old = tuple(map(int, matplotlib.__version__.split(".")[:2])) < (3, 11)
     for result in (make_result(), undefined, long_result(), make_result()):
         result.record["input"]["name"] = next(names)
         result.save(tmp_path, ["png"])
@@ -264,8 +266,8 @@ def test_pictures_cut_from_one_drawing_are_those_of_each_figure(tmp_path):
             save_figure(result.plot(kind), tmp_path / "alone.png")
             alone = cv2.imread(str(tmp_path / "alone.png")).astype(int)
             cut = cv2.imread(str(tmp_path / f"{kind}.png"))
-            if alone.shape != cut.shape:  # before 3.11, Matplotlib cuts a fraction of a row off
-                assert abs(len(alone) - len(cut)) == 1 and matplotlib.__version__ < "3.11"
+            if is_old:
+                assert abs(len(alone) - len(cut)) <= 1 and alone.shape[1:] == cut.shape[1:]
                 continue
             differences = np.abs(alone - cut)
             # Half-covered pixels where one part meets the next
