@@ -132,9 +132,12 @@ def open_video(
             max_fps = RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
-        kind = "pyav" if opened.stream_info.is_interlaced else kind
+        is_interlaced = opened.stream_info.is_interlaced
+        kind = "pyav" if is_interlaced else kind
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
-        info = SourceInfo(where, name, width, height, fps, n_frames, kind, identity, given)
+        info = SourceInfo(
+            where, name, width, height, fps, n_frames, kind, identity, given, is_interlaced
+        )
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
             why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
             raise SourceError(where, why, "Choose a rectangle inside them.")

@@ -56,6 +56,7 @@ class SourceInfo:
     `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
     opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
     what `fingerprint` gives. `given` is what the source was called when it was opened.
+    `is_interlaced` tells that the pictures are de-interlaced.
     """
 
     path: str
@@ -67,6 +68,7 @@ class SourceInfo:
     decoder: str
     identity: dict[str, Any] = field(default_factory=dict)
     given: str = ""
+    is_interlaced: bool = False
 
 
 class Source(Protocol):
