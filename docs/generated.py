@@ -1,0 +1,215 @@
+"""What the pages take from the code: tables, output and figures of commands, and MathML.
+
+Every figure and every output of a command is made while the pages are built, and every table of
+names is read from the code, so that none can be out of date. A command that fails is a warning, and
+with `-W` an error.
+"""
+
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util.docutils import SphinxDirective
+
+from dlgmd_cli.parameters import MODELS, PRESETS, load_config, load_preset, preset_names
+
+ROOT = Path(__file__).parents[1]
+# Where commands run: a folder for each page, with the sample videos in it.
+MADE = Path(__file__).with_name("made")
+# Pages of 'dlgmd view', which go into the root of the built site.
+PAGES = MADE / "pages"
+_TIMEOUT_S = 120
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else f"{value:.9g}"
+
+
+def parameters(model: str) -> str:
+    """The keys of a model, with their defaults and, where presets have others, those."""
+    kind = MODELS[model]
+    presets = [name for name in PRESETS if load_config(name).model == model]
+    given = [load_config(name).values for name in presets]
+    defaults = kind.defaults()
+    rows = [
+        [
+            *(f"`{key}`", spec.symbol, spec.unit, _shown(defaults[key])),
+            *(_shown(values.get(key, defaults[key])) for values in given),
+            *(spec.allowed, spec.meaning),
+        ]
+        for key, spec in kind.specs().items()
+    ]
+    names = [f"`{name}`" for name in presets]
+    return table(["key", "symbol", "unit", "default", *names, "allowed", "meaning"], rows)
+
+
+def sets() -> str:
+    """The paper's sets: the keys in which they differ, and κ."""
+    values = {name: load_preset(name).values for name in preset_names()}
+    specs = MODELS["dlgmd"].specs()
+    keys = [key for key in specs if any(key in one for one in values.values())]
+    header = ["set", *(f"`{key}`" for key in keys)]
+    return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
+
+
+# The tables that commands write: file, command, module of the columns, and their name there.
+FILES = (
+    ("mp.csv", "run", "results.csv", "TABLES"),
+    ("attenuation.csv", "run", "results.csv", "TABLES"),
+    ("spikes.csv", "run", "results.csv", "TABLES"),
+    ("alarms.csv", "run", "results.csv", "ALARM_COLUMNS"),
+    ("compare.csv", "compare", "results.csv", "COMPARISON"),
+    ("summary.csv", "batch", "runs.batch", "COLUMNS"),
+    ("curves.csv", "evaluate", "lab.evaluation.report", "CURVE_COLUMNS"),
+    ("alarms.csv", "evaluate", "lab.evaluation.report", "ALARM_COLUMNS"),
+    ("claims.csv", "reproduce", "lab.reproduce.claims", "COLUMNS"),
+)
+
+
+def columns_of(file: str, module: str, name: str) -> tuple[str, ...]:
+    """The columns of a file."""
+    found = getattr(import_module(f"dlgmd_cli.{module}"), name)
+    return tuple(found[file] if isinstance(found, dict) else found)
+
+
+def columns() -> str:
+    """The columns of every table."""
+    rows = [
+        [f"`{file}`", f"`{command}`", " ".join(f"`{one}`" for one in columns_of(file, *where))]
+        for file, command, *where in FILES
+    ]
+    return table(["file", "command", "columns"], rows)
+
+
+TABLES = {"parameters": parameters, "sets": sets, "columns": columns}
+
+
+class Generated(SphinxDirective):
+    """A table from the code: ``{generated} parameters dlgmd``."""
+
+    required_arguments, optional_arguments = 1, 1
+
+    def run(self) -> list[nodes.Node]:
+        """Parse the table where it stands."""
+        name, *arguments = self.arguments
+        return self.parse_text_to_nodes(TABLES[name](*arguments))
+
+
+class _InFolder(SphinxDirective):
+    """A directive that works in the folder of its page."""
+
+    has_content = True
+
+    @property
+    def folder(self) -> Path:
+        """The folder, fresh and with the sample videos at the page's first directive."""
+        folder = MADE / self.env.docname
+        if not self.env.temp_data.get("dlgmd_folder"):
+            self.env.temp_data["dlgmd_folder"] = True
+            shutil.rmtree(folder, ignore_errors=True)
+            keep = shutil.ignore_patterns("*.png", "*.ipynb", "*.md")
+            shutil.copytree(ROOT / "sample_videos", folder / "sample_videos", ignore=keep)
+        return folder
+
+    def block(self, text: str, language: str) -> nodes.literal_block:
+        """Text as it is."""
+        return nodes.literal_block(text, text, language=language)
+
+
+class File(_InFolder):
+    """A file that the commands of the page need: ``{file} my.yaml``."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Write the file, and show it with its name."""
+        name, text = self.arguments[0], "\n".join(self.content)
+        (self.folder / name).write_text(f"{text}\n", encoding="utf-8")
+        caption = nodes.caption(name, name)
+        block = self.block(text, Path(name).suffix.lstrip(".").replace("csv", "text"))
+        return [nodes.container("", caption, block, literal_block=True, classes=["file"])]
+
+
+class Made(_InFolder):
+    """Commands, and the figure or page that they make; without its name, what they print."""
+
+    optional_arguments = 1
+    option_spec: ClassVar[dict[str, Any]] = {"alt": directives.unchanged_required}
+
+    def run(self) -> list[nodes.Node]:
+        """Run the commands."""
+        folder = self.folder
+        printed = "".join(self._output(line, folder) for line in self.content)
+        commands = self.block("\n".join(self.content), "sh")
+        if not self.arguments:
+            return [commands, self.block(printed.strip("\n"), "text")]
+        made = folder / self.arguments[0]
+        if made.suffix != ".html":
+            uri = f"/{made.relative_to(self.env.srcdir).as_posix()}"
+            return [commands, nodes.image(uri=uri, alt=self.options["alt"])]
+        PAGES.mkdir(exist_ok=True)
+        shutil.copy(made, PAGES)
+        link = nodes.reference("", self.options["alt"], refuri=made.name)
+        return [commands, nodes.paragraph("", "", link)]
+
+    def _output(self, line: str, folder: Path) -> str:
+        """What a command prints."""
+        words = [sys.executable, "-m", "dlgmd_cli", *shlex.split(line)[1:]]
+        done = subprocess.run(
+            words, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+        )
+        if done.returncode:
+            raise self.error(f"{line}: exit code {done.returncode}\n{done.stderr}")
+        return done.stdout
+
+
+def _inline_math(writer: Any, node: nodes.Element) -> None:
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _block_math(writer: Any, node: nodes.Element) -> None:
+    """An equation, with its number in the margin."""
+    text, tag, number = node.astext().partition(r"\tag{")
+    margin = f"<span>({number.rstrip(' }')})</span>" if tag else ""
+    made = tex2mathml(text.strip(), as_block=True)
+    writer.body.append(f'<div class="math">{made}{margin}</div>\n')
+    raise nodes.SkipNode
+
+
+def _as_code(app: Any, env: Any, node: nodes.Element, content: nodes.Element) -> Any:
+    """A name in backquotes that is not a public one."""
+    return content if node.get("reftype") == "obj" else None
+
+
+def _no_markup(app: Any, ctx: Any, lines: list[str]) -> None:
+    """Patterns in the help of commands are no emphasis."""
+    lines[:] = [line.replace("*", r"\*") for line in lines]
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Add all of these to Sphinx."""
+    app.add_directive("generated", Generated)
+    app.add_directive("file", File)
+    app.add_directive("made", Made)
+    # Browsers show MathML by themselves: no script from elsewhere is loaded.
+    app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
+    app.connect("missing-reference", _as_code)
+    app.connect("sphinx-click-process-description", _no_markup)
+    return {"parallel_read_safe": False, "parallel_write_safe": True}
