@@ -22,8 +22,8 @@ extensions = [
     "sphinx_copybutton",
     "generated",  # in this folder
 ]
-(HERE / "made/pages").mkdir(parents=True, exist_ok=True)
-exclude_patterns = ["_build", "made"]
+(HERE / "_build/made/pages").mkdir(parents=True, exist_ok=True)
+exclude_patterns = ["_build"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
@@ -54,7 +54,7 @@ html_title = f"dlgmd {version}"
 html_static_path = ["_static"]
 html_math_renderer = "mathml"
 # Pages of 'dlgmd view', made by a command in a page.
-html_extra_path = ["made/pages"]
+html_extra_path = ["_build/made/pages"]
 html_css_files = ["dlgmd.css"]
 html_show_sourcelink = False
 html_show_sphinx = False
