@@ -73,26 +73,32 @@ class File(_InFolder):
 
 
 class Made(_InFolder):
-    """Commands, and the figure or page that they make; without its name, what they print."""
+    """Commands, and the figures or the page that they make; else, or with `:print:`, the output."""
 
-    optional_arguments = 1
-    option_spec: ClassVar[dict[str, Any]] = {"alt": directives.unchanged_required}
+    optional_arguments = 3
+    option_spec: ClassVar[dict[str, Any]] = {
+        "alt": directives.unchanged_required,
+        "print": directives.flag,
+    }
 
     def run(self) -> list[nodes.Node]:
         """Run the commands."""
         folder = self.folder
         printed = "".join(self._output(line, folder) for line in self.content)
-        commands = self.block("\n".join(self.content), "sh")
-        if not self.arguments:
-            return [commands, self.block(printed.strip("\n"), "text")]
-        made = folder / self.arguments[0]
+        found: list[nodes.Node] = [self.block("\n".join(self.content), "sh")]
+        if "print" in self.options or not self.arguments:
+            found.append(self.block(printed.strip("\n"), "text"))
+        return found + [self._shown(folder / name) for name in self.arguments]
+
+    def _shown(self, made: Path) -> nodes.Node:
+        """A figure, or a link to a page."""
         if made.suffix != ".html":
             uri = f"/{made.relative_to(self.env.srcdir).as_posix()}"
-            return [commands, nodes.image(uri=uri, alt=self.options["alt"])]
+            return nodes.image(uri=uri, alt=self.options["alt"])
         PAGES.mkdir(exist_ok=True)
         shutil.copy(made, PAGES)
         link = nodes.reference("", self.options["alt"], refuri=made.name)
-        return [commands, nodes.paragraph("", "", link)]
+        return nodes.paragraph("", "", link)
 
     def _output(self, line: str, folder: Path) -> str:
         """What a command prints."""
