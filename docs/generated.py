@@ -97,6 +97,9 @@ class Made(_InFolder):
             return nodes.image(uri=uri, alt=self.options["alt"])
         PAGES.mkdir(exist_ok=True)
         shutil.copy(made, PAGES)
+        linked = made.with_name(f"{made.stem}-pages")
+        if linked.is_dir():
+            shutil.copytree(linked, PAGES / linked.name, dirs_exist_ok=True)
         link = nodes.reference("", self.options["alt"], refuri=made.name)
         return nodes.paragraph("", "", link)
 
@@ -131,8 +134,8 @@ def _as_code(app: Any, env: Any, node: nodes.Element, content: nodes.Element) ->
 
 
 def _no_markup(app: Any, ctx: Any, lines: list[str]) -> None:
-    """Patterns in the help of commands are no emphasis."""
-    lines[:] = [line.replace("*", r"\*") for line in lines]
+    """Patterns in the help of commands are no emphasis, and addresses no links."""
+    lines[:] = [line.replace("*", r"\*").replace("://", r"\://") for line in lines]
 
 
 def setup(app: Any) -> dict[str, bool]:
@@ -143,5 +146,6 @@ def setup(app: Any) -> dict[str, bool]:
     # Browsers show MathML by themselves: no script from elsewhere is loaded.
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
     app.connect("missing-reference", _as_code)
-    app.connect("sphinx-click-process-description", _no_markup)
+    for part in ("description", "options", "epilog"):
+        app.connect(f"sphinx-click-process-{part}", _no_markup)
     return {"parallel_read_safe": False, "parallel_write_safe": True}
