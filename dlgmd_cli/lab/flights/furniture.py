@@ -125,24 +125,21 @@ def catalogue() -> dict[str, dict[str, Any]]:
     return yaml.safe_load(Path(__file__).with_name("furniture.yaml").read_text("utf-8"))
 
 
-def furniture(name: str, rng: Rng, where: Placement, *, motion: Motion | None = None) -> list[Body]:
-    """The bodies of one piece of the catalogue, which do not intersect.
-
-    Each has the name of its piece, and all share `motion`.
-    """
-    piece = catalogue()["pieces"][name]
-    return _parts(piece, piece.get("name", name), rng, where, motion)
-
-
-def furniture_at_wall(name: str, rng: Rng, where: Placement) -> list[Body]:
-    """The bodies of an `at_walls` entry; `where` is at the foot of the wall."""
-    return _parts(catalogue()["at_walls"][name], name, rng, where)
-
-
-def _parts(
-    entry: Mapping[str, Any], name: str, rng: Rng, where: Placement, motion: Motion | None = None
+def furniture(
+    name: str,
+    rng: Rng,
+    where: Placement,
+    *,
+    motion: Motion | None = None,
+    group: str = "pieces",
 ) -> list[Body]:
-    """The bodies of a catalogue entry, in its order."""
+    """The bodies of one entry of the catalogue, in its order, which do not intersect.
+
+    Each has the name of its piece, and all share `motion`. Of the group `at_walls`, `where` is at
+    the foot of the wall.
+    """
+    entry = catalogue()[group][name]
+    name = entry.get("name", name)
     tones = {name: _number(spec, {}, rng) for name, spec in entry.get("tones", {}).items()}
     # A skin without a size takes that of the panel it is on.
     sizes = {part["skin"]: part["panel"] for part in entry["parts"] if "panel" in part}

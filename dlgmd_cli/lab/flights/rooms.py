@@ -14,7 +14,7 @@ import numpy as np
 
 from dlgmd_cli.lab.flights import textures
 from dlgmd_cli.lab.flights.camera import FloatArray, FloatImage
-from dlgmd_cli.lab.flights.furniture import catalogue, furniture_at_wall, placement
+from dlgmd_cli.lab.flights.furniture import catalogue, furniture, placement
 from dlgmd_cli.lab.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
 from dlgmd_cli.lab.flights.textures import Rng, reflectance
 
@@ -226,7 +226,7 @@ class Furnishing:
                 # Creating furniture is slow, since its textures are drawn: first check the space.
                 where = placement(*at_wall(self.size_m, side, middle, 0.0))
                 if self._is_free(self._ground(side, middle, half, deep / 2)) and self.add(
-                    furniture_at_wall(name, rng, where)
+                    furniture(name, rng, where, group="at_walls")
                 ):
                     at = middle + half + rng.uniform(*gap_m)
                     break

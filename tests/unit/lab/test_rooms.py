@@ -14,7 +14,6 @@ from dlgmd_cli.lab.flights.furniture import (
     block,
     catalogue,
     furniture,
-    furniture_at_wall,
     placement,
 )
 from dlgmd_cli.lab.flights.solids import Capsule, Solid, Texture
@@ -146,7 +145,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
 def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
     entry = catalogue()["at_walls"][name]
     for seed in range(2):
-        high, low = reach_m(furniture_at_wall(name, seeded(seed), placement((0, 0))))
+        high, low = reach_m(furniture(name, seeded(seed), placement((0, 0)), group="at_walls"))
         assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
 
