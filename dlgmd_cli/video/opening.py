@@ -28,7 +28,7 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.pyav import PyAVDecoder, is_flagged
+from dlgmd_cli.video.pyav import PyAVDecoder, details_of
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampling_step
 
@@ -194,7 +194,8 @@ def _open_file(path: Path, decoder: str) -> Decoder:
     opens: Callable[[str], Decoder] = PyAVDecoder if decoder == "pyav" else OpenCVDecoder
     try:
         with openable(path.absolute()) as name:
-            is_interlaced = is_flagged(name)
+            details = details_of(name)
+            is_interlaced = details is not None and details.is_interlaced
             if not is_interlaced:
                 opened = opens(name)
                 if not has_analog_size(opened):
