@@ -264,6 +264,9 @@ def test_crop_and_mask(tmp_path, caplog):
     with played([picture], options) as source:
         assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
         assert source.hidden().sum() == 200 and source.hidden()[:10].all()
+    alarm = Alarm()
+    answered(played([picture], options), alarm)
+    assert alarm.model.n_cells == 200
     with played([picture, picture[:40]], options, tries_again=True) as source:
         source.sample(SOON_S)
         source.begin()
@@ -591,17 +594,6 @@ def test_a_source_that_cannot_be_opened_yet_is_blind():
     assert events == [("blind", "lost", None), ("sees", "", None)]
     (line,) = sight.warnings()
     assert line.startswith("blind 1 time, 0.") and "lost" in line
-
-
-def test_the_alarm_ignores_what_the_mask_hides():
-    frames = looming_frames(n_frames=30, width=64, height=48)
-    hidden = np.zeros((48, 64), bool)
-    hidden[10:38, 15:49] = True
-    alarm = Alarm()
-    alarm.ignore(hidden)
-    # What still grows beyond the mask at the end is seen.
-    assert not any(alarm.step(frame, t / 30).alarm for t, frame in enumerate(frames[:28]))
-    assert alarm.model.n_cells == 48 * 64 - 28 * 34
 
 
 def test_statistics():

@@ -178,28 +178,6 @@ def test_every_frame_of_pictures_and_of_the_released_code_is_kept(dlgmd, doubled
     assert run("pictures", set=7, repeats="skip").record["input"]["repeats"] == 19
 
 
-def test_a_gap_in_a_video_gives_no_spike(tmp_path):
-    av = pytest.importorskip("av", reason="PyAV writes a video of variable rate")
-    wide = scene()
-    offsets = [2 * t for t in range(20)] + [300 + 2 * t for t in range(20)]
-    views = [np.uint8(np.clip(wide[:, x : x + SIZE[1]], 0, 255)) for x in offsets]
-    with av.open(str(tmp_path / "gap.mp4"), "w") as file:
-        stream = file.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
-        stream.bit_rate = 4_000_000
-        for t, view in enumerate(views):
-            frame = av.VideoFrame.from_ndarray(view, format="gray")
-            frame.pts = t + 30 * (t >= 20)
-            file.mux(stream.encode(frame))
-        file.mux(stream.encode())
-    write_video(tmp_path / "steady.avi", views, 30)
-    steady = run(tmp_path / "steady.avi", set=3, param={"kappa": 1e-3})
-    gap = run(tmp_path / "gap.mp4", set=3, param={"kappa": 1e-3})
-    assert gap.time_s[20] - gap.time_s[19] == pytest.approx(31 / 30, abs=1e-3)
-    assert steady.spikes[20] and not gap.spikes.any()
-    assert np.flatnonzero(np.isnan(gap.mp)).tolist() == [0, 1, 20, 21]
-
-
 def test_an_alarm_answers_to_a_repeat_as_before():
     alarm, doubled = (Alarm(load_set(7, kappa=1e-3)) for _ in range(2))
     alarms = 0

@@ -231,17 +231,6 @@ def test_a_stop_ends_rendering(scene, tmp_path, monkeypatch):
     assert names(tmp_path) == []
 
 
-def test_earlier_files_are_kept_unless_told_otherwise(tmp_path):
-    options = CUBE.configure(SMALL)
-    (tmp_path / "looming-cube.csv").write_text("mine")
-    with pytest.raises(OutputExistsError, match=r"looming-cube\.csv"):
-        write_clip(CUBE, options, tmp_path)
-    assert names(tmp_path) == ["looming-cube.csv"]
-    write_clip(CUBE, options, tmp_path, overwrite=True)
-    assert names(tmp_path) == ["looming-cube.csv", "looming-cube.mp4"]
-    assert (tmp_path / "looming-cube.csv").read_text().startswith("frame,")
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_pictures_that_find_no_room(scene, tmp_path, monkeypatch):
     def write_bytes(path, data):

@@ -33,11 +33,6 @@ def test_options_at_their_limits(scene):
     assert scene.n_frames(scene.configure({"--frames": 19})) == 19
 
 
-def test_an_agile_drone_is_another_flight_and_the_record_says_so(scene):
-    for agile in (True, False, None):
-        assert scene.record(scene.configure({"--agile": agile}))["agile"] is bool(agile)
-
-
 # Length and record
 
 

@@ -3,7 +3,6 @@
 import pickle
 from pathlib import Path
 
-import cv2
 import pytest
 import yaml
 from flightscenes import SHORT, Quick
@@ -124,13 +123,6 @@ def test_flights_of_other_settings_are_refused(synth, arguments, differing):
     assert contents() == before
     assert synth(*arguments, "--overwrite", count=2).exit_code == 0
     assert contents().keys() == before.keys() and contents() != before
-
-
-def test_flights_of_other_versions_are_refused(synth, monkeypatch):
-    synth(count=1)
-    monkeypatch.setattr(cv2, "__version__", "0.1")
-    result = synth(count=1)
-    assert result.exit_code == 2 and "already exists here (versions)" in result.stderr
 
 
 def test_files_of_others_are_refused(synth):
