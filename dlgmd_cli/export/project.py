@@ -20,7 +20,7 @@ from dlgmd_cli.models.contrast import (
 )
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
-from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters
 
 # With at most this many cells, the sum of their squares (up to 128**2) fits 32 bits. The stimulus
 # of the test needs 16 px.
@@ -55,9 +55,8 @@ class Export:
 
     def __post_init__(self) -> None:
         if type(self.params) not in (DlgmdParameters, ContrastParameters):
-            name = self.params.model if isinstance(self.params, Parameters) else self.params
-            mend = "Only dlgmd and dlgmd-contrast can be exported."
-            raise ParameterError("", f"there is no C version of the model {name}", mend)
+            why = f"there is no C version of the model {self.params.model}"
+            raise ParameterError("", why, "Only dlgmd and dlgmd-contrast can be exported.")
         low, high = sorted((self.width, self.height))
         if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
             raise ParameterError(
