@@ -186,10 +186,7 @@ def _source(
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder for a video file; raises SourceError if no frame can be decoded.
-
-    Interlaced video is de-interlaced by PyAV; raises MissingExtraError if that is not installed.
-    """
+    """A decoder for a video file; interlaced video is de-interlaced by PyAV, or refused."""
     is_interlaced = False
     opens: Callable[[str], Decoder] = PyAVDecoder if decoder == "pyav" else OpenCVDecoder
     try:
@@ -214,10 +211,7 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 
 def _refuse_streams(name: str) -> None:
-    """Raise ParameterError for a stream, standard input or a URL.
-
-    A local file or folder of that name, or one that a pattern starts with, takes precedence.
-    """
+    """Raise ParameterError for a stream, standard input or a URL, unless such a file exists."""
     if name == "-" and not Path(name).exists():
         raise ParameterError("-", "standard input is not read; only files are", _RECORD)
     if _URL.match(name) and not Path(name.partition("/")[0]).exists():

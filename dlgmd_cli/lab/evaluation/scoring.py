@@ -421,10 +421,7 @@ def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
 
 
 def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
-    """A percentile of increasing values for each row of `weights`: how often each value counts.
-
-    Interpolates linearly, as NumPy does.
-    """
+    """A percentile of increasing values, as NumPy's, for each row of `weights`, their counts."""
     if not ordered.size:
         return np.full(len(weights), np.nan)
     until = np.cumsum(weights, axis=1)

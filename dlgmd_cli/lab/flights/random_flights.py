@@ -297,10 +297,7 @@ def _draw_things(rng: Rng, path: Path, manner: Manner, size_m: tuple[float, floa
 
 
 def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, float]) -> list[Body]:
-    """People who walk past, each in a straight line; they stop at x and |y| of `ends_m`.
-
-    Those who would come too near are left out.
-    """
+    """People who walk past in straight lines, not too near; they stop at x and |y| of `ends_m`."""
     found: list[Body] = []
     most = np.array(ends_m) - _OFF_WALL_M
     least = np.array([2.0 * _OFF_WALL_M, -most[1]])
