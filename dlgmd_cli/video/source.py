@@ -173,7 +173,8 @@ def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    It is a file, pictures, an array, or a rendered scene. Each frame has its own memory. Every iteration starts at the beginning.
+    It is a file, pictures, an array, or a rendered scene. Each frame has its own memory. Every
+    iteration starts at the beginning.
 
     Attributes
     ----------

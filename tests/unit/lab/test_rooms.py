@@ -10,7 +10,6 @@ import pytest
 
 from dlgmd_cli.lab.flights import rooms, textures
 from dlgmd_cli.lab.flights.furniture import (
-    Skin,
     block,
     catalogue,
     furniture,
@@ -114,7 +113,7 @@ def check_convex(body):
 
 def test_a_block_shows_each_side_where_it_is():
     sides = ("front", "back", "left", "right", "top", "bottom")
-    skins = {side: Skin(Texture(0.1 * number)) for number, side in enumerate(sides)}
+    skins = {side: Texture(0.1 * number) for number, side in enumerate(sides)}
     corners = np.array([(-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
     body = block("b", placement((0, 0)), corners, skins, None)
     looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
