@@ -16,9 +16,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
+from conftest import looming_frames, until, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
@@ -45,14 +44,6 @@ UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 @pytest.fixture(autouse=True)
 def unstopped(stop):
     """The stop flag is clear, before and after."""
-
-
-def until(condition):
-    """Wait for something that happens in another thread."""
-    end = time.monotonic() + SOON_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def source_of(shots, options=None, **more):
@@ -825,7 +816,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
         values = [getattr(one, name) for one in expected]
         np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
     assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
-    stored = yaml.safe_load((tmp_path / "r/run.yaml").read_text())["summary"]
+    stored = yaml_of(tmp_path / "r/run.yaml")["summary"]
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored == pytest.approx(result.summary, rel=1e-8)
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)

@@ -1,13 +1,13 @@
 """Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
 
-import csv
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import looming_frames, read_video, write_video
+from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
@@ -146,8 +146,7 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
         "78 of 120 frames repeat the one before: the video shows about 10 new pictures"
         in result.stderr
     )
-    with open("dlgmd-out/ten/run.yaml", encoding="utf-8") as file:
-        record = yaml.safe_load(file)
+    record = yaml_of("dlgmd-out/ten/run.yaml")
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
     assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
@@ -157,11 +156,9 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
     assert np.array_equal(compared.alarms, fresh.alarms)
     again = ["--config", "dlgmd-out/ten/run.yaml", "--no-plots", "--out", "again"]
     assert dlgmd("run", doubled / "ten.avi", *again).exit_code == 0
-    with open("again/ten/run.yaml", encoding="utf-8") as file:
-        assert yaml.safe_load(file) == record
+    assert yaml_of("again/ten/run.yaml") == record
     record["input"]["repeated_rows"] = "nonsense"
-    with open("again/ten/run.yaml", "w", encoding="utf-8") as file:
-        yaml.safe_dump(record, file)
+    Path("again/ten/run.yaml").write_text(yaml.safe_dump(record))
     with pytest.raises(ResultError, match="its repeated_rows are damaged"):
         read_result("again/ten")
 
@@ -206,8 +203,7 @@ def test_layers_and_sweeps_see_what_run_sees(dlgmd, doubled):
     onset = run(doubled / "ten.avi", set=7).summary["first_alarm_frame"]
     grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--no-plots", "--jobs", 1]
     assert dlgmd("sweep", doubled / "ten.avi", *grid).exit_code == 0
-    with open("dlgmd-out/sweep-ten/sweep.csv", encoding="ascii", newline="") as file:
-        (row,) = csv.DictReader(file)
+    (row,) = csv_rows("dlgmd-out/sweep-ten/sweep.csv")
     assert int(row["first_alarm_frame"]) == onset
     options = ["--frames", f"{onset},{onset + 1}", "--set", 7, "--no-plots", "--video", "film.mp4"]
     result = dlgmd("layers", doubled / "ten.avi", *options)

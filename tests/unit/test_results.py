@@ -6,8 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-import yaml
-from conftest import make_result, result_of_level
+from conftest import make_result, result_of_level, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import load_set, read_result
@@ -160,7 +159,7 @@ def test_save_and_read_back(tmp_path):
     for name in ("frame", "time_s", "mp", "mp_abs", "mp_seq", "attenuation_db", "spikes", "alarms"):
         assert np.allclose(getattr(again, name), getattr(result, name), rtol=1e-8, equal_nan=True)
     assert again.params == result.params and again.summary.keys() == result.summary.keys()
-    record = yaml.safe_load((tmp_path / "r/run.yaml").read_text())
+    record = yaml_of(tmp_path / "r/run.yaml")
     assert record["schema"] == 1 and record["summary"] == result.summary
 
 

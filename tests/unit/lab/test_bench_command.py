@@ -1,12 +1,11 @@
 """`dlgmd bench`: what it measures adds up; how long things take is not tested."""
 
-import csv
 import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import N_FRAMES
+from conftest import N_FRAMES, csv_rows
 
 from dlgmd_cli.lab import benchmark
 from dlgmd_cli.lab.benchmark import pan_frames
@@ -28,9 +27,7 @@ def test_every_combination_is_measured(dlgmd, clips):
         assert min(row["core_ms"], row["decode_ms"], row["whole_ms"]) > 0.0
         assert row["frames_per_s"] == pytest.approx(1000 / row["whole_ms"])
         assert row["whole_s"] == pytest.approx(0.120 * row["whole_ms"])
-    with open("b.csv", newline="", encoding="ascii") as file:
-        rows = list(csv.DictReader(file))
-    for row, other in zip(rows, found["rows"], strict=True):
+    for row, other in zip(csv_rows("b.csv"), found["rows"], strict=True):
         assert row["engine"] == other["engine"] and row["paper_s"] == row["ratio"] == ""
         assert float(row["whole_ms"]) == pytest.approx(other["whole_ms"], rel=1e-8)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import yaml
+from conftest import yaml_of
 from flightscenes import Quick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -202,7 +202,7 @@ def test_a_sheet_beside_the_clip_is_of_what_was_rendered(synth, monkeypatch):
     assert paths == [Path("new", "folder", name) for name in names]
     assert sorted(paths) == sorted(Path("new", "folder").iterdir())
     assert cv2.imread(str(paths[-1])).shape[1] <= 716
-    record = yaml.safe_load(paths[2].read_text())
+    record = yaml_of(paths[2])
     assert record["sheet"] == "quick-sheet.png"
     (sheet,) = drawn
     assert sheet.name == "quick" and len(sheet.images) == 12
