@@ -63,6 +63,7 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
             assert [one.index for one in each] == list(range(N_FRAMES))
             assert np.allclose([one.time_s for one in each], np.arange(N_FRAMES) / FPS)
             assert np.array_equal([one.grey for one in each], copies)  # in memory of their own
+            assert not any(map(np.shares_memory, [one.grey for one in each], FRAMES))
         assert source.progress.n_decoded == N_FRAMES
         assert source.progress.last_time_s == frames[-1].time_s
         luminance = frames[-1].luminance
