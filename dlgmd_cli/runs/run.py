@@ -21,7 +21,7 @@ from dlgmd_cli.runs.setup import Setup, choose, input_options
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Source, Video
+from dlgmd_cli.video.source import Video
 
 OnFrame = Callable[[int], None]
 # A model by its name, its class, or its parameters.
@@ -145,21 +145,21 @@ def open_input(source: Openable, setups: Sequence[Setup], options: InputOptions)
 
 
 def responses(
-    source: Source,
+    video: Video,
     steppers: Sequence[Stepper],
     *,
     layers: Callable[[Frame], bool] = lambda frame: False,
     picture_wh: tuple[int, int] | None = None,
     on_frame: OnFrame = silent,
 ) -> Iterator[tuple[Frame, list[Response]]]:
-    """Step models through a source that is read once; the loop of all commands.
+    """Step models through an input that is read once; the loop of all commands.
 
     Parameters
     ----------
-    source : Source
+    video : Video
         Where the frames come from; a thread reads ahead.
     steppers : sequence of Stepper
-        The models, each with its frame size, or None for the source's.
+        The models, each with its frame size, or None for the video's.
     layers : callable
         Whether the responses to a frame have the layers.
     picture_wh : (int, int), optional
@@ -172,8 +172,8 @@ def responses(
     frame, responses : Frame, list of Response
         Each frame with one response per stepper. The stop flag ends the loop after a frame.
     """
-    sizes = [one.size_wh or source.size_wh for one in steppers]
-    frames = source.frames(*sizes, picture_wh=picture_wh)
+    sizes = [one.size_wh or video.size_wh for one in steppers]
+    frames = video.frames(*sizes, picture_wh=picture_wh)
     # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:

@@ -174,14 +174,13 @@ class PyAVDecoder:
         self._container.close()
 
 
-def is_flagged(name: str) -> bool:
-    """Whether FFmpeg says that a video is interlaced; False if PyAV is missing or fails."""
+def details_of(name: str) -> Details | None:
+    """How a file is encoded; None if PyAV is not installed or cannot open it."""
     try:
-        decoder = PyAVDecoder(name, n_threads=1)
+        with closing(PyAVDecoder(name, n_threads=1)) as decoder:
+            return decoder.details()
     except (MissingExtraError, Unreadable):
-        return False
-    with closing(decoder):
-        return decoder.details().is_interlaced
+        return None
 
 
 def _deinterlaced(

@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.arrays import NAME
-from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, Unreadable, openable
+from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
-from dlgmd_cli.video.pyav import Details, PyAVDecoder
+from dlgmd_cli.video.pyav import details_of
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.source import Picture
 
@@ -111,7 +110,10 @@ def survey(
     n_gaps, pixel_range = 0, PixelRange()
     with open_video(path, decoder=decoder, input_fps=input_fps, repeats="skip") as video:
         is_video = video.info.decoder != NAME and pictures_at(Path(path)) is None
-        details = _details(Path(path)) if is_video else None
+        details = None
+        if is_video:
+            with openable(Path(path).absolute()) as name:
+                details = details_of(name)
         with opencv_threads(1):
             for picture in video.pictures():
                 n_gaps += picture.after_gap
@@ -144,18 +146,6 @@ def survey(
         crop=crop,
         still=still,
     )
-
-
-def _details(path: Path) -> Details | None:
-    """How a file is encoded; None if PyAV is not installed or cannot open it."""
-    try:
-        with openable(path.absolute()) as name:
-            decoder = PyAVDecoder(name)
-    except (MissingExtraError, Unreadable):
-        return None
-    details = decoder.details()
-    decoder.close()
-    return details
 
 
 class PixelRange:

@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import pytest
+from conftest import until
 
 pytest.importorskip("starlette", reason="the page needs Starlette")
 pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
@@ -80,14 +81,6 @@ def ask():
             return connections.enter_context(one.getresponse())
 
         yield asking
-
-
-def until(condition):
-    """Wait until a condition holds."""
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def next_event(response):

@@ -16,9 +16,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
+from conftest import looming_frames, until, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
@@ -45,14 +44,6 @@ UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 @pytest.fixture(autouse=True)
 def unstopped(stop):
     """The stop flag is clear, before and after."""
-
-
-def until(condition):
-    """Wait for something that happens in another thread."""
-    end = time.monotonic() + SOON_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def source_of(shots, options=None, **more):
@@ -264,6 +255,9 @@ def test_crop_and_mask(tmp_path, caplog):
     with played([picture], options) as source:
         assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
         assert source.hidden().sum() == 200 and source.hidden()[:10].all()
+    alarm = Alarm()
+    answered(played([picture], options), alarm)
+    assert alarm.model.n_cells == 200
     with played([picture, picture[:40]], options, tries_again=True) as source:
         source.sample(SOON_S)
         source.begin()
@@ -593,17 +587,6 @@ def test_a_source_that_cannot_be_opened_yet_is_blind():
     assert line.startswith("blind 1 time, 0.") and "lost" in line
 
 
-def test_the_alarm_ignores_what_the_mask_hides():
-    frames = looming_frames(n_frames=30, width=64, height=48)
-    hidden = np.zeros((48, 64), bool)
-    hidden[10:38, 15:49] = True
-    alarm = Alarm()
-    alarm.ignore(hidden)
-    # What still grows beyond the mask at the end is seen.
-    assert not any(alarm.step(frame, t / 30).alarm for t, frame in enumerate(frames[:28]))
-    assert alarm.model.n_cells == 48 * 64 - 28 * 34
-
-
 def test_statistics():
     statistics = Statistics()
     assert all(map(math.isnan, (*statistics.latency_ms(), statistics.fps)))
@@ -833,7 +816,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
         values = [getattr(one, name) for one in expected]
         np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
     assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
-    stored = yaml.safe_load((tmp_path / "r/run.yaml").read_text())["summary"]
+    stored = yaml_of(tmp_path / "r/run.yaml")["summary"]
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored == pytest.approx(result.summary, rel=1e-8)
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)
