@@ -138,6 +138,11 @@ def _no_markup(app: Any, ctx: Any, lines: list[str]) -> None:
     lines[:] = [line.replace("*", r"\*").replace("://", r"\://") for line in lines]
 
 
+def _notebooks_here(app: Any, name: str, source: list[str]) -> None:
+    """Links to notebooks lead to their pages, see conf.py."""
+    source[0] = source[0].replace("](../sample_videos/", "](notebooks/")
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Add all of these to Sphinx."""
     app.add_directive("generated", Generated)
@@ -146,6 +151,7 @@ def setup(app: Any) -> dict[str, bool]:
     # Browsers show MathML by themselves: no script from elsewhere is loaded.
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
     app.connect("missing-reference", _as_code)
+    app.connect("source-read", _notebooks_here)
     for part in ("description", "options", "epilog"):
         app.connect(f"sphinx-click-process-{part}", _no_markup)
     return {"parallel_read_safe": False, "parallel_write_safe": True}
