@@ -131,6 +131,19 @@ def test_page(browser, watch, place, look):
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 130
     assert process.stderr.read() == "Interrupted.\n"
+    reader.until("find('state').textContent === 'Ended'")
+
+
+def test_page_ends_with_its_file(browser, watch):
+    process, url = watch("0", SAMPLE, "--realtime")
+    reader = Watcher(browser, url, **WIDE)
+    reader.until("find('state').textContent === 'Ended'")
+    assert process.wait(timeout=20) == 0
+    # It stays so, and the numbers are those of the whole file.
+    reader.until("Date.now() - heard > SILENT_MS + 1500")
+    assert reader.page.text_content("#state") == "Ended"
+    assert reader.page.text_content("#alarms") == "1"
+    assert reader.page.evaluate("rows.at(-1).time_s") == pytest.approx(155 / 30, abs=0.1)
 
 
 def test_page_goes_on_by_itself(browser, watch):
@@ -138,7 +151,7 @@ def test_page_goes_on_by_itself(browser, watch):
     reader = Watcher(browser, url)
     reader.sees_motion()
     reader.until("rows.length > 30")
-    process.send_signal(signal.SIGINT)
+    process.kill()
     process.wait(timeout=20)
     reader.until("find('state').textContent === 'Not connected'")
     watch(url.rstrip("/").rpartition(":")[2])
