@@ -23,7 +23,7 @@ PHONE = {
     "has_touch": True,
     "color_scheme": "dark",
 }
-# How many pixels of the picture are orange, and its checksum; neither while there is none.
+# How many pixels of the picture are tinted, and its checksum; neither while there is none.
 PICTURE = """(() => {
     if (!picture.naturalWidth) return {};
     const canvas = document.createElement("canvas");
@@ -31,12 +31,12 @@ PICTURE = """(() => {
     const pen = canvas.getContext("2d");
     pen.drawImage(picture, 0, 0);
     const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
-    let [orange, sum] = [0, 0];
+    let [tinted, sum] = [0, 0];
     for (let i = 0; i < data.length; i += 4) {
-        orange += data[i] - data[i + 2] > 80;
+        tinted += data[i] - data[i + 1] > 80;
         sum = (31 * sum + data[i]) % 1000003;
     }
-    return {orange, sum};
+    return {tinted, sum};
 })()"""
 # Pixels of a canvas in a colour of the page, with some tolerance.
 PAINTED = """(name, colour) => {
@@ -111,7 +111,7 @@ def test_page(browser, watch, place, look):
     reader.until("find('name').textContent.endsWith('<b>flights.avi')")
     assert page.evaluate("document.documentElement.scrollWidth") == look["viewport"]["width"]
     reader.sees_motion()
-    reader.until(f"{PICTURE}.orange > 50")
+    reader.until(f"{PICTURE}.tinted > 50")
     reader.painted("mp", "accent")
     reader.painted("latency", "ink")
 
@@ -122,10 +122,10 @@ def test_page(browser, watch, place, look):
     assert int(page.text_content("#alarms")) >= 1
 
     page.click("#overlay")
-    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.orange === 0")
+    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.tinted === 0")
     # Many cells are active again at the next alarm.
     reader.until("find('state').className === 'alarm'")
-    assert page.evaluate(PICTURE).get("orange", 0) == 0
+    assert page.evaluate(PICTURE).get("tinted", 0) == 0
     assert reader.faults == []
 
     process.send_signal(signal.SIGINT)
