@@ -1,6 +1,7 @@
 """Gather the content of pages: results grouped by input, and labelled collisions."""
 
 import csv
+import hashlib
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,33 +20,44 @@ from dlgmd_cli.runs.find import SUMMARY
 
 @dataclass(frozen=True)
 class LabelledResult:
-    """A result, its folder and label; `peers` are all results of the same run, with itself."""
+    """A result, its folder and label; `peers` are all results of the same run, with itself.
+
+    `below` is the folder relative to the one that was given.
+    """
 
     folder: Path
     label: str
     result: Result
     peers: tuple[Result, ...]
+    below: Path = Path()
 
 
 @dataclass(frozen=True)
 class Input:
-    """An input with all of its results, at least one; `name` is unique among the inputs."""
+    """An input with all of its results, at least one; `name` is unique among the inputs.
+
+    `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv.
+    """
 
     name: str
     path: str
     results: tuple[LabelledResult, ...]
+    key: str
+    in_labels: str
 
 
 @dataclass(frozen=True)
 class Gathered:
     """All inputs, sorted by name; `failed` has the failed videos of batches, with the reasons.
 
-    `is_batch` says whether results were found in subfolders of a given folder.
+    `is_batch` says whether results were found in subfolders of a given folder. The paths in
+    labels.csv are relative to `labels_folder`, which holds all inputs.
     """
 
     inputs: list[Input]
     failed: list[tuple[str, str]]
     is_batch: bool
+    labels_folder: str
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
@@ -62,24 +74,59 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for path in paths:
         for folder in _below(path) if path in batches else [path]:
             for one in _read(folder):
+                one = replace(one, below=folder.relative_to(path))
                 known = one.result.record["input"]
                 same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
                 by_input.setdefault(same, []).append(one)
     for path in batches:
         failed += _failures(path)
-    inputs = []
     places = [_place(first.result) for first, *_ in by_input.values()]
+    first_of = [results[0] for results in by_input.values()]
+    labels_folder = _common([_root(one) for one in first_of])
+    inputs = []
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
-        path = results[0].result.record["input"]["path"]
-        inputs.append(Input(name, path, _labelled(results)))
-    return Gathered(sorted(inputs, key=lambda one: one.name), failed, bool(batches))
+        known = results[0].result.record["input"]
+        key = hashlib.sha256(f"{known['path']}|{known.get('bytes')}".encode()).hexdigest()[:16]
+        in_labels = known["path"]
+        if labels_folder:
+            in_labels = Path(os.path.relpath(known["path"], labels_folder)).as_posix()
+        inputs.append(Input(name, known["path"], _labelled(results), key, in_labels))
+    inputs.sort(key=lambda one: one.name)
+    return Gathered(inputs, failed, bool(batches), labels_folder)
 
 
-def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
-    """The collision frames of an input: those given, those on record, and those labelled."""
+def _root(one: LabelledResult) -> str:
+    """The folder of an input; of a batch, the one that was searched: its results mirror its tree.
+
+    Then 'dlgmd evaluate --results' finds the results by the paths in labels.csv.
+    """
+    parts, names = PurePath(one.result.record["input"]["path"]).parts, one.below.parts
+    n = 1
+    while n < min(len(parts) - 1, len(names)) and parts[-1 - n] == names[-1 - n]:
+        n += 1
+    return os.path.join(*parts[:-n]) if len(parts) > n else ""
+
+
+def _common(folders: Sequence[str]) -> str:
+    """The folder that holds all of these; empty if there is none, as of URLs and several drives."""
+    try:
+        found = os.path.commonpath(folders)
+    except ValueError:
+        return ""
+    return found if os.path.isabs(found) else ""
+
+
+def collisions_of(
+    one: Input, frames: Iterable[int], labels: dict[str, list[int]]
+) -> list[int] | None:
+    """The collision frames of an input: those given, those on record, and those labelled.
+
+    None if nobody has said whether there is one.
+    """
     known = {labelled.result.collision_frame for labelled in one.results}
-    listed = labels.get(one.path, labels.get(PurePath(one.path).name, []))
-    return sorted({*frames, *listed, *(frame for frame in known if frame is not None)})
+    listed = labels.get(one.path, labels.get(PurePath(one.path).name))
+    found = {*frames, *(listed or []), *(frame for frame in known if frame is not None)}
+    return sorted(found) if found or listed is not None else None
 
 
 def read_collisions(path: Path) -> dict[str, list[int]]:
