@@ -121,7 +121,9 @@ def test_a_ring_marks_the_centroid():
 def test_an_overlay_names_its_marks_and_has_the_mp_as_a_bar(shape):
     result = make_result()
     film = Overlay(result, shape, 1.0)
-    shown = {row: film.picture(row, np.full((*shape, 3), 120, np.uint8), None) for row in (0, 9, 22)}
+    shown = {
+        row: film.picture(row, np.full((*shape, 3), 120, np.uint8), None) for row in (0, 9, 22)
+    }
     heights = {}
     for row, picture in shown.items():
         assert is_colour(picture[shape[0] // 2 :], TINT).sum() > 50  # in the legend

@@ -206,7 +206,7 @@ def test_the_index_counts_hits_as_evaluate_does(dlgmd, tmp_path):
         "unknown.mp4": [None] * 3,
     }
     assert [rows["early.mp4"][key] for key in ("alarms", "first")] == ["1", "2.84"]
-    assert "<span class=\"alarm\">2.84 s</span>, peak MP 0.90" in (tmp_path / "all.html").read_text()
+    assert '<span class="alarm">2.84 s</span>, peak MP 0.90' in (tmp_path / "all.html").read_text()
     dlgmd("evaluate", "labels.csv", "--results", "res", "--no-plots", "--out", "scores")
     told = csv_rows(tmp_path / "scores/evaluate.csv")[0]
     assert [told[key] for key in ("hits", "collisions", "false_alarms")] == ["1", "3", "2"]
