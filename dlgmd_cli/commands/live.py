@@ -115,12 +115,13 @@ def live(
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
-    of the active cells, from -1 to 1) and latency_ms (from capture to answer). Events have an event:
-    begin and end of an alarm, blind where the source is lost or its pictures are black or frozen,
-    sees where it shows something again. The reason is lost, black or frozen as long as it does not.
-    With begin there is the side that the alarm comes from (left, ahead or right third of the
-    picture, with high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not
-    end an alarm, so its end is told 0.3 s late.
+    of the active cells, from -1 to 1) and latency_ms (from capture to answer).
+
+    Events have an event: begin and end of an alarm, blind where the source is lost or its pictures
+    are black or frozen, sees where it shows something again. The reason is lost, black or frozen as
+    long as it does not. With begin there is the side that the alarm comes from (left, ahead or
+    right third of the picture, with high or low), with end also duration_s and peak_mp_abs. Pauses
+    under 0.3 s do not end an alarm, so its end is told 0.3 s late.
     """
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import Recording

@@ -95,13 +95,20 @@ def view(
     model is run once more. Collisions can be labelled; the browser keeps the labels, and the index
     gathers them into one labels.csv. Needs dlgmd[view].
     """
-    from dlgmd_cli.pages.gather import gather, read_collisions
+    from dlgmd_cli.pages.gather import gather
     from dlgmd_cli.pages.page import require_packages
+    from dlgmd_cli.results.labels import read_collisions, read_labels
     from dlgmd_cli.results.store import fitting, refuse_existing
 
     require_packages()
     labels = read_collisions(labels_path) if labels_path else {}
     gathered = gather(paths)
+    if labels_path:  # their words are handed on to labels.csv
+        of_video: dict[str, list[Any]] = {}
+        for label in read_labels(labels_path):
+            of_video.setdefault(os.path.abspath(labels_path.parent / label.video), []).append(label)
+        inputs = [replace(i, labels=tuple(of_video.get(i.path, ()))) for i in gathered.inputs]
+        gathered = replace(gathered, inputs=inputs)
     is_one = len(gathered.inputs) == 1 and not gathered.is_batch
     if frames and len(gathered.inputs) > 1:
         raise click.UsageError(

@@ -13,7 +13,7 @@ from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.results.labels import Label, labelled_frames
 from dlgmd_cli.results.result import Result, read_comparison, read_result
 from dlgmd_cli.runs.find import SUMMARY
 
@@ -36,7 +36,8 @@ class LabelledResult:
 class Input:
     """An input with all of its results, at least one; `name` is unique among the inputs.
 
-    `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv.
+    `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv. Its
+    `labels` are those that a given table has.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Input:
     results: tuple[LabelledResult, ...]
     key: str
     in_labels: str
+    labels: tuple[Label, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def _root(one: LabelledResult) -> str:
     n = 1
     while n < min(len(parts) - 1, len(names)) and parts[-1 - n] == names[-1 - n]:
         n += 1
-    return os.path.join(*parts[:-n]) if len(parts) > n else ""
+    return str(PurePath(*parts[:-n])) if len(parts) > n else ""
 
 
 def _common(folders: Sequence[str]) -> str:
@@ -113,7 +115,7 @@ def _common(folders: Sequence[str]) -> str:
         found = os.path.commonpath(folders)
     except ValueError:
         return ""
-    return found if os.path.isabs(found) else ""
+    return found if Path(found).is_absolute() else ""
 
 
 def collisions_of(
@@ -124,27 +126,9 @@ def collisions_of(
     None if nobody has said whether there is one.
     """
     known = {labelled.result.collision_frame for labelled in one.results}
-    listed = labels.get(one.path, labels.get(PurePath(one.path).name))
+    listed = labelled_frames(labels, one.path)
     found = {*frames, *(listed or []), *(frame for frame in known if frame is not None)}
     return sorted(found) if found or listed is not None else None
-
-
-def read_collisions(path: Path) -> dict[str, list[int]]:
-    """Read the collision frames in a labels.csv, by the video's absolute path.
-
-    They can also be found by the name of the file, if it is unique. Raises ResultError if `path` is
-    not a file of labels.
-    """
-    found: dict[str, list[int]] = {}
-    by_name: dict[str, set[str]] = {}
-    for label in read_labels(path):
-        where = os.path.abspath(path.parent / label.video)
-        by_name.setdefault(PurePath(where).name, set()).add(where)
-        frames = found.setdefault(where, [])
-        if label.collision_frame is not None:
-            frames.append(label.collision_frame)
-    unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
-    return unique | found
 
 
 def _has_result(folder: Path) -> bool:

@@ -19,6 +19,7 @@ from dlgmd_cli.plots.overlay import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.plots.traces import LOOKS, stretches
 from dlgmd_cli.results.csv import text_cell
+from dlgmd_cli.results.labels import Label
 from dlgmd_cli.results.result import Result, Series
 
 _TEMPLATES = Path(__file__).with_name("templates")
@@ -145,8 +146,8 @@ def index_rows(
         thumbnail = part.film.thumbnail if part.film else b""
         rows.append(
             {
+                "labelled": {**_labelled(one), "collisions": collisions},
                 "key": one.key,
-                "video": text_cell(one.in_labels),
                 "name": printable(one.name),
                 "href": href,
                 "label": printable(part.label),
@@ -171,7 +172,7 @@ def index_page(
 ) -> str:
     """The index of many inputs as HTML."""
     failures = [(printable(name), printable(why)) for name, why in failed]
-    videos = {row["key"]: {k: row[k] for k in ("key", "video", "collisions")} for row in rows}
+    videos = {row["key"]: row["labelled"] for row in rows}
     return _rendered(
         "index.html.j2",
         rows=rows,
@@ -207,8 +208,7 @@ def _page_data(
     foot_db = (min(found) if found else -10.0) - 2.0
     return {
         "name": printable(one.name),
-        "key": one.key,
-        "video": text_cell(one.in_labels),
+        **_labelled(one),
         "index": index and index.key,
         "library": index and index.library,
         "download": f"labels-{text_cell(PurePath(one.path).stem)}.csv" if index else "labels.csv",
@@ -216,6 +216,18 @@ def _page_data(
         "collisions": list(collisions),
         "looks": [[colour, [] if dash == "-" else [*dash[1]]] for colour, dash in LOOKS],
         "results": [_result_data(part, foot_db) for part in parts],
+    }
+
+
+def _labelled(one: Input) -> dict[str, Any]:
+    """What a page's script needs for the rows of an input in labels.csv, without the collisions."""
+    words = one.labels[0] if one.labels else Label("")
+    return {
+        "key": one.key,
+        "video": text_cell(one.in_labels),
+        "targets": {label.collision_frame: label.target for label in one.labels if label.target},
+        "kind": words.kind,
+        "manner": words.manner,
     }
 
 

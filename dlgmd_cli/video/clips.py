@@ -43,31 +43,12 @@ def write_clips(
 ) -> list[Path]:
     """Write a clip from 2 s before to 1 s after the onset of each alarm; earlier ones are removed.
 
-    Parameters
-    ----------
-    source : str
-        A video, pictures or an array, as for `open_video`.
-    name : str
-        Name of the input; clips are called like ``flight-alarm1-3.97s.mp4``.
-    onsets_s : sequence of float
-        When the alarms begin, in seconds.
-    folder : Path
-        Created if necessary.
-    input_fps : float, optional
-        Frame rate of pictures or an array.
+    `source` is what `open_video` takes, and `input_fps` the frame rate of pictures. Clips are named
+    after `name`, number and time: ``flight-alarm1-3.97s.mp4``. A copy has the codec of the video,
+    and begins up to 1 s earlier, at a key frame; all others are H.264, if PyAV is installed.
 
-    Returns
-    -------
-    list of Path
-        The clips, all in H.264 unless they are copies, or PyAV is missing. The picture of a copy is
-        that of the video, and it begins up to 1 s earlier, at a key frame.
-
-    Raises
-    ------
-    SourceError
-        If the source cannot be decoded.
-    OutputError
-        If the folder cannot be written; the earlier clips are unchanged then.
+    Returns the clips. Raises SourceError if the source cannot be decoded, and OutputError if the
+    folder cannot be written; earlier clips are unchanged then.
     """
     spans = {
         f"{name}-alarm{number}-{max(onset_s, 0.0):.2f}s.mp4": (

@@ -128,7 +128,8 @@ def index_file(dlgmd, tmp_path):
 
 def open_index(browser, path, **look):
     reader = Reader(browser, f"file://{path}", allowed=("file:",), **look)
-    reader.page.on("dialog", lambda dialog: (reader.faults.append("dialog"), dialog.dismiss()))
+    reader.asked = []
+    reader.page.on("dialog", lambda dialog: (reader.asked.append(dialog.type), dialog.accept()))
     return reader
 
 
@@ -146,6 +147,9 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     frame = page.evaluate("labels[0].frame")
     assert "the index downloads those of all videos" in page.text_content("#keeping")
     page.click("text=All videos")  # which asks nothing, as the index has them
+    assert not reader.asked
+    page.reload()
+    assert reader.asked == ["beforeunload"]
     assert page.text_content("#summary") == "1 label in 1 of 2 videos, not downloaded yet."
     assert page.text_content(".yours:visible") == f"your label: frame {frame}"
     assert "in the folder “in”" in page.text_content("#labels")
@@ -153,6 +157,8 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     with page.expect_download() as saved:
         page.click("#save")
     assert page.text_content("#summary") == "1 label in 1 of 2 videos."
+    page.reload()
+    assert len(reader.asked) == 1
     assert saved.value.suggested_filename == "labels.csv"
     saved.value.save_as(tmp_path / "in/labels.csv")
     with open(tmp_path / "in/labels.csv", newline="") as file:
@@ -166,6 +172,45 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
             told = next(csv.DictReader(file))
         assert [told[key] for key in ("videos", "collisions")] == ["2", "1"]
     assert not reader.faults
+
+
+def test_labels_that_are_known_keep_their_words(browser, index_file, dlgmd, tmp_path):
+    table = ["video,collision_frame,target,kind", "=x/a\\, b.mp4,70,wall,real", "c.mp4,,,rendered"]
+    text = "\n".join(table).replace("=x/a\\, b.mp4", '"./=x/a, b.mp4"')
+    (tmp_path / "in/labels.csv").write_text(text + "\n")
+    made = ("view", "res", "--no-film", "--labels", "in/labels.csv", "--out", "web/all.html")
+    assert dlgmd(*made, "--overwrite").exit_code == 0
+    page = open_index(browser, index_file).page
+    page.click("text=c.mp4")
+    page.wait_for_load_state()
+    page.keyboard.press("End")
+    page.keyboard.press("l")
+    page.fill("#label-list input", "gate")
+    frame = page.evaluate("labels[0].frame")
+    page.click("text=All videos")
+    with page.expect_download() as saved:
+        page.click("#save")
+    saved.value.save_as(tmp_path / "new.csv")
+    assert (tmp_path / "new.csv").read_text().splitlines() == [
+        "video,collision_frame,target,kind",
+        '"./=x/a, b.mp4",70,wall,real',
+        f"c.mp4,{frame},gate,rendered",
+    ]
+
+
+def test_where_a_browser_keeps_nothing_the_page_says_so(browser, page_file):
+    context = browser.new_context()
+    context.add_init_script(
+        "delete window.localStorage; Object.defineProperty(window,"
+        "'localStorage', {get() { throw new Error(); }})"
+    )
+    page, asked = context.new_page(), []
+    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.goto(f"file://{page_file}")
+    page.keyboard.press("l")
+    assert "does not keep them" in page.text_content("#keeping")
+    page.reload()
+    assert asked == ["beforeunload"] and page.is_hidden("#labels")
 
 
 def test_the_index_filters_and_sorts_by_keyboard(browser, index_file):

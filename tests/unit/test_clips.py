@@ -28,7 +28,7 @@ def numbers(path):
 
 @pytest.fixture(scope="module", params=["copied", "encoded", "pictures"])
 def source(request, tmp_path_factory):
-    """The path of a video of 10 s, and the earliest frame with which a clip from 40 on may begin."""
+    """The path of a video of 10 s, and the frame with which a clip from frame 40 on may begin."""
     folder = tmp_path_factory.mktemp("source")
     if request.param == "copied":
         return str(write_video(folder / "a.mp4", list(frames()), FPS, "mp4v")), 20
