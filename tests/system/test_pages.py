@@ -139,13 +139,14 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     reader = open_index(browser, index_file)
     page = reader.page
     assert page.is_disabled("#save") and "No labels" in page.text_content("#summary")
+    page.wait_for_timeout(500)  # until what it keeps has reached the browser
     page.click("text=a, b.mp4")
     reader.until("plot._fullLayout !== undefined")
     page.keyboard.press("End")
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("l")
     frame = page.evaluate("labels[0].frame")
-    assert "the index downloads those of all videos" in page.text_content("#keeping")
+    reader.until("by('keeping').textContent.includes('the index downloads those of all')")
     page.click("text=All videos")  # which asks nothing, as the index has them
     assert not reader.asked
     page.reload()
