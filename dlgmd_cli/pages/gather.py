@@ -22,7 +22,7 @@ from dlgmd_cli.runs.find import SUMMARY
 class LabelledResult:
     """A result, its folder and label; `peers` are all results of the same run, with itself.
 
-    `below` is the folder relative to the one that was given.
+    `below` is the folder relative to that of its batch.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for path in paths:
         for folder in _below(path) if path in batches else [path]:
             for one in _read(folder):
-                one = replace(one, below=folder.relative_to(path))
+                one = replace(one, below=_below_one(batches, folder))
                 known = one.result.record["input"]
                 same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
                 by_input.setdefault(same, []).append(one)
@@ -95,6 +95,11 @@ def gather(paths: Sequence[Path]) -> Gathered:
         inputs.append(Input(name, known["path"], _labelled(results), key, in_labels))
     inputs.sort(key=lambda one: one.name)
     return Gathered(inputs, failed, bool(batches), labels_folder)
+
+
+def _below_one(batches: Iterable[Path], folder: Path) -> Path:
+    """A result's folder relative to that of its batch; empty if it was given itself."""
+    return next((folder.relative_to(p) for p in batches if folder.is_relative_to(p)), Path())
 
 
 def _root(one: LabelledResult) -> str:
