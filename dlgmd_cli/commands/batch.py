@@ -23,6 +23,7 @@ from dlgmd_cli.commands.console import (
     warn,
 )
 from dlgmd_cli.commands.options import (
+    clips_option,
     complete_file,
     dpi_option,
     engine_option,
@@ -137,6 +138,7 @@ def _outcomes(
 @format_option
 @dpi_option
 @no_plots_option
+@clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option(
@@ -168,6 +170,7 @@ def batch(
     formats: tuple[str, ...],
     dpi: int,
     no_plots: bool,
+    clips: Path | None,
     overwrite: bool,
     force: bool,
     exclude: tuple[str, ...],
@@ -187,7 +190,8 @@ def batch(
     and a summary of its own: OUT/set7, OUT/set9 and so on.
 
     A video that fails does not stop the others. Videos that were done before with the same
-    parameters are skipped: after an interruption, the same command continues.
+    parameters are skipped: after an interruption, the same command continues. --clips writes those
+    of the videos that are processed; --force processes all.
     """
     from tempfile import TemporaryDirectory
 
@@ -197,9 +201,10 @@ def batch(
     _check_scheduler(scheduler, jobs, timeout_s)
     options, labels = _options(setups, given), [one.label for one in setups]
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
-    found = _find(folders, out, exclude)
+    found = _find(folders, [out, *([] if clips is None else [str(clips)])], exclude)
     formats = () if no_plots else tuple(dict.fromkeys(formats))
     job = Job(tuple(setups), tuple(places), options, formats, dpi, overwrite or force)
+    job = replace(job, clips=None if clips is None else os.path.abspath(clips))
     if dry_run:
         _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
         return
@@ -234,12 +239,12 @@ def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
     return every[0]
 
 
-def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Found":
-    """Find the videos, and tell the user what is left out."""
+def _find(folders: tuple[str, ...], outs: list[str], exclude: tuple[str, ...]) -> "Found":
+    """Find the videos, but not below `outs`, and tell the user what is left out."""
     from dlgmd_cli.results.store import is_url
     from dlgmd_cli.runs.find import find_videos
 
-    found = find_videos(folders, [] if is_url(out) else [Path(out)], exclude)
+    found = find_videos(folders, [Path(out) for out in outs if not is_url(out)], exclude)
     for remark in found.remarks:
         note(remark)
     for fault in found.faults:

@@ -423,6 +423,14 @@ dpi_option = click.option(
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
+clips_option = click.option(
+    "--clips",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
+    "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
+    "1 s earlier; otherwise it is encoded.",
+)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )

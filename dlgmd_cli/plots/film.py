@@ -141,7 +141,8 @@ def _static(
     for axes, title, scale, unit in zip(
         panels, ("Input", "S", "G"), all_scales, all_units, strict=True
     ):
-        axes.set_title(title, fontsize=13)
+        named = "G, with the centroid of its active cells (○)" if title == "G" else title
+        axes.set_title(named, fontsize=13)
         axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
         axes.set_facecolor(LIGHT_GREY)
         axes.set_xticks([])
