@@ -289,7 +289,8 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width and the frame rate that the parameters are designed for.
+    are the frame width and the frame rate that the parameters are designed for. `is_record` tells
+    that it is a `run.yaml`.
     """
 
     name: str
@@ -300,6 +301,7 @@ class Config:
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     named: dict[str, Any] = field(default_factory=dict)
+    is_record: bool = False
 
 
 def design_of(params: Any) -> tuple[int, float]:
@@ -389,9 +391,10 @@ def load_config(path: str | Path) -> Config:
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     # A run.yaml already holds every value.
-    base = _named(name, named) if named and "schema" not in document else Config(name)
-    values = {**base.values, **values}
-    return replace(base, name=name, **own, values=values, options=options, named=named)
+    is_record = "schema" in document
+    base = _named(name, named) if named and not is_record else Config(name)
+    own |= {"options": options, "named": named, "is_record": is_record}
+    return replace(base, name=name, values={**base.values, **values}, **own)
 
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:

@@ -20,6 +20,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     say,
+    tell,
     warn,
 )
 from dlgmd_cli.commands.options import (
@@ -256,7 +257,7 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
     made = plan(found.videos, job, force=force)
     n_before = len(found.videos) - len(made.tasks)
     if n_before:
-        say(f"{n_before} of {len(found.videos)} videos are done already.")
+        tell(f"{n_before} of {len(found.videos)} videos are done already.")
     if made.n_other_version:
         warn(
             f"{made.n_other_version} results are from another version of dlgmd; "

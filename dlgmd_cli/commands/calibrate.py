@@ -16,6 +16,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     say,
+    tell,
     warn,
 )
 from dlgmd_cli.commands.evaluate import labels_argument, rule_options, scored
@@ -170,7 +171,7 @@ def calibrate(
 def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[Trial]":
     n_done = len(search)
     if n_done:
-        say(f"{n_done} trials are done already.")
+        tell(f"{n_done} trials are done already.")
     try:
         with progress("calibrate", n_trials, "trial") as advance:
             for n_done in search.run(n_trials, experiment.setup, experiment.choose):

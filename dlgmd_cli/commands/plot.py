@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.console import Command, note, print_path, warn
+from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     FORMATS,
     FRAME,
     dpi_option,
     format_option,
+    is_file_name,
     option_group,
     overwrite_option,
     width_option,
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
-_OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "mp4", "ps", "tif", "tiff", "webp")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name, and of a wrong value that an error quotes.
 _MAX_NAME, _MAX_SHOWN = 100, 60
@@ -103,6 +104,7 @@ annotation_options = option_group(
 @click.option(
     "-o",
     "--out",
+    cls=OwnDefault,
     type=click.Path(path_type=Path),
     default=Path("dlgmd-out"),
     show_default=True,
@@ -168,7 +170,7 @@ def plot(
 def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     """The files to write: `out` itself if its suffix is that of a figure, otherwise files in it."""
     suffix = out.suffix.lower().removeprefix(".")
-    if suffix in _OTHER_FORMATS and not out.is_dir():
+    if is_file_name(out) and suffix not in FORMATS:
         raise click.UsageError(
             f"--out: figures are written as {', '.join(FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
@@ -203,7 +205,7 @@ def _read(
         )
         are_compared.append(folder is not path or (has_comparison and not has_run))
         if has_run and has_comparison and folder is path:
-            say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
+            note(f"{path} holds a run and a comparison; for that, give {path / 'compare.csv'}")
     results = []
     for folder, name, is_compared in zip(
         folders, distinct_names(folders), are_compared, strict=True

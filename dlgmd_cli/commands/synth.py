@@ -8,12 +8,13 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
-from dlgmd_cli.commands.console import Command, Failed, print_path, print_table, say, settings
+from dlgmd_cli.commands.console import Command, Failed, note, print_path, print_table, say, tell
 from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
     complete_folder,
     dpi_option,
+    folder_name,
     numeric,
     overwrite_option,
 )
@@ -98,6 +99,7 @@ def _scene_options(command: Any) -> Any:
     "--out",
     type=click.Path(path_type=Path),
     default=Path(),
+    callback=folder_name,
     metavar="DIR",
     show_default="here",
     shell_complete=complete_folder,
@@ -212,8 +214,8 @@ def _render_one(clip: "Rendering", overwrite: bool) -> None:
     scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     is_smoothed = clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0
-    if is_smoothed and not settings().quiet:
-        say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
+    if is_smoothed:
+        note("MPEG-4 smooths the noise; --lossless keeps every pixel of it")
     with locked(clip.folder), progress(scene.name, scene.n_frames(options)) as on_frame:
         paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     for path in paths:
@@ -230,7 +232,7 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
         missing = [number for number in range(flights.count) if number not in present]
         flights.check(missing, overwrite=overwrite)
         if present:
-            say(f"{len(present)} of {flights.count} flights were already there.")
+            tell(f"{len(present)} of {flights.count} flights were already there.")
         try:
             _render_missing(flights, missing, jobs or n_processors(), overwrite)
         except (Interrupted, KeyboardInterrupt):

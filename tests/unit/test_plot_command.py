@@ -191,7 +191,7 @@ def test_a_run_goes_before_a_comparison_in_the_same_folder(dlgmd, drawn):
     result = dlgmd("plot", "mp", "both")
     assert result.exit_code == 0 and list(drawn[-1][1]) == ["both"]
     given = os.path.join("both", "compare.csv")
-    assert result.stderr == f"Drawing the run in both; give {given} for the comparison.\n"
+    assert result.stderr == (f"Note: both holds a run and a comparison; for that, give {given}.\n")
     result = dlgmd("plot", "mp", "both/compare.csv", "--overwrite")
     assert result.exit_code == 0 and list(drawn[-1][1]) == ["set9", "lgmd"]
     assert result.stderr == ""
