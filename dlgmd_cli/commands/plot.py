@@ -128,8 +128,8 @@ def plot(
 ) -> None:
     """Draw stored results: membrane potential, attenuation, spikes, or all of them.
 
-    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run' or 'dlgmd
-    compare' wrote, or the compare.csv in it.
+    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run', 'dlgmd
+    compare' or 'dlgmd batch' wrote, or the compare.csv in it.
 
     Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.
     """
@@ -139,11 +139,15 @@ def plot(
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
-    from dlgmd_cli.results.store import fitting
+    from dlgmd_cli.results.store import SUMMARY, fitting, with_results
 
+    given = [
+        path.absolute().parent if path.name in ("compare.csv", SUMMARY) else path for path in paths
+    ]
+    paths = tuple(with_results(paths))
     folders = [path.absolute().parent if path.name == "compare.csv" else path for path in paths]
-    # The names of all results, cut off if they get too long for a file name.
-    names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in folders)
+    # The names of all that was given, cut off if they get too long for a file name.
+    names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in given)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     found, are_compared = _read(paths, folders)
     if labels and len(labels) != len(found):

@@ -15,6 +15,7 @@ from dlgmd_cli.commands.options import (
     complete_folder,
     dpi_option,
     folder_name,
+    is_file_name,
     numeric,
     overwrite_option,
 )
@@ -79,6 +80,16 @@ def _complete_scene(
     return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
 
 
+def _file_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A name without folder and suffix."""
+    is_name = value is None or (value.strip(". ") and Path(value).name == value)
+    if not is_name or (value and (value[0] == "." or is_file_name(Path(value)))):
+        raise click.BadParameter(
+            f"{value!r} is not a name. Write loom-2, without folder and suffix."
+        )
+    return value
+
+
 def _scene_options(command: Any) -> Any:
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
@@ -104,6 +115,12 @@ def _scene_options(command: Any) -> Any:
     show_default="here",
     shell_complete=complete_folder,
     help="Folder for the files.",
+)
+@click.option(
+    "--name",
+    callback=_file_name,
+    metavar="NAME",
+    help="Name of the files, so that two seeds do not collide.  [default: the scene's]",
 )
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
 @click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
@@ -133,6 +150,7 @@ def synth(
     scene_name: str | None,
     lists: bool,
     out: Path,
+    name: str | None,
     lossless: bool,
     png: bool,
     sheet: bool,
@@ -147,12 +165,12 @@ def synth(
     SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
     background. 'dlgmd synth --list' lists the scenes.
 
-    Writes DIR/SCENE.mp4 and DIR/SCENE.csv, which has the ground truth of each frame. For a flight,
-    DIR/SCENE.yaml has its phases and the frame of the collision. --sheet adds DIR/SCENE-sheet.png,
-    a contact sheet of frames with their ground truth.
+    Writes DIR/NAME.mp4 and DIR/NAME.csv, which has the ground truth of each frame. For a flight,
+    DIR/NAME.yaml has its phases and the frame of the collision. --sheet adds DIR/NAME-sheet.png, a
+    contact sheet of frames with their ground truth.
 
-    With --count, writes DIR/SCENE-0000.mp4 and so on, and DIR/labels.csv. Flights that already
-    exist are kept: after an interruption, run the same command again to continue.
+    With --count, writes DIR/NAME-0000.mp4 and so on, and DIR/labels.csv. Flights that already exist
+    are kept: after an interruption, run the same command again to continue.
 
     Half of the flights of 'random' hit something. The others are as hard as real footage. Column
     manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, turns, close
@@ -177,7 +195,7 @@ def synth(
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(scene, options, out, codec, scene.name, draw)
+    clip = Rendering(scene, options, out, codec, name or scene.name, draw)
     if count is None:
         _render_one(clip, overwrite)
         return

@@ -14,7 +14,6 @@ from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.result import Result, read_comparison, read_result
-from dlgmd_cli.runs.find import SUMMARY
 
 
 @dataclass(frozen=True)
@@ -58,21 +57,20 @@ def gather(paths: Sequence[Path]) -> Gathered:
     """
     failed: list[tuple[str, str]] = []
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
-    batches = [path for path in paths if not _has_result(path)]
-    for path in paths:
-        for folder in _below(path) if path in batches else [path]:
-            for one in _read(folder):
-                known = one.result.record["input"]
-                same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
-                by_input.setdefault(same, []).append(one)
-    for path in batches:
-        failed += _failures(path)
+    trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
+    for folder in store.with_results(paths):
+        for one in _read(folder):
+            known = one.result.record["input"]
+            same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+            by_input.setdefault(same, []).append(one)
+    for tree in dict.fromkeys(trees):
+        failed += _failures(tree)
     inputs = []
     places = [_place(first.result) for first, *_ in by_input.values()]
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
         path = results[0].result.record["input"]["path"]
         inputs.append(Input(name, path, _labelled(results)))
-    return Gathered(sorted(inputs, key=lambda one: one.name), failed, bool(batches))
+    return Gathered(sorted(inputs, key=lambda one: one.name), failed, bool(trees))
 
 
 def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
@@ -98,25 +96,6 @@ def read_collisions(path: Path) -> dict[str, list[int]]:
             frames.append(label.collision_frame)
     unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
     return unique | found
-
-
-def _has_result(folder: Path) -> bool:
-    """Whether a folder holds a result itself; a missing folder counts, and fails when read."""
-    records = (store.RUN, store.COMPARISON)
-    return not folder.is_dir() or any((folder / name).exists() for name in records)
-
-
-def _below(folder: Path) -> list[Path]:
-    """The subfolders with results, sorted; raises ResultError if there are none."""
-    names = (store.RUN, store.COMPARISON)
-    found = sorted({record.parent for name in names for record in folder.rglob(name)})
-    if not found:
-        raise ResultError(
-            str(folder),
-            f"contains no result (no {store.RUN} or {store.COMPARISON})",
-            "Run 'dlgmd run' or 'dlgmd batch' first.",
-        )
-    return found
 
 
 def _read(folder: Path) -> list[LabelledResult]:
@@ -163,7 +142,7 @@ def _place(result: Result) -> Path:
 def _failures(folder: Path) -> list[tuple[str, str]]:
     """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
     failed = []
-    for path in sorted([*folder.glob(SUMMARY), *folder.glob(f"*/{SUMMARY}")]):
+    for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
         try:
             with open_regular(path, newline="", encoding="utf-8") as file:
                 for row in csv.DictReader(file):
