@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from dlgmd_cli.checks import Spec, blame, require_known, shown
+from dlgmd_cli.checks import Spec, blame, nearest, require_known, shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.keys import RECORD_KEYS, common_key, implied_key, imported_model, key
 from dlgmd_cli.keys import Parameters as Parameters
@@ -332,6 +332,8 @@ def load_preset(name: str | int) -> Config:
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
         mend = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
+        if near := nearest(str(name)[:100], PRESETS):
+            mend = f"Did you mean --config {near}? {mend}"
         raise ParameterError("", why, mend)
     return load_config(presets_dir() / f"set{number}.yaml")
 
@@ -372,6 +374,8 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_config(presets_dir() / f"{name}.yaml"), named={"preset": name})
+    if not path.exists() and (near := nearest(name[:100], PRESETS)):
+        raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")

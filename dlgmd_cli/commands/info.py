@@ -177,6 +177,8 @@ def _rows(facts: "Survey") -> list[tuple[str, str]]:
         ("interlaced", interlaced[facts.is_interlaced]),
         ("decoder", facts.decoder),
     ]
+    if facts.turned_deg:
+        rows.insert(1, ("rotation", f"{facts.turned_deg}° clockwise, as the file asks"))
     if facts.gaps:
         rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
     rows += [("damage", line) for line in facts.damage or ["none found"]]

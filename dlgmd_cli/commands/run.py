@@ -20,6 +20,7 @@ from dlgmd_cli.commands.options import (
     model_options,
     run_output_options,
 )
+from dlgmd_cli.words import frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.detection import AlarmSpan
@@ -107,7 +108,7 @@ def _show(result: "Result", folder: Path, as_json: bool) -> None:
     if summary["mean_attenuation_db"] is not None:
         attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
     rows = [
-        ("frames", "{frames} at {width}x{height}".format(**processed)),
+        ("frames", "{} at {width}x{height}".format(frames_text(result.record), **processed)),
         ("peak MP", peak),
         ("spikes", spikes),
         ("alarms", f"{summary['alarms'] or 'none'}"),

@@ -10,13 +10,21 @@ from figures import make_result
 # Command lines in a folder with videos and a result, and words of the error.
 WRONG_USAGE = [
     ("run loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
+    (
+        "run loom.avi --set fligt",
+        "there is no set fligt. Did you mean --config flight? Choose 1 to",
+    ),
+    (
+        "run loom.avi --config flght",
+        "flght: there is no such file or preset. Did you mean 'flight'?",
+    ),
     ("run loom.avi --set 1 --config x.yaml", "--set and --config exclude each other"),
     ("run loom.avi --config none.yaml", "none.yaml: there is no such file"),
     ("run loom.avi --param sigma_e=-1", "for '--param': sigma_e = -1 is not above 0."),
     ("run loom.avi --param sigma_x=1", "unknown parameter 'sigma_x'. Did you mean 'sigma_e'?"),
     ("run loom.avi --param nonsense", "'nonsense' is not KEY=VALUE"),
     ("run loom.avi --set 1 --param lam=0.7", "make the latency longer than 64 frames"),
-    ("run loom.avi --model lgmx", "there is no model 'lgmx'"),
+    ("run loom.avi --model lgmx", "there is no model 'lgmx'. Did you mean 'lgmd'? Choose from"),
     ("run loom.avi --model lgmd --set 3", "--set works only with the D-LGMD model"),
     ("run loom.avi --model lgmd --formulation released", "--formulation works only with the D-L"),
     ("run loom.avi --model lgmd --param r=3", "unknown parameter 'r'. See 'dlgmd sets show lgmd'."),
@@ -82,7 +90,10 @@ WRONG_USAGE = [
     ("view bare --out page.pdf", "does not end in .html"),
     ("info loom.avi short.avi --write-mask mask.png", "one INPUT"),
     ("info loom.avi --write-mask mask.jpg", "does not end in .png"),
-    ("sets show 10", "there is no set 10. Choose 1 to 9"),
+    ("sets show 10", "there is no set 10. Choose 1 to 9, flight, flight-small, dlgmd, "),
+    ("sets show flght", "there is no set flght. Did you mean 'flight'? Choose 1 to 9, flight"),
+    ("synth looming-cube --name x.mp4", "'x.mp4' is not a name. Write loom-2, without folder"),
+    ("synth looming-cube --name ../x", "'../x' is not a name."),
     ("export c --model lgmd", "there is no C version of the model lgmd. Only dlgmd and"),
     ("export c --model dlgmd-onoff", "there is no C version of the model dlgmd-onoff."),
     ("export c --size 15x40", "'--size': 15x40 is out of range. Choose sides"),
@@ -115,6 +126,10 @@ WRONG_USAGE = [
 ]
 FAILURES = [
     ("run none.mp4", "none.mp4: there is no such file or folder"),
+    (
+        "run bare",
+        "bare: there is no picture in this folder. For the videos in a folder, use 'dlgmd b",
+    ),
     ("run empty.mp4", "empty.mp4: the file is empty"),
     ("run text.mp4", "text.mp4: no frame could be decoded, damaged file or missing codec"),
     ("run pipe", "pipe: is a pipe; only files are read"),
