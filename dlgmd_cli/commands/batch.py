@@ -15,6 +15,7 @@ from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import (
     Command,
     Failed,
+    detail,
     note,
     print_json,
     print_path,
@@ -281,6 +282,8 @@ def _process(plan: "Plan", outcomes: "Iterator[Any]", labels: list[str]) -> bool
                 ]
                 for line in dict.fromkeys([*failures, *warnings]):
                     warn(f"{task.video.name}: {line.rstrip('.')}")
+                for number, row in rows.items():
+                    detail(f"{task.video.name}, {labels[number]}: {row.status}, {row.wall_s} s")
                 n_ended, n_failed = n_ended + 1, n_failed + bool(failures)
                 advance(n_ended, f"batch, {n_failed} failed")
     except (cancel.Interrupted, KeyboardInterrupt):

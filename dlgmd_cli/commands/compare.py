@@ -181,8 +181,8 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         multiple=True,
         metavar="NAME",
         callback=_distinct,
-        help="Name of a model in the figures and tables; give one for each model, in the order in "
-        "which they are listed without: sets, configs, models, each with what is derived from it.",
+        help="Name of a model in files, tables and figures; give one for each model, in the order "
+        "of the table: sets, configs, models, each followed by what is derived from it.",
     ),
 )
 @input_options

@@ -230,6 +230,9 @@ def usage_errors_escaped() -> Iterator[None]:
         yield
     except click.exceptions.NoArgsIsHelpError:  # its message is the help
         raise
+    except click.MissingParameter as error:  # click lists the choices on lines of their own
+        line = " ".join(error.format_message().split())
+        raise click.UsageError(printable(line), error.ctx) from None
     except click.ClickException as error:
         error.message = printable(error.message)  # type: ignore[misc]
         raise

@@ -119,8 +119,7 @@ def info(
     elif mask_path is not None:
         print_path(mask_path)
     if failures:
-        n_others = len(input_paths) - len(failures)
-        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed, {n_others} were read.")
+        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed.")
         raise click.exceptions.Exit(EXIT_FAILED)
 
 

@@ -343,6 +343,8 @@ class Statistics:
             return
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN
+        if answer.event:
+            _log.debug("%s", answer.to_json())
         self._latencies_ms.append(answer.latency_ms)
         self._lately.append(time.monotonic())
 

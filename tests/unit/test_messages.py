@@ -77,6 +77,15 @@ def test_a_log_has_everything_with_times(dlgmd, clips):
     assert not logging.getLogger("dlgmd_cli").handlers[1:]
 
 
+def test_details_of_a_batch_and_of_live(dlgmd, clips):
+    common = ["--no-plots", "--jobs", 1, "-v"]
+    done = dlgmd("batch", clips / "loom.avi", "--set", 9, "--model", "lgmd", *common)
+    for label in ("set9", "lgmd"):
+        assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
+    live = ["live", clips / "loom.avi", "--realtime", "--param", "t_mp=0.01", "--param", "n_sp=1"]
+    assert '"event": "begin"' in dlgmd(*live, "-v").stderr
+
+
 def test_a_log_that_cannot_be_written(dlgmd, clips):
     result = dlgmd("--log", "no/a.log", "run", clips / "loom.avi")
     assert result.exit_code == 1
