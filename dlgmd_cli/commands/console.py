@@ -32,7 +32,7 @@ INFINITE_DISTINGUISHABILITY = (
 # Sections of the help, each with its options in order, the common ones first. An option in none of
 # them is specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param formulation no-ffi-gd normalise engine",
+    "Model": "set config model param variant formulation no-ffi-gd normalise engine",
     "Input": "realtime input-size pixel-format scale size fps start end crop mask repeats "
     "input-fps decoder",
     "Output": "out record overwrite force format no-plots width dpi json",

@@ -53,6 +53,10 @@ class Parsed(click.ParamType):
         except ParameterError as error:
             self.fail(str(error), param, ctx)
 
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """The name as it is; click would write WXH."""
+        return self.name
+
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
