@@ -35,6 +35,8 @@ class ImageDecoder:
             first = read_image(self._path)
         except Unreadable as error:
             mend = "Remove it from the sequence or convert it to PNG."
+            if self._path.suffix.lower() not in SUFFIXES:
+                mend = "A pattern is for pictures; for several videos, use 'dlgmd batch'."
             raise SourceError(str(self._path), str(error), mend) from None
         kind = self._path.suffix[1:].lower()
         self.stream_info: StreamInfo = StreamInfo(

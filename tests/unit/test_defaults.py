@@ -46,6 +46,9 @@ def test_defaults_are_used_recorded_and_outdone_by_options(dlgmd, own, clips, tm
     assert sorted(path.name for path in Path("results/loom").glob("mp.*")) == [
         *("mp.csv", "mp.pdf", "mp.svg"),
     ]
+    again = ["--config", "results/loom/run.yaml", "--settings", "none", "--out", "again"]
+    assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+    assert csv_rows("again/loom/mp.csv") == csv_rows("results/loom/mp.csv")
     options = ["--scale", 0.25, "--format", "png", "--decoder", "pyav", "--out", "b"]
     assert dlgmd("run", clips / "loom.avi", *options).exit_code == 0
     assert yaml_of("b/loom/run.yaml")["processed"]["width"] == 8
