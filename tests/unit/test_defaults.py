@@ -16,9 +16,9 @@ import dlgmd_cli
 @pytest.fixture
 def own(monkeypatch, dlgmd, tmp_path):
     """Write dlgmd.yaml, which counts in these tests: `own("size: 16x12")`."""
-    monkeypatch.delenv("DLGMD_SETTINGS")
 
     def write(text, name="dlgmd.yaml"):
+        monkeypatch.delenv("DLGMD_SETTINGS", raising=False)
         (tmp_path / name).write_text(text)
 
     return write

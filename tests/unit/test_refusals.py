@@ -126,6 +126,7 @@ WRONG_USAGE = [
     ("batch . --param sigma_x=1", "unknown parameter 'sigma_x'"),
 ]
 FAILURES = [
+    ("run '*.avi'", "cannot be read as a picture. A pattern is for pictures; for several videos"),
     ("run none.mp4", "none.mp4: there is no such file or folder"),
     (
         "run bare",
