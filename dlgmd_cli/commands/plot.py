@@ -25,6 +25,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.errors import ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
@@ -152,8 +153,7 @@ def plot(
     found, are_compared = _read(paths, folders)
     if labels and len(labels) != len(found):
         raise click.UsageError(
-            f"--label is given {len(labels)} time{'s' * (len(labels) > 1)}, "
-            f"for {len(found)} result{'s' * (len(found) > 1)}."
+            f"--label is given {counted(len(labels), 'time')}, for {counted(len(found), 'result')}."
         )
     shown = labels or numbered([name for name, _ in found])
     until = annotations.collision_frame
