@@ -26,6 +26,7 @@ from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
     complete_file,
+    folder_name,
     live_input_options,
     model_options,
     overwrite_option,
@@ -93,6 +94,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 @click.option(
     "--record",
     type=click.Path(file_okay=False, path_type=Path),
+    callback=folder_name,
     metavar="DIR",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )

@@ -22,6 +22,7 @@ from dlgmd_cli.commands.options import (
     model_options,
     run_output_options,
 )
+from dlgmd_cli.words import frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.detection import AlarmSpan
@@ -57,6 +58,7 @@ def run(
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.setup import input_options as recorded
     from dlgmd_cli.video.clips import refuse_clips, write_clips
+    from dlgmd_cli.words import counted
 
     options = recorded(setup, given)
     with job(input_path, [setup], options, output, store.RUN) as one:
@@ -73,7 +75,7 @@ def run(
             onsets_s = [alarm.start_s for alarm in result.alarm_list]
             name = one.video.info.name
             made = write_clips(input_path, name, onsets_s, clips, options.input_fps)
-            say(f"{len(made)} clip{'s' * (len(made) != 1)} in {clips}.")
+            say(f"{counted(len(made), 'clip')} in {clips}.")
     _show(result, one.folder, output.as_json)
     one.end(len(result), complete=result.record["complete"])
 
@@ -120,7 +122,7 @@ def _show(result: "Result", folder: Path, as_json: bool) -> None:
     if summary["mean_attenuation_db"] is not None:
         attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
     rows = [
-        ("frames", "{frames} at {width}x{height}".format(**processed)),
+        ("frames", "{} at {width}x{height}".format(frames_text(result.record), **processed)),
         ("peak MP", peak),
         ("spikes", spikes),
         ("alarms", f"{summary['alarms'] or 'none'}"),

@@ -9,8 +9,16 @@ from urllib.parse import quote
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import FRAME, complete_file, file_ending, numeric, overwrite_option
+from dlgmd_cli.commands.console import Command, print_path, tell, warn
+from dlgmd_cli.commands.defaults import OwnDefault
+from dlgmd_cli.commands.options import (
+    FRAME,
+    complete_file,
+    file_or_folder,
+    is_file_name,
+    numeric,
+    overwrite_option,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name
@@ -36,9 +44,12 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option(
     "-o",
     "--out",
-    type=file_ending("page.html"),
-    metavar="FILE",
-    help="The page, ending in .html.  [default: dlgmd-out/view-NAME.html]",
+    cls=OwnDefault,
+    type=file_or_folder("page.html"),
+    default="dlgmd-out",
+    show_default=True,
+    metavar="PATH",
+    help="Folder for the page, view-NAME.html, or a file ending in .html.",
 )
 @overwrite_option
 @click.option(
@@ -77,7 +88,7 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
     paths: tuple[Path, ...],
-    out: Path | None,
+    out: Path,
     overwrite: bool,
     frames: tuple[int, ...],
     labels_path: Path | None,
@@ -119,7 +130,7 @@ def view(
     first = gathered.inputs[0].results[0].result
     name = recorded_name(first.record["input"]) if is_one else paths[0].absolute().name
     stem = fitting(name[:_MAX_NAME]) or "results"
-    out = out or Path("dlgmd-out") / f"view-{stem}.html"
+    out = out if is_file_name(out) else out / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
     request = _Request(frames, labels, input_path, width_px, no_film)
     if is_one:
@@ -167,7 +178,7 @@ def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrit
     if gathered.failed:
         n_failed = len(gathered.failed)
         those = "1 failed video is" if n_failed == 1 else f"{n_failed} failed videos are"
-        say(f"{those} listed at the end of the index.")
+        tell(f"{those} listed at the end of the index.")
 
 
 def _write_page(
@@ -190,7 +201,7 @@ def _write_page(
     parts = _parts(one, request)
     text = page(one, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
-        say(
+        tell(
             f"{printable(str(out))} has {len(text) / 1e6:.0f} MB. A smaller --film-width makes it "
             "smaller."
         )

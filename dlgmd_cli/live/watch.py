@@ -20,6 +20,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.words import counted
 
 Image = npt.NDArray[Any]
 _log = logging.getLogger(__name__)
@@ -324,7 +325,7 @@ class Sight:
     def warnings(self) -> list[str]:
         """How long it showed nothing, a line for each reason."""
         return [
-            f"blind {n_times} time{'s' * (n_times > 1)}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
+            f"blind {counted(n_times, 'time')}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
             for reason, (n_times, total_s) in self._so_far().items()
         ]
 
@@ -353,6 +354,8 @@ class Statistics:
             return
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN
+        if answer.event:
+            _log.debug("%s", answer.to_json())
         self._latencies_ms.append(answer.latency_ms)
         self._lately.append(time.monotonic())
 

@@ -15,7 +15,6 @@ from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import Label, labelled_frames
 from dlgmd_cli.results.result import Result, read_comparison, read_result
-from dlgmd_cli.runs.find import SUMMARY
 
 
 @dataclass(frozen=True)
@@ -72,16 +71,15 @@ def gather(paths: Sequence[Path]) -> Gathered:
     """
     failed: list[tuple[str, str]] = []
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
-    batches = [path for path in paths if not _has_result(path)]
-    for path in paths:
-        for folder in _below(path) if path in batches else [path]:
-            for one in _read(folder):
-                one = replace(one, below=_below_one(batches, folder))
-                known = one.result.record["input"]
-                same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
-                by_input.setdefault(same, []).append(one)
-    for path in batches:
-        failed += _failures(path)
+    trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
+    for folder in store.with_results(paths):
+        for one in _read(folder):
+            one = replace(one, below=_below_one(trees, folder))
+            known = one.result.record["input"]
+            same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+            by_input.setdefault(same, []).append(one)
+    for tree in dict.fromkeys(trees):
+        failed += _failures(tree)
     places = [_place(first.result) for first, *_ in by_input.values()]
     first_of = [results[0] for results in by_input.values()]
     labels_folder = _common([_root(one) for one in first_of])
@@ -94,7 +92,7 @@ def gather(paths: Sequence[Path]) -> Gathered:
             in_labels = Path(os.path.relpath(known["path"], labels_folder)).as_posix()
         inputs.append(Input(name, known["path"], _labelled(results), key, in_labels))
     inputs.sort(key=lambda one: one.name)
-    return Gathered(inputs, failed, bool(batches), labels_folder)
+    return Gathered(inputs, failed, bool(trees), labels_folder)
 
 
 def _below_one(batches: Iterable[Path], folder: Path) -> Path:
@@ -134,25 +132,6 @@ def collisions_of(
     listed = labelled_frames(labels, one.path)
     found = {*frames, *(listed or []), *(frame for frame in known if frame is not None)}
     return sorted(found) if found or listed is not None else None
-
-
-def _has_result(folder: Path) -> bool:
-    """Whether a folder holds a result itself; a missing folder counts, and fails when read."""
-    records = (store.RUN, store.COMPARISON)
-    return not folder.is_dir() or any((folder / name).exists() for name in records)
-
-
-def _below(folder: Path) -> list[Path]:
-    """The subfolders with results, sorted; raises ResultError if there are none."""
-    names = (store.RUN, store.COMPARISON)
-    found = sorted({record.parent for name in names for record in folder.rglob(name)})
-    if not found:
-        raise ResultError(
-            str(folder),
-            f"contains no result (no {store.RUN} or {store.COMPARISON})",
-            "Run 'dlgmd run' or 'dlgmd batch' first.",
-        )
-    return found
 
 
 def _read(folder: Path) -> list[LabelledResult]:
@@ -199,7 +178,7 @@ def _place(result: Result) -> Path:
 def _failures(folder: Path) -> list[tuple[str, str]]:
     """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
     failed = []
-    for path in sorted([*folder.glob(SUMMARY), *folder.glob(f"*/{SUMMARY}")]):
+    for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
         try:
             with open_regular(path, newline="", encoding="utf-8") as file:
                 for row in csv.DictReader(file):

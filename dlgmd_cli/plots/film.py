@@ -17,6 +17,7 @@ from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
 from dlgmd_cli.plots.traces import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.words import threshold_text
 
 WIDTH, HEIGHT = 1280, 720
 
@@ -163,9 +164,10 @@ def _static(
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
     trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
     dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
+    threshold = threshold_text(result.threshold)
     handles = [
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
-        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {result.threshold:g}"),
+        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
         Line2D([], [], color=ORANGE, label="spike", **dot),
         Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
     ]

@@ -15,7 +15,7 @@ from dlgmd_cli.pool import DONE, FAILED, Outcome
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
+from dlgmd_cli.runs.find import Input, local_copy
 from dlgmd_cli.runs.run import open_input, require_response, run_models
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.clips import write_clips
@@ -91,7 +91,7 @@ class Summary:
     """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
 
     def __init__(self, place: "Path | UPath") -> None:
-        self.path = place / SUMMARY
+        self.path = place / store.SUMMARY
         self.rows: dict[str, Row] = {}
         self._next_write_s = 0.0
 
@@ -105,7 +105,7 @@ class Summary:
             return
         cells = [_cells(name, self.rows[name]) for name in sorted(self.rows)]
         write = partial(csv.write_rows, header=COLUMNS, rows=cells)
-        store.write_files(self.path.parent, {SUMMARY: write})
+        store.write_files(self.path.parent, {store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
 

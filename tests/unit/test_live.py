@@ -748,7 +748,7 @@ def test_a_program_gets_the_event_in_its_environment(tmp_path, caplog):
     found = dict(eval(file.read_text()))
     assert (found["DLGMD_EVENT"], found["DLGMD_FRAME"]) == ("begin", "7")
     wait_for(start)
-    assert found["DLGMD_ALARM"] == "True" and found["DLGMD_G_X"] == "" and not caplog.messages
+    assert found["DLGMD_ALARM"] == "true" and found["DLGMD_G_X"] == "" and not caplog.messages
 
 
 def test_programs_that_hang_or_fail(caplog):

@@ -61,6 +61,18 @@ def test_page_of_a_run(dlgmd, clips, tmp_path):
     assert tints[1] < 20 and max(tints[-5:]) > 80
 
 
+def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd):
+    make_result(np.arange(9.0)).save("out/a")
+    Path("out/summary.csv").write_text("video,status,error\nb.mp4,failed,no frame\n")
+    assert dlgmd("view", "out/a", "--no-film", "--out", "pages").output.split() == [
+        os.path.join("pages", "view-flight.html")
+    ]
+    made = dlgmd("view", "out/a", "out/summary.csv", "--no-film", "--out", "x.html")
+    assert made.exit_code == 0 and "1 failed video is listed" in made.stderr
+    index = " ".join(Path("x.html").read_text("utf-8").split())
+    assert "<h1>1 video</h1>" in index and "no frame" in index
+
+
 def test_pictures_are_named_after_their_folder(dlgmd, tmp_path):
     (tmp_path / "frames.v2").mkdir()
     for number, frame in enumerate(looming_frames()):
