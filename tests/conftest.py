@@ -19,6 +19,8 @@ from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 
+# A dlgmd.yaml above the temporary folders is nothing for tests, nor for the processes they start.
+os.environ["DLGMD_SETTINGS"] = "none"
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

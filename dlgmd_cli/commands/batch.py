@@ -15,14 +15,17 @@ from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import (
     Command,
     Failed,
+    detail,
     note,
     print_json,
     print_path,
     print_table,
     say,
+    tell,
     warn,
 )
 from dlgmd_cli.commands.options import (
+    clips_option,
     complete_file,
     dpi_option,
     engine_option,
@@ -41,6 +44,7 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import ParameterError, SourceError, printable
 from dlgmd_cli.names import numbered
 from dlgmd_cli.parameters import parse_overrides
+from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.pool import Outcome
@@ -137,6 +141,7 @@ def _outcomes(
 @format_option
 @dpi_option
 @no_plots_option
+@clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option(
@@ -168,6 +173,7 @@ def batch(
     formats: tuple[str, ...],
     dpi: int,
     no_plots: bool,
+    clips: Path | None,
     overwrite: bool,
     force: bool,
     exclude: tuple[str, ...],
@@ -187,7 +193,8 @@ def batch(
     and a summary of its own: OUT/set7, OUT/set9 and so on.
 
     A video that fails does not stop the others. Videos that were done before with the same
-    parameters are skipped: after an interruption, the same command continues.
+    parameters are skipped: after an interruption, the same command continues. --clips writes those
+    of the videos that are processed; --force processes all.
     """
     from tempfile import TemporaryDirectory
 
@@ -197,9 +204,10 @@ def batch(
     _check_scheduler(scheduler, jobs, timeout_s)
     options, labels = _options(setups, given), [one.label for one in setups]
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
-    found = _find(folders, out, exclude)
+    found = _find(folders, [out, *([] if clips is None else [str(clips)])], exclude)
     formats = () if no_plots else tuple(dict.fromkeys(formats))
     job = Job(tuple(setups), tuple(places), options, formats, dpi, overwrite or force)
+    job = replace(job, clips=None if clips is None else os.path.abspath(clips))
     if dry_run:
         _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
         return
@@ -234,12 +242,12 @@ def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
     return every[0]
 
 
-def _find(folders: tuple[str, ...], out: str, exclude: tuple[str, ...]) -> "Found":
-    """Find the videos, and tell the user what is left out."""
+def _find(folders: tuple[str, ...], outs: list[str], exclude: tuple[str, ...]) -> "Found":
+    """Find the videos, but not below `outs`, and tell the user what is left out."""
     from dlgmd_cli.results.store import is_url
     from dlgmd_cli.runs.find import find_videos
 
-    found = find_videos(folders, [] if is_url(out) else [Path(out)], exclude)
+    found = find_videos(folders, [Path(out) for out in outs if not is_url(out)], exclude)
     for remark in found.remarks:
         note(remark)
     for fault in found.faults:
@@ -254,14 +262,14 @@ def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
     from dlgmd_cli.runs.batch import plan
 
     made = plan(found.videos, job, force=force)
-    n_before = len(found.videos) - len(made.tasks)
+    n_all = len(found.videos)
+    n_before = n_all - len(made.tasks)
     if n_before:
-        say(f"{n_before} of {len(found.videos)} videos are done already.")
+        are = "is" if n_all == 1 else "are"
+        tell(f"{n_before} of {counted(n_all, 'video')} {are} done already.")
     if made.n_other_version:
-        warn(
-            f"{made.n_other_version} results are from another version of dlgmd; "
-            "--force processes all videos again"
-        )
+        kept = counted(made.n_other_version, "result")
+        warn(f"kept {kept} of another version of dlgmd; --force processes all videos again")
     return made
 
 
@@ -279,6 +287,8 @@ def _process(plan: "Plan", outcomes: "Iterator[Any]", labels: list[str]) -> bool
                 ]
                 for line in dict.fromkeys([*failures, *warnings]):
                     warn(f"{task.video.name}: {line.rstrip('.')}")
+                for number, row in rows.items():
+                    detail(f"{task.video.name}, {labels[number]}: {row.status}, {row.wall_s} s")
                 n_ended, n_failed = n_ended + 1, n_failed + bool(failures)
                 advance(n_ended, f"batch, {n_failed} failed")
     except (cancel.Interrupted, KeyboardInterrupt):
@@ -362,11 +372,7 @@ def _counts(plan: "Plan", statuses: dict[str, str]) -> str:
     }
     n_warned = len(_warnings(plan))
     parts += [f"{len(alarmed)} with alarms"] + ([f"{n_warned} with warnings"] if n_warned else [])
-    return f"{_of_videos(len(statuses))}: {', '.join(parts)}."
-
-
-def _of_videos(n: int) -> str:
-    return f"{n} video{'s' * (n != 1)}"
+    return f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
 
 
 def _show_plan(
@@ -392,8 +398,8 @@ def _show_plan(
     print_table(("video", "would be written to"), rows)
     n_open = len(wanted)
     click.echo(
-        f"{_of_videos(len(videos))}: {n_open} to process, {len(videos) - n_open} done before. "
-        "Nothing was written."
+        f"{counted(len(videos), 'video')}: {n_open} to process, {len(videos) - n_open} done before."
+        " Nothing was written."
     )
 
 
@@ -416,7 +422,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
         first += f", {side}" if (side := summary.get("first_alarm_side")) else ""
     counts = (str(summary["spikes"]), str(summary["alarms"]))
-    return (str(row.record["input"]["frames"]), peak, *counts, first)
+    return (frames_text(row.record), peak, *counts, first)
 
 
 def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out: str) -> None:
@@ -424,9 +430,10 @@ def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out:
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
         n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
-        rest = f"; the other {n_done} results are in {printable(out)}"
+        kept = f"{counted(n_done, 'result')} {'is' if n_done == 1 else 'are'}"
+        rest = f"; the other {kept} in {printable(out)}" if n_done else ""
         raise Failed(
-            f"{n_failed} of {n_total} videos failed{rest if n_done else ''}. Fix or remove "
+            f"{n_failed} of {counted(n_total, 'video')} failed{rest}. Fix or remove "
             f"{'that one' if n_failed == 1 < n_total else those}, then run again."
         )
     if found.faults:

@@ -16,6 +16,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     say,
+    tell,
     warn,
 )
 from dlgmd_cli.commands.evaluate import labels_argument, rule_options, scored
@@ -31,6 +32,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import printable
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment, Trial
@@ -171,7 +173,7 @@ def calibrate(
 def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[Trial]":
     n_done = len(search)
     if n_done:
-        say(f"{n_done} trials are done already.")
+        tell(f"{n_done} trials are done already.")
     try:
         with progress("calibrate", n_trials, "trial") as advance:
             for n_done in search.run(n_trials, experiment.setup, experiment.choose):
@@ -190,7 +192,7 @@ def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
     n_with = sum(bool(case.collisions) for case in cases)
     if n_with < 2:
         raise Failed(
-            f"{labels_path}: {n_with or 'no'} video{'s' * (n_with != 1)} with a collision; "
+            f"{labels_path}: {counted(n_with, 'video')} with a collision; "
             "calibration needs at least 2."
         )
     if n_with < 20:
@@ -217,8 +219,9 @@ def _preset(
     limited = rules.max_false_kind
     where = f" on videos of the kind {printable(limited)}" if limited else ""
     lines = [
-        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held['videos']} "
-        f"videos, {held['collisions']} collisions, {held['minutes']:.2f} minutes.",
+        f"Calibrated by dlgmd {__version__} on {printable(labels)}: "
+        f"{counted(int(held['videos']), 'video')}, "
+        f"{counted(int(held['collisions']), 'collision')}, {held['minutes']:.2f} minutes.",
         f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute{where}.",
         f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
         f"Calibrated: kappa (LGMD: t_mp) and n_sp{trials}.",

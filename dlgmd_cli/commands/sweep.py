@@ -17,6 +17,7 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     say,
+    tell,
     warn,
     warn_undrawn,
 )
@@ -170,7 +171,7 @@ def _compute(swept: "Sweep", folder: Path, n_jobs: int) -> None:
     """Compute the missing points; say how many were done before, and before an early end."""
     done, n_points = swept.result.done, len(swept.points)
     if done:
-        say(f"{len(done)} of {n_points} points are already done.")
+        tell(f"{len(done)} of {n_points} points are already done.")
     try:
         swept.compute(n_jobs, progress=progress)
     except Exception:

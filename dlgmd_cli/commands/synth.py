@@ -8,12 +8,14 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
-from dlgmd_cli.commands.console import Command, Failed, print_path, print_table, say, settings
+from dlgmd_cli.commands.console import Command, Failed, note, print_path, print_table, say, tell
 from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
     complete_folder,
     dpi_option,
+    folder_name,
+    is_file_name,
     numeric,
     overwrite_option,
 )
@@ -78,6 +80,16 @@ def _complete_scene(
     return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
 
 
+def _file_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A name without folder and suffix."""
+    is_name = value is None or (value.strip(". ") and Path(value).name == value)
+    if not is_name or (value and (value[0] == "." or is_file_name(Path(value)))):
+        raise click.BadParameter(
+            f"{value!r} is not a name. Write loom-2, without folder and suffix."
+        )
+    return value
+
+
 def _scene_options(command: Any) -> Any:
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
@@ -98,10 +110,17 @@ def _scene_options(command: Any) -> Any:
     "--out",
     type=click.Path(path_type=Path),
     default=Path(),
+    callback=folder_name,
     metavar="DIR",
     show_default="here",
     shell_complete=complete_folder,
     help="Folder for the files.",
+)
+@click.option(
+    "--name",
+    callback=_file_name,
+    metavar="NAME",
+    help="Name of the files, so that two seeds do not collide.  [default: the scene's]",
 )
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
 @click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
@@ -131,6 +150,7 @@ def synth(
     scene_name: str | None,
     lists: bool,
     out: Path,
+    name: str | None,
     lossless: bool,
     png: bool,
     sheet: bool,
@@ -145,12 +165,12 @@ def synth(
     SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
     background. 'dlgmd synth --list' lists the scenes.
 
-    Writes DIR/SCENE.mp4 and DIR/SCENE.csv, which has the ground truth of each frame. For a flight,
-    DIR/SCENE.yaml has its phases and the frame of the collision. --sheet adds DIR/SCENE-sheet.png,
-    a contact sheet of frames with their ground truth.
+    Writes DIR/NAME.mp4 and DIR/NAME.csv, which has the ground truth of each frame. For a flight,
+    DIR/NAME.yaml has its phases and the frame of the collision. --sheet adds DIR/NAME-sheet.png, a
+    contact sheet of frames with their ground truth.
 
-    With --count, writes DIR/SCENE-0000.mp4 and so on, and DIR/labels.csv. Flights that already
-    exist are kept: after an interruption, run the same command again to continue.
+    With --count, writes DIR/NAME-0000.mp4 and so on, and DIR/labels.csv. Flights that already exist
+    are kept: after an interruption, run the same command again to continue.
 
     Half of the flights of 'random' hit something. The others are as hard as real footage. Column
     manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, turns, close
@@ -175,7 +195,7 @@ def synth(
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(scene, options, out, codec, scene.name, draw)
+    clip = Rendering(scene, options, out, codec, name or scene.name, draw)
     if count is None:
         _render_one(clip, overwrite)
         return
@@ -212,8 +232,8 @@ def _render_one(clip: "Rendering", overwrite: bool) -> None:
     scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     is_smoothed = clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0
-    if is_smoothed and not settings().quiet:
-        say("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
+    if is_smoothed:
+        note("MPEG-4 smooths the noise; --lossless keeps every pixel of it")
     with locked(clip.folder), progress(scene.name, scene.n_frames(options)) as on_frame:
         paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     for path in paths:
@@ -230,7 +250,7 @@ def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> No
         missing = [number for number in range(flights.count) if number not in present]
         flights.check(missing, overwrite=overwrite)
         if present:
-            say(f"{len(present)} of {flights.count} flights were already there.")
+            tell(f"{len(present)} of {flights.count} flights were already there.")
         try:
             _render_missing(flights, missing, jobs or n_processors(), overwrite)
         except (Interrupted, KeyboardInterrupt):

@@ -22,6 +22,7 @@ from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
+from dlgmd_cli.words import counted
 
 OnFrame = Callable[[int], None]
 # A model by its name, its class, or its parameters.
@@ -332,7 +333,7 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
         end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."
         why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
-    frames = f"{n_read} frame{'s' * (n_read > 1)}"
+    frames = counted(n_read, "frame")
     if n_new < n_needed <= n_read:
         why = f"{frames}, of which the model sees {n_new}, but {label} needs at least {n_needed}"
         return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")

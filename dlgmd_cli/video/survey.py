@@ -51,8 +51,9 @@ class Survey:
 
     `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
     is the FOURCC. `bits` is per sample. `is_interlaced` tells whether frames consist of two fields.
-    Both are None if PyAV is not installed. `damage` says where the input is damaged, `warnings` has
-    other doubts about it.
+    `turned_deg` is the angle by which the pictures are turned clockwise to be upright, as the file
+    asks; `width` and `height` are those after it. All three are None if PyAV is not installed.
+    `damage` says where the input is damaged, `warnings` has other doubts about it.
 
     `crop` is the picture without its black borders; None if there are none. `still` has the pixels
     of that part that never change while the others do, (H, W) bool; None if there are none.
@@ -73,6 +74,7 @@ class Survey:
     pixel_format: str
     bits: int | None
     is_interlaced: bool | None
+    turned_deg: int | None
     decoder: str
     damage: list[str]
     warnings: list[str]
@@ -140,6 +142,7 @@ def survey(
         pixel_format=details.pixel_format if details else "",
         bits=details.n_bits if details else None,
         is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
+        turned_deg=details.turned_deg if details else None if is_video else 0,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

@@ -15,6 +15,7 @@ from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.luma import luma_plane, to_grey
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.pyav import picture_of
+from dlgmd_cli.video.survey import survey
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -188,6 +189,9 @@ def test_turned_as_opencv_turns_it(tmp_path, matrix):
     ours, theirs = (first_grey(tmp_path / "x.mp4", name) for name in ("pyav", "opencv"))
     assert ours.shape == theirs.shape
     assert np.abs(ours.astype(int) - theirs).mean() < 3
+    # The bright bar on top is now on the right, below, or on the left.
+    edges = {0: ours[1], 90: ours[:, -2], 180: ours[-2], 270: ours[:, 1]}
+    assert edges[survey(tmp_path / "x.mp4").turned_deg].mean() > 200
 
 
 # Damage
