@@ -90,8 +90,9 @@ def view(
     Every page is one file that needs no network. Its film shows the input and, tinted, the cells
     of layer G, for which the model is run once more. Needs dlgmd[view].
     """
-    from dlgmd_cli.pages.gather import gather, read_collisions
+    from dlgmd_cli.pages.gather import gather
     from dlgmd_cli.pages.page import require_packages
+    from dlgmd_cli.results.labels import read_collisions
     from dlgmd_cli.results.store import fitting, refuse_existing
 
     require_packages()

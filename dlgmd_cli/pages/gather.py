@@ -1,10 +1,9 @@
 """Gather the content of pages: results grouped by input, and labelled collisions."""
 
 import csv
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ResultError
@@ -12,7 +11,7 @@ from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.results.labels import labelled_frames
 from dlgmd_cli.results.result import Result, read_comparison, read_result
 from dlgmd_cli.runs.find import SUMMARY
 
@@ -78,26 +77,8 @@ def gather(paths: Sequence[Path]) -> Gathered:
 def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
     """The collision frames of an input: those given, those on record, and those labelled."""
     known = {labelled.result.collision_frame for labelled in one.results}
-    listed = labels.get(one.path, labels.get(PurePath(one.path).name, []))
+    listed = labelled_frames(labels, one.path) or []
     return sorted({*frames, *listed, *(frame for frame in known if frame is not None)})
-
-
-def read_collisions(path: Path) -> dict[str, list[int]]:
-    """Read the collision frames in a labels.csv, by the video's absolute path.
-
-    They can also be found by the name of the file, if it is unique. Raises ResultError if `path` is
-    not a file of labels.
-    """
-    found: dict[str, list[int]] = {}
-    by_name: dict[str, set[str]] = {}
-    for label in read_labels(path):
-        where = os.path.abspath(path.parent / label.video)
-        by_name.setdefault(PurePath(where).name, set()).add(where)
-        frames = found.setdefault(where, [])
-        if label.collision_frame is not None:
-            frames.append(label.collision_frame)
-    unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
-    return unique | found
 
 
 def _has_result(folder: Path) -> bool:

@@ -2,15 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dlgmd_cli.plots.annotations import NONE, Annotations
+from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
+    BLACK,
     BLUE,
     FLOOR_DB,
     GREEN,
@@ -50,14 +53,22 @@ LOOKS: tuple[tuple[str, Any], ...] = (
     (ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
 MAX_TOGETHER = 4
+# The look of an emphasised line, beside that of the others.
+_STRONG: dict[str, Any] = {"linewidth": 1.7, "marker": "o", "markersize": 3.5, "markevery": 0.08}
+_WEAK: dict[str, Any] = {"linewidth": 0.8}
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
 # Margins around the panels: labels below and on the left, frame numbers above; and between them.
-_LEFT_IN, _RIGHT_IN, BELOW_IN, ABOVE_IN, BETWEEN_IN = 0.58, 0.08, 0.4, 0.43, 0.08
-# Heights with a panel per result: all panels together; least and greatest height of one; its name.
-_SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 4.5, 0.3, 0.6, 0.17
-# Height of a page without margins, and of the lowest legible panel.
-_PAGE_IN, _LEGIBLE_IN = 9.0, 0.18
+_LEFT_IN, _RIGHT_IN, BELOW_IN, ABOVE_IN, BETWEEN_IN = 0.58, 0.15, 0.4, 0.43, 0.08
+# Heights with a row of panels per result: all rows together; least and greatest height of one; the
+# name above it.
+_SMALL_IN, _LEAST_SMALL_IN, _MOST_SMALL_IN, _NAME_IN = 5.5, 0.3, 0.6, 0.17
+# Height of a page without margins and legend, and of the lowest legible panel.
+_PAGE_IN, _LEGIBLE_IN = 8.5, 0.18
+# Height of a row of marks below the break of an axis, and of the break.
+_MARKS_IN, _BREAK_IN = 0.09, 0.08
 
+# Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
+_LEVELS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
 # More dots than this touch each other, and their black rims would hide everything else.
@@ -66,12 +77,31 @@ _MAX_RINGED = 200
 
 @dataclass(frozen=True)
 class _Trace:
-    """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too."""
+    """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too.
+
+    `collisions_s` has the times of its collisions, and `n_points` the most points of its line.
+    """
 
     label: str
     result: Result
     look: dict[str, Any]
     alone: bool
+    collisions_s: tuple[float, ...] = ()
+    n_points: int = MAX_POINTS
+
+
+class Scale(NamedTuple):
+    """The vertical axis of a panel: its height in inches, and what is drawn.
+
+    `column` is that of the potential. `limits` are those of the values, None to fit them.
+    `n_silent` is the number of rows for results of which nothing passes, None for as many as there
+    are.
+    """
+
+    height_in: float
+    column: str = "level"
+    limits: tuple[float, float] | None = None
+    n_silent: int | None = None
 
 
 def plot(
@@ -81,6 +111,10 @@ def plot(
     *,
     column: str | None = None,
     width: Width = "one",
+    emphasise: str | None = None,
+    collisions: Mapping[str, Sequence[int]] | None = None,
+    xlim: tuple[float, float] | None = None,
+    ylim: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw results over time.
 
@@ -88,13 +122,14 @@ def plot(
     ----------
     kind : str
         "mp": the normalised membrane potential, with the threshold if all results share it.
-        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and a mark where almost
-        nothing passes. "spikes": spikes and alarms above the potential that caused them.
+        "attenuation": 10 lg(ΣS/ΣP) in dB, with a gap where it is undefined and marks below a break
+        of the axis where almost nothing passes. "spikes": the potential above spikes and alarms.
         "overview": all of these.
     results : mapping of str to Result
         By label, in the order of the legend; at least one, each with at least one frame. More than
-        four have a panel each. A result that is alone in its panel also shows its spikes and
-        alarms. For a long result, the maximum of every pixel column is drawn.
+        four have a row of panels each. A result that is alone in its panel also shows its spikes
+        and alarms, which the overview shows only there. For a long result, the maximum of every
+        pixel column is drawn.
     annotations : Annotations
         Annotated frames, drawn at the times of the first result.
     column : "level", "mp_abs" or "mp_seq", optional
@@ -102,11 +137,19 @@ def plot(
         one, or the one scaled to the extremes of its sequence.
     width : "one" or "two"
         Columns of the paper that the figure takes.
+    emphasise : str, optional
+        Label of the result whose line is the strongest: blue, thick, with dots.
+    collisions : mapping of str to sequence of int, optional
+        Frames of collisions by label: black lines, dashed as the result's own line unless all
+        results have the same.
+    xlim, ylim : (float, float), optional
+        Limits of the time axis in s, and of the potential or, in "attenuation", of the dB.
 
     Raises
     ------
     ValueError
-        If there is no result, or `kind`, `column` or `width` is not one of these.
+        If there is no result, `kind`, `column` or `width` is not one of these, `emphasise` is no
+        label, or `ylim` is given for the two scales of "overview".
     """
     if not results:
         raise ValueError("there is no result to draw")
@@ -115,129 +158,189 @@ def plot(
     column = column or "level"
     if column not in COLUMNS:
         raise ValueError(f"column is {column!r}, none of {', '.join(COLUMNS)}")
-    panels, heights = _panels(KINDS[kind], results)
+    if emphasise is not None and emphasise not in results:
+        raise ValueError(f"emphasise is {emphasise!r}, none of {', '.join(results)}")
+    if ylim and kind == "overview":
+        raise ValueError("ylim is for one scale, and an overview has two")
+    timeline = Timeline.of(results.values())
+    n_points = MAX_POINTS
+    if xlim:
+        n_points = int(MAX_POINTS * max(1.0, (timeline.end_s - timeline.start_s) / np.ptp(xlim)))
+        timeline = replace(timeline, limits=xlim)
+    traces = [
+        replace(one, n_points=n_points, collisions_s=_times(one.result, collisions or {}, label))
+        for label, one in zip(results, traces_of(results, emphasise), strict=True)
+    ]
     is_split = len(results) > MAX_TOGETHER
     is_alone = len(results) == 1 and annotations == NONE
-    between_in, margins_in = _NAME_IN if is_split else 0.0, _AXES_LABELS_IN
+    rows, heights = _rows(kind, traces)
+    above = [ROW_IN] if annotations != NONE or is_split else []
+    between_in, margins_in = BETWEEN_IN, ABOVE_IN + BELOW_IN
     if is_alone:
         heights = heights_alone(KINDS[kind])
-        between_in, margins_in = BETWEEN_IN, ABOVE_IN + BELOW_IN
+    elif is_split:
+        between_in, margins_in = _NAME_IN, (ABOVE_IN if timeline.is_shared else 0.05) + BELOW_IN
+    else:
+        between_in, margins_in = 0.0, _AXES_LABELS_IN
     with house_style():
         figure = new_figure(1.0, width)
-        timeline = Timeline.of(results.values())
-        above = [ROW_IN] if annotations != NONE or is_split else []
         grid: Any = figure.subplots(
-            len(above) + len(panels), sharex=True, squeeze=False, height_ratios=above + heights
-        )
-        highest, axes_of = grid[0, 0], list(grid[len(above) :, 0])
-        found = [
-            draw(axes, traces, column) for axes, (draw, traces) in zip(axes_of, panels, strict=True)
+            len(above) + len(rows), len(rows[0]), sharex=True, squeeze=False,
+            height_ratios=above + heights,
+        )  # fmt: skip
+        panels = [
+            _Panel(axes, *one, height_in)
+            for axes_of, row, height_in in zip(grid[len(above) :], rows, heights, strict=True)
+            for axes, one in zip(axes_of, row, strict=True)
         ]
+        found = [
+            one.draw(one.axes, one.traces, scale) for one, scale in _scaled(panels, column, ylim)
+        ]
+        found.append(_draw_collisions(panels))
         if is_split:
-            found = _share(axes_of, panels, found)
-        timeline.label(axes_of[-1], axes_of[0] if not above else highest)
-        if above:
-            n_rows = draw_annotations(annotations, timeline, highest, axes_of)
+            found = _share(panels, found)
+        for axes_of in grid.T:
+            timeline.label(axes_of[-1], axes_of[0])
+            if not above:
+                continue
+            n_rows = draw_annotations(annotations, timeline, axes_of[0], axes_of[1:])
             above = [max(n_rows, 0.1) * ROW_IN]
-            highest.get_gridspec().set_height_ratios(above + heights)
-        for axes in grid[:, 0]:  # no lines between panels: only the lowest keeps its time axis
+            grid[0, 0].get_gridspec().set_height_ratios(above + heights)
+        for axes in grid.flat:  # no lines between panels: only the lowest keeps its time axis
             axes.spines["top"].set_visible(False)
-        for axes in grid[:-1, 0]:
+        for axes in grid[:-1].flat:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(axis="x", bottom=False)
-        figure.align_ylabels([axes for axes in axes_of if axes.get_ylabel()])
+        figure.align_ylabels([one.axes for one in panels if one.axes.get_ylabel()])
         heights = above + heights
         figure.set_figheight(sum(heights) + between_in * (len(heights) - 1) + margins_in)
-        ordered = found if kind != "spikes" else found[::-1]
-        legend_in = add_legend(figure, [entry for some in ordered for entry in some])
+        legend_in = add_legend(figure, [entry for some in found for entry in some])
         if is_split or is_alone:
-            fix_margins(figure, heights, between_in, legend_in)
+            above_in = margins_in - BELOW_IN
+            fix_margins(figure, heights, between_in, above_in + legend_in)
     return figure
 
 
-def _panels(
-    draws: tuple["_Draw", ...], results: Mapping[str, Result]
-) -> tuple[list[tuple["_Draw", list[_Trace]]], list[float]]:
-    """For each panel, from the top down: its drawing function and results, and its height in in."""
-    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * len(results))
-    if len(results) <= MAX_TOGETHER:
-        together = traces_of(results)
-        heights = [raster_in if draw is _draw_raster else _HEIGHT_IN for draw in draws]
-        return [(draw, together) for draw in draws], heights
-    n_small = sum(draw is not _draw_raster for draw in draws) * len(results)
-    # So that the figure fits on a page, if its panels stay legible.
-    room_in = _PAGE_IN - raster_in - _AXES_LABELS_IN - _NAME_IN * n_small
-    small_in = min(max(_SMALL_IN / n_small, _LEAST_SMALL_IN), _MOST_SMALL_IN)
-    small_in = min(small_in, max(room_in / n_small, _LEGIBLE_IN))
-    apart = [trace for label, one in results.items() for trace in traces_of({label: one})]
-    panels: list[tuple[_Draw, list[_Trace]]] = []
-    heights = []
-    for draw in draws:
-        if draw is _draw_raster:
-            rows = [replace(trace, look={"color": ORANGE}, alone=False) for trace in apart]
-            panels.append((draw, rows))
-            heights.append(raster_in)
-        else:
-            panels += [(draw, [trace]) for trace in apart]
-            heights += [small_in] * len(apart)
-    return panels, heights
+class _Panel(NamedTuple):
+    """Axes, the function that draws in them, what it draws, and their height in inches."""
+
+    axes: Axes
+    draw: "Draw"
+    traces: list[_Trace]
+    height_in: float
 
 
-def _share(
-    axes_of: list[Axes], panels: list[tuple["_Draw", list[_Trace]]], found: list[Entries]
-) -> list[Entries]:
-    """Name the panels of one result each, and give each kind of panel one scale and one label.
+def _times(
+    result: Result, collisions: Mapping[str, Sequence[int]], label: str
+) -> tuple[float, ...]:
+    """The times of a result's collisions that lie within it."""
+    first, last = result.frame[[0, -1]]
+    within = [frame for frame in collisions.get(label, ()) if first <= frame <= last]
+    return tuple(np.interp(within, result.frame, result.time_s).tolist())
+
+
+def _rows(
+    kind: str, traces: list[_Trace]
+) -> tuple[list[list[tuple["Draw", list[_Trace]]]], list[float]]:
+    """For each row of panels, their drawing functions and results; and the heights in inches."""
+    names, n_results = KINDS[kind], len(traces)
+    raster_in = max(_RASTER_IN, _RASTER_ROW_IN * n_results)
+    if n_results <= MAX_TOGETHER:
+        heights = [raster_in if name == "raster" else _HEIGHT_IN for name in names]
+        return [[(DRAWS[name], traces)] for name in names], heights
+    lines = [DRAWS[name] for name in names if name != "raster"]
+    # Beside the attenuation there is no room for a raster, which every level shows anyway.
+    has_raster = "raster" in names and len(lines) == 1
+    room_in = _PAGE_IN - ABOVE_IN - BELOW_IN - _NAME_IN * n_results - raster_in * has_raster
+    small_in = min(max(_SMALL_IN / n_results, _LEAST_SMALL_IN), _MOST_SMALL_IN)
+    small_in = max(min(small_in, room_in / n_results), _LEGIBLE_IN)
+    color, _ = LOOKS[0]
+    own = [
+        replace(one, look={**one.look, "color": color, "linestyle": "-"}, alone=True)
+        for one in traces
+    ]
+    rows: list[list[tuple[Draw, list[_Trace]]]]
+    rows = [[(draw, [one]) for draw in lines] for one in own]
+    heights = [small_in] * n_results
+    if has_raster:
+        rows.append([(_draw_raster, [replace(one, look={"color": ORANGE}) for one in traces])])
+        heights.append(raster_in)
+    return rows, heights
+
+
+def _scaled(
+    panels: list[_Panel], column: str, ylim: tuple[float, float] | None
+) -> list[tuple[_Panel, Scale]]:
+    """Every panel with its vertical axis; those of one result each share the one of their kind."""
+    limits, n_silent = ylim, None
+    alone = [one.traces[0] for one in panels if one.draw is _draw_attenuation]
+    if len(alone) > 1:
+        silences, shown = zip(*(_silence(one) for one in alone), strict=True)
+        limits, n_silent = limits or _span_db(shown), int(np.any([s.any() for s in silences]))
+    scale = Scale(0.0, column)
+    return [
+        (
+            one,
+            scale._replace(height_in=one.height_in, limits=limits, n_silent=n_silent)
+            if one.draw is _draw_attenuation
+            else scale._replace(height_in=one.height_in, limits=ylim),
+        )
+        for one in panels
+    ]
+
+
+def _share(panels: list[_Panel], found: list[Entries]) -> list[Entries]:
+    """Name the rows of one result each, and label each column of panels once.
 
     Returns the entries of the legend without those of the lines, and with one for all thresholds if
     they differ.
     """
-
-    for kind in (_draw_level, _draw_attenuation):
-        group = [
-            (axes, traces[0])
-            for axes, (draw, traces) in zip(axes_of, panels, strict=True)
-            if draw is kind
-        ]
-        if not group:
-            continue
-        lows, highs = zip(*(axes.get_ylim() for axes, _ in group), strict=True)
+    named: set[str] = set()
+    for draw in (_draw_level, _draw_attenuation):
+        group = [(one.axes, one.traces[0]) for one in panels if one.draw is draw]
         names = {axes.get_ylabel() for axes, _ in group}
         for axes, trace in group:
-            axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
-            axes.set_ylim(min(lows), max(highs))
-            axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
+            if trace.label not in named:
+                axes.text(0.0, 1.04, plain(trace.label), transform=axes.transAxes, fontsize=7)
+            if draw is _draw_level:
+                axes.yaxis.set_major_locator(MaxNLocator(2, steps=[1, 2, 5, 10]))
             axes.set_ylabel("")
-        # The label is longer than one panel: it stands beside the middle of all.
-        label = group[len(group) // 2][0].set_ylabel(names.pop() if len(names) == 1 else _EITHER)
-        label.set_y(0.5 if len(group) % 2 else 1.0)
+        named |= {trace.label for _, trace in group}
+        if group:
+            # The label is longer than one panel: it stands beside the middle of all.
+            text = names.pop() if len(names) == 1 else _EITHER
+            label = group[len(group) // 2][0].set_ylabel(text)
+            label.set_y(0.5 if len(group) % 2 else 1.0)
     thresholds = {text for some in found for _, text in some if text.startswith("threshold ")}
-    names_of_lines = {trace.label for _, traces in panels for trace in traces}
     return [
         [
             (handle, "threshold" if text in thresholds and len(thresholds) > 1 else text)
             for handle, text in some
-            if text not in names_of_lines
+            if text not in named
         ]
         for some in found
     ]
 
 
-def fix_margins(figure: Figure, heights: list[float], between_in: float, legend_in: float) -> None:
+def fix_margins(figure: Figure, heights: list[float], between_in: float, above_in: float) -> None:
     """Lay out figures of one result, which every run draws, and figures with many panels.
 
-    `heights` are those of the panels, in inches. The widths of their labels are known, and
-    Matplotlib's layout would take as long as drawing.
+    `heights` are those of the panels, `above_in` that of what stands above them, in inches. The
+    widths of their labels are known, and Matplotlib's layout would take as long as drawing.
     """
     figure.set_layout_engine(None)
     width, height = figure.get_size_inches()
     ticks = [text for axes in figure.axes for text in axes.get_yticklabels() if text.get_text()]
     longest_in = max((text.get_window_extent().width for text in ticks), default=0.0) / figure.dpi
+    left_in, n_columns = max(_LEFT_IN, longest_in + 0.1), len(figure.axes) // len(heights)
+    panel_in = (width - n_columns * left_in - _RIGHT_IN) / n_columns
     figure.subplots_adjust(
-        left=max(_LEFT_IN, longest_in + 0.1) / width,
+        left=left_in / width,
         right=1.0 - _RIGHT_IN / width,
         bottom=BELOW_IN / height,
-        top=1.0 - (ABOVE_IN + legend_in) / height,
+        top=1.0 - above_in / height,
         hspace=between_in * len(heights) / sum(heights),
+        wspace=left_in / panel_in,
     )
 
 
@@ -253,12 +356,14 @@ def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple
     return time_s[starts], np.fmax.reduceat(values, starts)
 
 
-def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
+def stretches(
+    time_s: Series, flags: Flags, n_points: int = MAX_POINTS
+) -> list[tuple[float, float]]:
     """Start and duration, in seconds, of every run of flagged rows.
 
     A row extends halfway to its neighbours.
     """
-    times, any_flag = thinned(time_s, flags.astype(np.float64))
+    times, any_flag = thinned(time_s, flags.astype(np.float64), n_points)
     half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
     edges = np.concatenate(
         (times[:1] - half[:1], times[:-1] + half[: len(times) - 1], times[-1:] + half[-1:])
@@ -267,22 +372,30 @@ def stretches(time_s: Series, flags: Flags) -> list[tuple[float, float]]:
     return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
 
 
-def heights_alone(draws: Sequence["_Draw"]) -> list[float]:
-    """Heights of the panels of one result, in inches."""
-    return [(_RASTER_IN if draw is _draw_raster else _HEIGHT_IN) - BETWEEN_IN for draw in draws]
+def heights_alone(names: Sequence[str]) -> list[float]:
+    """Heights of the panels of one result, by their names, in inches."""
+    return [(_RASTER_IN if name == "raster" else _HEIGHT_IN) - BETWEEN_IN for name in names]
 
 
-def traces_of(results: Mapping[str, Result]) -> list[_Trace]:
-    """The results as traces, each with its look."""
+def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[_Trace]:
+    """The results as traces, each with its look; the emphasised one has the first."""
+    others = [label for label in results if label != emphasise]
+    order = [*([emphasise] if emphasise else ()), *others]
+    looks = {}
+    for place, label in enumerate(order):
+        color, dashes = LOOKS[place % len(LOOKS)]
+        looks[label] = {"color": color, "linestyle": dashes}
+        if emphasise:
+            looks[label] |= {**_STRONG, "zorder": 2.5} if label == emphasise else _WEAK
     return [
-        _Trace(label, result, {"color": color, "linestyle": dashes}, alone=len(results) == 1)
-        for (label, result), (color, dashes) in zip(results.items(), LOOKS, strict=False)
+        _Trace(label, result, looks[label], alone=len(results) == 1)
+        for label, result in results.items()
     ]
 
 
 def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
     """Draw a line that breaks at NaN; an isolated value is a dot."""
-    times, highest = thinned(trace.result.time_s, values)
+    times, highest = thinned(trace.result.time_s, values, trace.n_points)
     known = np.concatenate(([False], ~np.isnan(highest), [False]))
     single = known[1:-1] & ~known[:-2] & ~known[2:]
     (line,) = axes.plot(times, highest, **trace.look)
@@ -290,9 +403,27 @@ def _draw_line(axes: Axes, trace: _Trace, values: Series) -> Entries:
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
 
-def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
+def _draw_collisions(panels: list[_Panel]) -> Entries:
+    """Draw a black line at every collision of a result, in the raster a bar in the result's row."""
+    are_equal = len({trace.collisions_s for one in panels for trace in one.traces}) == 1
+    drawn: list[Any] = []
+    for one in panels:
+        n_rows = len(one.traces)
+        for place, trace in enumerate(one.traces):
+            look: Any = {"color": BLACK, "linewidth": 1.4, "zorder": 2.4}
+            ends = (0.0, 1.0)
+            if one.draw is _draw_raster and not trace.alone:
+                ends = (n_rows - place - 1) / n_rows, (n_rows - place) / n_rows
+            elif not are_equal:
+                look["linestyle"] = trace.look.get("linestyle", "-")
+            drawn += [one.axes.axvline(time_s, *ends, **look) for time_s in trace.collisions_s]
+    mark = Line2D([], [], color=BLACK, linewidth=1.4)
+    return [(mark, "collision")] if drawn else []
+
+
+def _draw_level(axes: Axes, traces: list[_Trace], scale: Scale) -> Entries:
     """Draw the normalised potential, a shared threshold, and the events of a single result."""
-    results = [trace.result for trace in traces]
+    results, column = [trace.result for trace in traces], scale.column
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
     levels: list[Series] = [getattr(result, column) for result in results]
     entries = []
@@ -305,18 +436,20 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
         line = axes.axhline(threshold, color=GREY, linestyle="--", linewidth=0.8)
         entries.append((line, f"threshold {threshold:g}"))
     if traces[0].alone:
-        entries += _draw_events(axes, results[0], levels[0])
+        entries += _draw_events(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
-    axes.set_ylim(-0.03, 1.05)
+    axes.set_ylim(scale.limits or _LEVELS)
     axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else _EITHER)
     return entries
 
 
-def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
+def _draw_events(axes: Axes, trace: _Trace, level: Series) -> Entries:
     """Draw a dot at every spike, and a band at every alarm."""
     entries: Entries = []
-    times, levels = thinned(result.time_s, np.where(result.spikes, level, np.nan))
+    result = trace.result
+    spiking_level = np.where(result.spikes, level, np.nan)
+    times, levels = thinned(result.time_s, spiking_level, trace.n_points)
     spiking = ~np.isnan(levels)
     if spiking.any():
         look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
@@ -326,44 +459,77 @@ def _draw_events(axes: Axes, result: Result, level: Series) -> Entries:
         (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
         entries.append((dots, "spike"))
     if result.alarms.any():
+        lasting = stretches(result.time_s, result.alarmed, trace.n_points)
         bands = axes.broken_barh(
-            stretches(result.time_s, result.alarmed), (0, 1), alpha=0.3, color=VERMILION,
-            linewidth=0.8, transform=axes.get_xaxis_transform(), zorder=0,
+            lasting, (0, 1), alpha=0.3, color=VERMILION, linewidth=0.8,
+            transform=axes.get_xaxis_transform(), zorder=0,
         )  # fmt: skip
         entries.append((bands, "alarm"))
     return entries
 
 
-def _draw_attenuation(axes: Axes, traces: list[_Trace], _: str) -> Entries:
-    """Draw attenuation in dB; where nothing passes, marks below, in one row per result."""
+def _silence(trace: _Trace) -> tuple[Flags, Series]:
+    """Where almost nothing passes, and the attenuation elsewhere."""
+    silent = trace.result.attenuation_db < FLOOR_DB  # -inf, but not NaN
+    return silent, np.where(silent, np.nan, trace.result.attenuation_db)
+
+
+def _draw_attenuation(axes: Axes, traces: list[_Trace], scale: Scale) -> Entries:
+    """Draw attenuation in dB; where nothing passes, marks below a break, in a row per result."""
     entries: Entries = []
-    silences = [trace.result.attenuation_db < FLOOR_DB for trace in traces]  # -inf, but not NaN
-    shown = [
-        np.where(silent, np.nan, trace.result.attenuation_db)
-        for trace, silent in zip(traces, silences, strict=True)
-    ]
+    silences, shown = zip(*(_silence(trace) for trace in traces), strict=True)
     for trace, values in zip(traces, shown, strict=True):
         entries += _draw_line(axes, trace, values)
-    rows = [place for place, silent in enumerate(silences) if silent.any()]
-    for row, place in enumerate(reversed(rows)):
-        times, silent = thinned(traces[place].result.time_s, silences[place].astype(np.float64))
-        marked = times[silent > 0.0]
-        height = np.full(len(marked), 0.04 + 0.06 * row)
-        color = GREY if traces[place].alone else traces[place].look["color"]
-        look: Any = {"color": color, "markersize": 3}
-        axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
-    if rows:
+    silent = [(t, s) for t, s in zip(traces, silences, strict=True) if s.any()]
+    if silent:
         mark = Line2D([], [], marker="v", linestyle="", color=GREY, markersize=3)
         entries.append((mark, f"nothing passes (< −{-FLOOR_DB:g} dB)"))
     elif all(np.isnan(values).all() for values in shown):
         _note(axes, traces, "no frame differs from the one before it")
-    axes.set_ylim(*_span_db(shown, 0.06 * len(rows)))
+    n_rows = len(silent) if scale.n_silent is None else scale.n_silent
+    row = _MARKS_IN / scale.height_in
+    lines = tuple(axes.lines)
+    foot = _break_axis(axes, scale.limits or _span_db(shown), n_rows, scale.height_in)
+    if n_rows and scale.limits:  # what lies below the limits does not cross the break
+        for line in lines:
+            above = Rectangle((0, foot), 1, 1 - foot, transform=axes.transAxes)
+            line.set_clip_path(above)
+    for place, (trace, flags) in enumerate(silent, start=1):
+        times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
+        marked = times[flagged > 0.0]
+        color = GREY if trace.alone else trace.look["color"]
+        look: Any = {"color": color, "markersize": 3}
+        height = np.full(len(marked), foot - (place - 0.5) * row)
+        axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
     axes.set_ylabel("Attenuation (dB)")
     return entries
 
 
-def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
-    """Limits of the vertical axis; `foot` is the share of it that stays free below the values."""
+def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in: float) -> float:
+    """Set the limits and ticks of values, above a break and rows for −∞ if there are `n_rows`.
+
+    Returns the height of these rows, as a share of the axes'.
+    """
+    low, high = limits
+    gap, foot = (_BREAK_IN / height_in, n_rows * _MARKS_IN / height_in) if n_rows else (0.0, 0.0)
+    bottom = high - (high - low) / (1.0 - gap - foot)
+    axes.set_ylim(bottom, high)
+    locator: Any = MaxNLocator(int(np.clip(5 * height_in, 2, 6)), steps=[1, 2, 5, 10])
+    ticks = [float(tick) for tick in locator.tick_values(low, high) if low <= tick <= high]
+    labels = [f"{tick:g}".replace("-", "−") for tick in ticks]
+    if n_rows:
+        ticks, labels = [*ticks, bottom + (high - bottom) * foot / 2], [*labels, "−∞"]
+        # Two strokes across the axis, which is interrupted between them.
+        stroke: Any = {"marker": [(-1, -0.4), (1, 0.4)], "markersize": 5, "markeredgewidth": 0.6}
+        ends = foot + gap * np.array([0.3, 0.7])
+        look: Any = {"color": "white", "linewidth": 1.5, "markeredgecolor": "black", "zorder": 3}
+        axes.plot([0, 0], ends, transform=axes.transAxes, clip_on=False, **look, **stroke)
+    axes.set_yticks(ticks, labels)
+    return foot
+
+
+def _span_db(shown: Sequence[Series]) -> tuple[float, float]:
+    """Limits of the vertical axis."""
     drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
     known = drawn[~np.isnan(drawn)]
     if not known.size:
@@ -371,43 +537,41 @@ def _span_db(shown: list[Series], foot: float) -> tuple[float, float]:
     low, high = float(known.min()), float(known.max())
     missing = max(0.0, MIN_SPAN_DB - (high - low)) / 2
     margin = 0.1 * max(high - low, MIN_SPAN_DB)
-    low, high = low - missing - margin, high + missing + margin
-    return high - (high - low) / (1.0 - foot), high
+    return low - missing - margin, high + missing + margin
 
 
-def _draw_raster(axes: Axes, traces: list[_Trace], _: str) -> Entries:
+def _draw_raster(axes: Axes, traces: list[_Trace], _: Scale) -> Entries:
     """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
-        result = traces[0].result
-        _draw_bars(axes, result, result.spikes, (0.65, 1.35), ORANGE)
-        _draw_bars(axes, result, result.alarmed, (-0.35, 0.35), VERMILION)
+        trace = traces[0]
+        _draw_bars(axes, trace, trace.result.spikes, (0.65, 1.35), ORANGE)
+        _draw_bars(axes, trace, trace.result.alarmed, (-0.35, 0.35), VERMILION)
         axes.set_yticks([1, 0], ["spikes", "alarm"])
         axes.set_ylim(-0.6, 1.6)
         return []
     for row, trace in enumerate(reversed(traces)):
-        look = trace.look
-        _draw_bars(axes, trace.result, trace.result.spikes, (row - 0.1, row + 0.4), look["color"])
-        _draw_bars(axes, trace.result, trace.result.alarmed, (row - 0.4, row - 0.15), VERMILION)
+        _draw_bars(axes, trace, trace.result.spikes, (row - 0.1, row + 0.4), trace.look["color"])
+        _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), VERMILION)
     names = [plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
     axes.set_yticks(range(len(traces)), names, fontsize=6.5)
-    axes.set_ylim(-0.6, len(traces) - 0.4)
+    axes.set_ylim(-0.5, len(traces) - 0.5)
     colors = {trace.look["color"] for trace in traces}
     return [
         (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
         for color, text in (
-            (colors.pop() if len(colors) == 1 else GREY, "spikes"),
+            (colors.pop() if len(colors) == 1 else GREY, "spike"),
             (VERMILION, "alarm"),
         )
     ]
 
 
 def _draw_bars(
-    axes: Axes, result: Result, flags: Flags, reach: tuple[float, float], color: str
+    axes: Axes, trace: _Trace, flags: Flags, reach: tuple[float, float], color: str
 ) -> None:
     """Draw a bar over every run of flagged rows, between two heights."""
     low, high = reach
-    bars = stretches(result.time_s, flags)
+    bars = stretches(trace.result.time_s, flags, trace.n_points)
     axes.broken_barh(bars, (low, high - low), color=color, linewidth=0.4)
 
 
@@ -423,12 +587,11 @@ def _note(axes: Axes, traces: list[_Trace], unchanged: str) -> None:
     )  # fmt: skip
 
 
-# A function that draws results in a panel: axes, results, column of the potential.
-_Draw = Callable[[Axes, list[_Trace], str], Entries]
-# The panels of each figure, from the top down.
-KINDS: dict[str, tuple[_Draw, ...]] = {
-    "mp": (_draw_level,),
-    "attenuation": (_draw_attenuation,),
-    "spikes": (_draw_raster, _draw_level),
-    "overview": (_draw_level, _draw_attenuation, _draw_raster),
+# A function that draws results in a panel: axes, results, vertical axis.
+Draw = Callable[[Axes, list[_Trace], Scale], Entries]
+# By the names of the panels in `KINDS`.
+DRAWS: dict[str, Draw] = {
+    "level": _draw_level,
+    "attenuation": _draw_attenuation,
+    "raster": _draw_raster,
 }
