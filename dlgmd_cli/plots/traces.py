@@ -197,6 +197,9 @@ def plot(
             one.draw(one.axes, one.traces, scale) for one, scale in _scaled(panels, column, ylim)
         ]
         found.append(_draw_collisions(panels))
+        if xlim or ylim:  # dots of spikes may lie outside
+            for dots in (line for one in panels for line in one.axes.lines):
+                dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
         if is_split:
             found = _share(panels, found)
         for axes_of in grid.T:
@@ -491,9 +494,9 @@ def _draw_attenuation(axes: Axes, traces: list[_Trace], scale: Scale) -> Entries
     lines = tuple(axes.lines)
     foot = _break_axis(axes, scale.limits or _span_db(shown), n_rows, scale.height_in)
     if n_rows and scale.limits:  # what lies below the limits does not cross the break
+        edge = foot + _BREAK_IN / scale.height_in
         for line in lines:
-            above = Rectangle((0, foot), 1, 1 - foot, transform=axes.transAxes)
-            line.set_clip_path(above)
+            line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
     for place, (trace, flags) in enumerate(silent, start=1):
         times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
         marked = times[flagged > 0.0]
