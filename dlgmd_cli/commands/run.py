@@ -105,7 +105,8 @@ def _show(result: "Result", folder: Path, as_json: bool) -> None:
     if summary["spikes"]:
         spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)
     if summary["mean_attenuation_db"] is not None:
-        attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
+        attenuation = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
+        attenuation = attenuation.format(**summary, **processed)
     rows = [
         ("frames", "{frames} at {width}x{height}".format(**processed)),
         ("peak MP", peak),

@@ -34,6 +34,7 @@ _SUMMARY_WORDS = {
     "first_alarm_time_s": "first alarm (s)",
     "first_alarm_side": "side of the first alarm",
     "mean_attenuation_db": "mean attenuation (dB)",
+    "attenuation_frames": "frames of that mean",
 }
 
 

@@ -364,8 +364,21 @@ def test_a_kernel_s_least_value_is_said_where_it_means_something():
         connections = connect(load_set(number))
         figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
         words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
-    assert words[0] == ["up to 1.1", "up to 0.6", "only 1"]
+    assert words[0] == ["up to 1.1", "up to 0.6"]
     assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
+
+
+def test_kernels_have_no_empty_panel():
+    for number, formulation, n_maps in ((1, "default", 2), (9, "default", 4), (9, "equations", 5)):
+        found = connect(load_set(number, formulation=formulation))
+        figure = plot_kernels(found.excitation, found.inhibition, found.latency)
+        shown = [axes for axes in figure.axes if axes.axison and not hasattr(axes, "_colorbar")]
+        assert len(shown) == n_maps and all(axes.images for axes in shown)
+        (free,) = [axes for axes in figure.axes if not axes.axison] or [None]
+        assert (free is None) == (n_maps != 5)
+        assert free is None or len(free.child_axes) == 2  # the colour bars
+        said = figure.get_suptitle() == r"Latency $\tau$: 1 frame everywhere"
+        assert said == (number == 1)
 
 
 @pytest.mark.parametrize("n_models", [3, 6])
@@ -380,4 +393,6 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
     for line in panels[0].lines[:n_models]:
         assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
     names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names == [*(curves if n_models == 3 else ()), "default threshold"]
+    allowed = "1 a minute, the most allowed"
+    first = curves if n_models == 3 else ["the other models"]
+    assert names == [*first, "default threshold", allowed]
