@@ -54,7 +54,7 @@ LOOKS: tuple[tuple[str, Any], ...] = (
 )
 MAX_TOGETHER = 4
 # The look of an emphasised line, beside that of the others.
-_STRONG: dict[str, Any] = {"linewidth": 1.7, "marker": "o", "markersize": 3.5, "markevery": 0.08}
+STRONG: dict[str, Any] = {"linewidth": 1.7, "marker": "o", "markersize": 3.5, "markevery": 0.08}
 _WEAK: dict[str, Any] = {"linewidth": 0.8}
 _HEIGHT_IN, _RASTER_IN, _RASTER_ROW_IN, _AXES_LABELS_IN = 1.25, 0.4, 0.16, 0.75
 # Margins around the panels: labels below and on the left, frame numbers above; and between them.
@@ -389,7 +389,7 @@ def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> li
         color, dashes = LOOKS[place % len(LOOKS)]
         looks[label] = {"color": color, "linestyle": dashes}
         if emphasise:
-            looks[label] |= {**_STRONG, "zorder": 2.5} if label == emphasise else _WEAK
+            looks[label] |= {**STRONG, "zorder": 2.5} if label == emphasise else _WEAK
     return [
         _Trace(label, result, looks[label], alone=len(results) == 1)
         for label, result in results.items()
