@@ -17,7 +17,7 @@ from dlgmd_cli.commands.options import (
     FORMATS,
     FRAME,
     Parsed,
-    complete_file,
+    collisions_option,
     dpi_option,
     format_option,
     option_group,
@@ -115,15 +115,7 @@ annotation_options = option_group(
     metavar="LABEL",
     help="Draw this result as the strongest line: blue, thick, with dots.",
 )
-@click.option(
-    "--collisions",
-    "labels_path",
-    type=click.Path(path_type=Path),
-    metavar="LABELS.csv",
-    shell_complete=complete_file,
-    help="Mark the collisions that a table lists, as for 'dlgmd evaluate', each at the results of "
-    "its video.",
-)
+@collisions_option
 @click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
 @click.option(
     "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
