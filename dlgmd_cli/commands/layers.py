@@ -113,6 +113,10 @@ def layers(
 
     INPUT is as in 'dlgmd run'.
 
+    Unless --frames is given, the strongest responses are shown, but none after a collision that
+    --collision-frame, --collisions or the YAML of a rendered flight tells, and none where the
+    pictures are black or frozen.
+
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential; the heat maps are left out
     then, unless --frames is given.

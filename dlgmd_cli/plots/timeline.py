@@ -14,6 +14,8 @@ from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
+# How far lines and bands reach below their strip, in rows: to the panel.
+_BELOW_STRIP = 0.06 / ROW_IN
 _SIZE_PT = 7
 # Approximate share of the axes in the width of a figure.
 _AXES_SHARE = 0.8
@@ -138,10 +140,12 @@ def draw_annotations(
         drawn.set_position((start, row + 0.5))
         for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
             up = axes.transData if axes is strip else axes.get_xaxis_transform()
+            bottom = -_BELOW_STRIP if axes is strip else 0.0
+            look: Any = {"transform": up, "clip_on": False, "in_layout": False}
             if kind == "span":
-                axes.fill_between(times, 0.0, top, transform=up, **_BAND)
+                axes.fill_between(times, bottom, top, **look, **_BAND)
             else:
-                axes.plot(times, [0.0, top], transform=up, zorder=0.9, **_LINES[kind])
+                axes.plot(times, [bottom, top], zorder=0.9, **look, **_LINES[kind])
     n_rows = max((row + 1 for _, row in placed), default=0)
     strip.set_ylim(0.0, max(n_rows, 1))
     return n_rows
