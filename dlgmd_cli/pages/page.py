@@ -15,8 +15,8 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import Film
 from dlgmd_cli.pages.gather import Input
+from dlgmd_cli.plots.curves import stretches
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.plots.traces import stretches
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.result import Result, Series
 

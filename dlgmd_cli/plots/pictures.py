@@ -17,6 +17,7 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from dlgmd_cli.plots.curves import DRAWS, Scale, traces_of
 from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
     DPI,
@@ -32,11 +33,8 @@ from dlgmd_cli.plots.traces import (
     ABOVE_IN,
     BELOW_IN,
     BETWEEN_IN,
-    DRAWS,
-    Scale,
     fix_margins,
     heights_alone,
-    traces_of,
 )
 from dlgmd_cli.results.result import Result
 

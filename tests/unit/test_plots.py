@@ -15,10 +15,11 @@ from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.pages.page import Part, _result_data
 from dlgmd_cli.parameters import load_set
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
-from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
+from dlgmd_cli.plots.traces import plot
 
 
 def handles(figure):

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from dlgmd_cli.plots.curves import LOOKS
 from dlgmd_cli.plots.style import (
     GREY,
     Entries,
@@ -17,7 +18,7 @@ from dlgmd_cli.plots.style import (
     new_figure,
     plain,
 )
-from dlgmd_cli.plots.traces import LOOKS, MAX_TOGETHER
+from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
 
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dlgmd_cli.plots.curves import LOOKS, STRONG
 from dlgmd_cli.plots.style import (
     BLACK,
     FLOOR_DB,
@@ -17,7 +18,6 @@ from dlgmd_cli.plots.style import (
     house_style,
     new_figure,
 )
-from dlgmd_cli.plots.traces import LOOKS, STRONG
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
