@@ -51,7 +51,8 @@ def legend(figure):
 
 
 def frame_axis(figure):
-    (top,) = [child for axes in figure.axes for child in axes.child_axes]
+    """The axis of frames above the panels, of the left column if there are two."""
+    top, *_ = [child for axes in figure.axes for child in axes.child_axes]
     return top
 
 

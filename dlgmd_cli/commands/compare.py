@@ -200,9 +200,10 @@ def compare(
     INPUT is as in 'dlgmd run'. Without --set, --config, --model and what is derived from them, the
     preset flight is compared with the LGMD and the EMD-LGMD.
 
-    Writes OUT/NAME/ with compare.csv, figures of the membrane potentials and of the attenuations,
-    and compare.yaml. The figure scales each membrane potential to its own extremes, unless
-    --normalise absolute is given. Spikes and alarms are those of 'dlgmd run'.
+    Writes OUT/NAME/ with compare.csv, figures of the membrane potentials, above the spikes and
+    alarms of each model, and of the attenuations, and compare.yaml. The figure scales each membrane
+    potential to its own extremes, unless --normalise absolute is given. Spikes and alarms are those
+    of 'dlgmd run'.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
@@ -297,8 +298,10 @@ def _files(
         from dlgmd_cli.plots.style import figure_files
         from dlgmd_cli.plots.traces import plot
 
-        kinds = ("mp", "attenuation")
-        figures = {f"compare-{kind}": partial(plot, kind, results, **look) for kind in kinds}
+        kinds = {"mp": "spikes", "attenuation": "attenuation"}
+        figures = {
+            f"compare-{name}": partial(plot, kind, results, **look) for name, kind in kinds.items()
+        }
         files |= figure_files(figures, output.formats, output.dpi)
     text = record_text(record, [one["engine"] for one in record["models"]])
     files[store.COMPARISON] = store.file_of(text)

@@ -1,6 +1,7 @@
 """`dlgmd layers`: show a model's layers as a contact sheet, as arrays, or as a film."""
 
 import math
+import os
 import re
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,9 @@ from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import Command, print_path, say, warn
 from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
+    FRAME,
     Output,
+    collisions_option,
     file_ending,
     input_argument,
     input_options,
@@ -68,8 +71,15 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
     type=_frame_numbers,
     metavar="N,N,…",
     help="Frames to show, counted from 0.  [default, without --video: those with the strongest "
-    "responses, spread out]",
+    "responses, spread out, none after a known collision]",
 )
+@click.option(
+    "--collision-frame",
+    type=FRAME,
+    metavar="N",
+    help="Frame of the true collision.  [default: that of a rendered flight, from its YAML]",
+)
+@collisions_option
 @click.option("--npz", is_flag=True, help="Also write the layers of these frames as NumPy arrays.")
 @click.option(
     "--video",
@@ -90,6 +100,8 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 def layers(
     input_path: str,
     wanted: tuple[int, ...] | None,
+    collision_frame: int | None,
+    labels_path: Path | None,
     npz: bool,
     film_path: Path | None,
     overlay: bool,
@@ -101,6 +113,10 @@ def layers(
 
     INPUT is as in 'dlgmd run'.
 
+    Unless --frames is given, the strongest responses are shown, but none after a collision that
+    --collision-frame, --collisions or the YAML of a rendered flight tells, and none where the
+    pictures are black or frozen.
+
     Writes OUT/NAME/ with a figure of heat maps and layers.yaml; --npz adds layers.npz. --video
     writes a film of the input, S and G above the membrane potential; the heat maps are left out
     then, unless --frames is given.
@@ -109,6 +125,8 @@ def layers(
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
     if not wanted and film_path is not None and npz:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
+    if labels_path and collision_frame is not None:
+        raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import absent, run_layers
@@ -124,7 +142,8 @@ def layers(
             _check_film(film_path, sheet_folder, video.info.path, overwrite=output.overwrite)
         frames = wanted or ()
         if makes_sheet and not frames:
-            frames = _strongest(input_path, setup, options)
+            contact = _contact(input_path, collision_frame, labels_path)
+            frames = _strongest(input_path, setup, options, contact)
         n_wanted = math.inf if film_path else max(frames) + 1
         with one.progress(n_wanted) as on_frame:
             whole = film_path is not None
@@ -155,7 +174,25 @@ def layers(
         _render(film, again, steps, len(result), film_path)
 
 
-def _strongest(input_path: str, setup: "Setup", options: Any) -> tuple[int, ...]:
+def _contact(input_path: str, frame: int | None, labels_path: Path | None) -> int | None:
+    """The first collision: the one given, that of a table, or that of a rendered flight."""
+    from dlgmd_cli.results.labels import labelled_frames, read_collisions
+    from dlgmd_cli.results.record import read_record
+
+    if labels_path:
+        frames = labelled_frames(read_collisions(labels_path), os.path.abspath(input_path))
+        if frames is None:
+            warn(f"{labels_path} does not list {input_path}")
+        return min(frames or (), default=None)
+    if frame is None and Path(input_path).is_file():
+        truth = read_record(Path(input_path).with_suffix(".yaml"))
+        frame = truth.get("collision_frame") if "scene" in truth else None
+    return frame if isinstance(frame, int) else None
+
+
+def _strongest(
+    input_path: str, setup: "Setup", options: Any, contact: int | None
+) -> tuple[int, ...]:
     """Choose the frames of a sheet, by running the model over the whole input."""
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.layers import strongest_frames
@@ -166,7 +203,8 @@ def _strongest(input_path: str, setup: "Setup", options: Any) -> tuple[int, ...]
         if cancel.requested():
             raise cancel.Interrupted
         runs.require_response(video, [setup], results, options)
-    return strongest_frames(results[0])
+        blind_s = video.progress.blind_s
+    return strongest_frames(results[0], contact=contact, blind_s=blind_s)
 
 
 def _check_film(film: Path, folder: Path | None, input_path: str, *, overwrite: bool) -> None:

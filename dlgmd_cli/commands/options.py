@@ -234,6 +234,14 @@ def complete_config(
 
 
 input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
+collisions_option = click.option(
+    "--collisions",
+    "labels_path",
+    type=click.Path(path_type=Path),
+    metavar="LABELS.csv",
+    shell_complete=complete_file,
+    help="Table of collisions, as for 'dlgmd evaluate'; those of the video count.",
+)
 optional_input_argument = click.argument(
     "input_path", metavar="[INPUT]", required=False, shell_complete=complete_file
 )

@@ -1,8 +1,10 @@
 """`dlgmd plot`: draw stored results."""
 
+import math
 import os
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +17,8 @@ from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     FORMATS,
     FRAME,
+    Parsed,
+    collisions_option,
     dpi_option,
     format_option,
     is_file_name,
@@ -22,15 +26,15 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
     width_option,
 )
-from dlgmd_cli.errors import ResultError, printable
+from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
 
-KINDS = ("mp", "attenuation", "spikes", "overview")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name, and of a wrong value that an error quotes.
 _MAX_NAME, _MAX_SHOWN = 100, 60
@@ -53,6 +57,19 @@ def _remark(name: str, pattern: str, example: str) -> Callable[[str], tuple[Any,
 
     return convert
 
+
+def _limits(text: str) -> tuple[float, float]:
+    """`-40:5` -> (-40.0, 5.0)."""
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not (low < high and math.isfinite(high - low)):
+        raise ParameterError("", f"{text[:_MAX_SHOWN]!r} is not FROM:TO", "Write 1.5:2.5.")
+    return low, high
+
+
+LIMITS = Parsed("FROM:TO", _limits)
 
 annotation_options = option_group(
     "annotations",
@@ -96,6 +113,16 @@ annotation_options = option_group(
     help="Name of a result in the legend; give one per result.  [default: the folders' names]",
 )
 @click.option(
+    "--emphasise",
+    metavar="LABEL",
+    help="Draw this result as the strongest line: blue, thick, with dots.",
+)
+@collisions_option
+@click.option("--xlim", type=LIMITS, metavar="FROM:TO", help="Show this time only, in s.")
+@click.option(
+    "--ylim", type=LIMITS, metavar="FROM:TO", help="Limits of the MP or of the dB, such as -40:5."
+)
+@click.option(
     "--normalise",
     type=click.Choice(list(_COLUMNS)),
     help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
@@ -120,6 +147,10 @@ def plot(
     paths: tuple[Path, ...],
     annotations: Annotations,
     labels: tuple[str, ...],
+    emphasise: str | None,
+    labels_path: Path | None,
+    xlim: tuple[float, float] | None,
+    ylim: tuple[float, float] | None,
     normalise: str | None,
     width: Any,
     out: Path,
@@ -140,6 +171,10 @@ def plot(
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
+    if ylim and kind == "overview":
+        raise click.UsageError("--ylim is for one scale, and an overview has two.")
+    if labels_path and annotations.collision_frame is not None:
+        raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.results.store import SUMMARY, fitting, with_results
 
     given = [
@@ -156,16 +191,28 @@ def plot(
             f"--label is given {counted(len(labels), 'time')}, for {counted(len(found), 'result')}."
         )
     shown = labels or numbered([name for name, _ in found])
-    until = annotations.collision_frame
-    results = {label: result.until(until) for label, (_, result) in zip(shown, found, strict=True)}
+    results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
+    if emphasise and emphasise not in results:
+        raise click.UsageError(
+            f"--emphasise: no result is called {printable(emphasise)}. Choose from "
+            f"{', '.join(printable(label) for label in results)}."
+        )
+    collisions = _collisions(labels_path, results) if labels_path else {}
+    results = {
+        label: result.until(max(collisions.get(label, ()), default=annotations.collision_frame))
+        for label, result in results.items()
+    }
     column = _column(kind, normalise, results, are_compared)
     from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.timeline import Timeline
     from dlgmd_cli.plots.traces import plot as draw
 
-    for line in annotations.outside(*Timeline.of(results.values()).frames):
+    timeline = replace(Timeline.of(results.values()), limits=xlim)
+    for line in annotations.outside(*timeline.frames):
         warn(line)
-    figure = draw(kind, results, annotations, column=column, width=width)
+    look: Any = {"column": column, "width": width, "emphasise": emphasise}
+    look |= {"collisions": collisions, "xlim": xlim, "ylim": ylim}
+    figure = draw(kind, results, annotations, **look)
     write_files(dict.fromkeys(targets, partial(save_figure, figure, dpi=dpi)), overwrite=overwrite)
     for target in targets:
         print_path(target)
@@ -221,6 +268,24 @@ def _read(
         else:
             results.append((name, read_result(folder)))
     return results, all(are_compared)
+
+
+def _collisions(path: Path, results: dict[str, "Result"]) -> dict[str, list[int]]:
+    """The labelled collision frames of each result; warns of those that cannot be shown."""
+    from dlgmd_cli.results.labels import labelled_frames, read_collisions
+
+    known, found = read_collisions(path), {}
+    for label, result in results.items():
+        frames = labelled_frames(known, str(result.record["input"].get("path")))
+        if frames is None:
+            warn(f"{path} does not list the video of {label}")
+            continue
+        first, last = int(result.frame[0]), int(result.frame[-1])
+        for frame in frames:
+            if not first <= frame <= last:
+                warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
+        found[label] = frames
+    return found
 
 
 def _column(

@@ -22,7 +22,7 @@ from dlgmd_cli.commands.options import (
     model_options,
     run_output_options,
 )
-from dlgmd_cli.words import frames_text
+from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.detection import AlarmSpan
@@ -61,7 +61,6 @@ def run(
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.setup import input_options as recorded
     from dlgmd_cli.video.clips import refuse_clips, write_clips
-    from dlgmd_cli.words import counted
 
     options = recorded(setup, given)
     with job(input_path, [setup], options, output, store.RUN) as one:
@@ -123,7 +122,8 @@ def _show(result: "Result", folder: Path, as_json: bool) -> None:
     if summary["spikes"]:
         spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)
     if summary["mean_attenuation_db"] is not None:
-        attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
+        attenuation = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
+        attenuation = attenuation.format(**summary, **processed)
     rows = [
         ("frames", "{} at {width}x{height}".format(frames_text(result.record), **processed)),
         ("peak MP", peak),

@@ -15,9 +15,9 @@ from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import Film
 from dlgmd_cli.pages.gather import Gathered, Input
+from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.overlay import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.plots.traces import LOOKS, stretches
 from dlgmd_cli.results.csv import text_cell
 from dlgmd_cli.results.labels import Label
 from dlgmd_cli.results.result import Result, Series
@@ -38,6 +38,7 @@ _SUMMARY_WORDS = {
     "first_alarm_time_s": "first alarm (s)",
     "first_alarm_side": "side of the first alarm",
     "mean_attenuation_db": "mean attenuation (dB)",
+    "attenuation_frames": "frames of that mean",
 }
 
 

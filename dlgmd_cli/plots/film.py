@@ -12,10 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from dlgmd_cli.plots.curves import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
 from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
-from dlgmd_cli.plots.traces import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.words import threshold_text
 

@@ -21,7 +21,8 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
     """Draw excitation, inhibition at each delay, and latency, one panel each.
 
     All strengths share one scale from 0, so that they can be compared. The range of a kernel's
-    values is written below the title of its panel. Kernels have the shape (2r + 1, 2r + 1).
+    values is written below the title of its panel. A latency that is the same everywhere is written
+    there, too, and has no panel. Kernels have the shape (2r + 1, 2r + 1).
 
     Parameters
     ----------
@@ -36,25 +37,39 @@ def plot_kernels(excitation: Kernel, inhibition: dict[int, Kernel], latency: Ker
     for delay in sorted(inhibition):
         strengths[f"Inhibition $K_{{{delay}}}$"] = inhibition[delay]
     greatest = max(float(kernel.max()) for kernel in strengths.values())
-    n_rows = -(-(len(strengths) + 1) // 2)
+    is_constant = _is_constant(latency)
+    n_panels = len(strengths) + (not is_constant)
+    n_rows = -(-n_panels // 2)
     with house_style():
         figure = new_figure(n_rows * _ROW_IN + 0.3)
-        grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True)
+        grid: Any = figure.subplots(n_rows, 2, sharex=True, sharey=True, squeeze=False)
         panels: list[Axes] = list(grid.flat)
         for axes, (title, kernel) in zip(panels, strengths.items(), strict=False):
             # Taps of exactly 0 stay grey, unlike small ones.
             connected = np.ma.masked_equal(kernel, 0.0)
             picture = _draw(axes, title, connected, "viridis", greatest)
-        _add_bar(figure, picture, panels[1], "strength (grey: none)")
-        axes = panels[len(strengths)]
-        picture = _draw(axes, r"Latency $\tau$ (frames)", latency, "cividis", float(latency.max()))
-        if not _is_constant(latency):
-            _add_bar(figure, picture, axes, "frames")
-        for unused in panels[len(strengths) + 1 :]:
-            unused.set_axis_off()
+        bars = [(picture, panels[1], "strength (grey: none)")]
+        if is_constant:
+            words = rf"Latency $\tau$: {latency.max():.3g} frames everywhere"
+            figure.suptitle(words.replace(" 1 frames", " 1 frame"), fontsize=7, color=GREY)
+        else:
+            axes, title = panels[n_panels - 1], r"Latency $\tau$ (frames)"
+            picture = _draw(axes, title, latency, "cividis", float(latency.max()))
+            bars.append((picture, axes, "frames"))
+        for place, (picture, axes, label) in enumerate(bars):
+            look: Any = {"ticks": MaxNLocator(4, steps=[1, 2, 5, 10])}
+            if n_panels == len(panels):
+                bar = figure.colorbar(picture, ax=axes, pad=0.02, **look)
+            else:  # a cell is free, where both lie
+                panels[-1].set_axis_off()
+                cell = panels[-1].inset_axes((0.05, 0.75 - 0.45 * place, 0.9, 0.08))
+                bar = figure.colorbar(picture, cax=cell, orientation="horizontal", **look)
+            bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
+            bar.ax.tick_params(pad=1.5, length=2)
+            bar.outline.set_linewidth(0.4)  # type: ignore[operator]
         for axes in grid[:, 0]:
             axes.set_ylabel("y (px)")
-        for axes in panels[len(strengths) - 1 : len(strengths) + 1]:
+        for axes in panels[n_panels - 2 : n_panels]:
             axes.set_xlabel("x (px)")
             axes.tick_params(labelbottom=True)
     return figure
@@ -73,14 +88,6 @@ def _draw(axes: Axes, title: str, kernel: Kernel, colors: str, greatest: float) 
     return axes.imshow(
         kernel, extent=extent, cmap=colors, vmin=0.0, vmax=greatest or 1.0, interpolation="nearest"
     )
-
-
-def _add_bar(figure: Figure, picture: AxesImage, beside: Axes, label: str) -> None:
-    """Add the colour bar of `picture`, right of its map."""
-    bar = figure.colorbar(picture, ax=beside, ticks=MaxNLocator(4, steps=[1, 2, 5, 10]), pad=0.02)
-    bar.set_label(label, color=GREY, labelpad=1, fontsize=7)
-    bar.ax.tick_params(pad=1.5, length=2)
-    bar.outline.set_linewidth(0.4)  # type: ignore[operator]
 
 
 def _is_constant(kernel: Kernel) -> bool:

@@ -17,6 +17,8 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from dlgmd_cli.plots.curves import DRAWS, Scale, traces_of
+from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
     DPI,
     PNG_OPTIONS,
@@ -31,17 +33,16 @@ from dlgmd_cli.plots.traces import (
     ABOVE_IN,
     BELOW_IN,
     BETWEEN_IN,
-    KINDS,
     fix_margins,
     heights_alone,
-    traces_of,
 )
 from dlgmd_cli.results.result import Result
 
 Picture = npt.NDArray[np.uint8]
 
 _ABOVE, _BELOW, _BETWEEN = (round(DPI * inches) for inches in (ABOVE_IN, BELOW_IN, BETWEEN_IN))
-_DRAWS = *KINDS["spikes"], *KINDS["attenuation"]
+# The panels of the drawing: the highest has nothing at its upper edge, the lowest at its lower one.
+_NAMES = ("raster", "level", "attenuation")
 # The pictures, and which of the two legends each has.
 _KINDS = {"mp": 0, "attenuation": 1, "spikes": 0}
 # Rows that are free for a legend, and that the line along the upper edge of a panel takes in it.
@@ -52,20 +53,23 @@ class _Drawing:
     """A figure with two legends, the axis of frames, all panels, and the time axis."""
 
     def __init__(self) -> None:
-        heights = heights_alone(_DRAWS)
+        heights = heights_alone(_NAMES)
         between_in, legends_in = 2 * BETWEEN_IN, 2 * _LEGEND / DPI
         with house_style():
             figure = new_figure(legends_in + ABOVE_IN + sum(heights) + 2 * between_in + BELOW_IN)
-            self._panels: Any = figure.subplots(len(_DRAWS), sharex=True, height_ratios=heights)
-            fix_margins(figure, heights, between_in, legends_in)
+            self._panels: Any = figure.subplots(len(_NAMES), sharex=True, height_ratios=heights)
+            fix_margins(figure, heights, between_in, ABOVE_IN + legends_in)
             for axes in self._panels:
                 axes.spines["top"].set_visible(False)
-            self._panels[0].spines["bottom"].set_visible(False)
-            self._panels[0].tick_params(axis="x", bottom=False)
+            for axes in self._panels[:-1]:
+                axes.spines["bottom"].set_visible(False)
+                axes.tick_params(axis="x", bottom=False)
         self._figure = figure
         self._canvas: Any = FigureCanvasAgg(figure)
         height = figure.bbox.height
+        self._heights_in = heights
         boxes = [axes.get_window_extent() for axes in self._panels]
+        self._left = round(boxes[0].x0) - 1
         self._rows = [(round(height - box.y1), round(height - box.y0)) for box in boxes]
 
     def pictures(self, result: Result) -> dict[str, Picture]:
@@ -79,7 +83,10 @@ class _Drawing:
                 legend.remove()
             traces = traces_of({result.name: result})
             _, of_level, of_attenuation = (
-                draw(axes, traces, "level") for draw, axes in zip(_DRAWS, self._panels, strict=True)
+                DRAWS[name](axes, traces, Scale(height_in))
+                for name, axes, height_in in zip(
+                    _NAMES, self._panels, self._heights_in, strict=True
+                )
             )
             Timeline.of([result]).label(self._panels[-1], self._panels[0])
             place: Any = {"loc": "upper center"}
@@ -96,25 +103,33 @@ class _Drawing:
         }
 
     def _put_together(
-        self, pixels: Picture, draws: tuple[Any, ...], place: int, legend: int
+        self, pixels: Picture, names: tuple[str, ...], place: int, legend: int
     ) -> Picture:
         """The picture of some panels below a legend, given by its place and its height in px."""
-        rows = [self._rows[_DRAWS.index(draw)] for draw in draws]
+        rows = [self._rows[_NAMES.index(name)] for name in names]
         first, last = self._rows[0][0], self._rows[-1][1]
-        # Begin and end of each part in the drawing, and its begin in the picture.
+        everywhere = slice(None)
+        # Begin and end of each part in the drawing, its begin in the picture, its columns.
         at = legend + _ABOVE
         parts = [
-            (place * _LEGEND, (place + 1) * _LEGEND, 0),
-            (first - _ABOVE, first + _LINE, legend),
+            (place * _LEGEND, (place + 1) * _LEGEND, 0, everywhere),
+            (first - _ABOVE, first + _LINE, legend, everywhere),
         ]
-        for begin, end in rows:  # the numbers beside a panel may reach beyond it
-            parts.append((begin - _BETWEEN, end + _BETWEEN, at - _BETWEEN))
+        for begin, end in rows:
+            if begin == first:  # its upper edge has the axis of frames; take the next panel's
+                edge, side = self._rows[1][0], slice(self._left, self._left + _LINE)
+                parts.append((edge - 1, edge + _LINE, at - 1, side))
+                parts.append((begin + _LINE, end + _BETWEEN, at + _LINE, everywhere))
+            else:  # the numbers beside a panel may reach beyond it
+                parts.append((begin - _BETWEEN, end + _BETWEEN, at - _BETWEEN, everywhere))
             at += end - begin + _BETWEEN
-        parts.append((last + _BETWEEN, last + _BELOW, at))
+        # The time axis without the numbers beside the lowest panel, and the numbers below it.
+        line = last - _LINE, last + _BETWEEN, at - _BETWEEN - _LINE, slice(self._left, None)
+        parts += [line, (last + _BETWEEN, last + _BELOW, at, everywhere)]
         picture = np.full((at - _BETWEEN + _BELOW, pixels.shape[1], 3), 255, np.uint8)
-        for begin, end, start in parts:
-            target = picture[start : start + end - begin]
-            np.minimum(target, pixels[begin:end], out=target)
+        for begin, end, start, columns in parts:
+            target = picture[start : start + end - begin, columns]
+            np.minimum(target, pixels[begin:end, columns], out=target)
         return picture
 
 

@@ -125,9 +125,11 @@ def add_legend(figure: Figure, entries: Entries, place: str = "outside upper cen
 def fit_legend(figure: Figure, entries: Entries, place: dict[str, Any]) -> int:
     """Add a legend in as many columns as fit; `place` has Matplotlib's options of where.
 
-    Labels stand there once. Returns its height in px, rounded up.
+    Labels stand there once, with their first handle. Returns its height in px, rounded up.
     """
-    by_label = {label: handle for handle, label in entries}
+    by_label: dict[str, Any] = {}
+    for handle, label in entries:
+        by_label.setdefault(label, handle)
     handles, labels = list(by_label.values()), [plain(label) for label in by_label]
     for n_columns in range(min(len(labels), _MAX_COLUMNS), 0, -1):
         legend = figure.legend(handles, labels, ncols=n_columns, **place)

@@ -220,6 +220,7 @@ def _add_bar(
         for low, high in ((lowest, 0.0), (0.0, highest)):
             ticks |= set(MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high))
         bar.set_ticks(sorted(tick for tick in ticks if lowest <= tick <= highest))
+        bar.set_label("centred at 0 dB", fontsize=6.5, color=GREY, labelpad=2)
     elif not isinstance(norm, LogNorm):
         bar.locator = MaxNLocator(4, steps=[1, 2, 5, 10])
     bar.ax.tick_params(pad=1.5, length=2, labelsize=6.5)

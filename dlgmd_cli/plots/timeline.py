@@ -14,6 +14,8 @@ from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135
+# How far lines and bands reach below their strip, in rows: to the panel.
+_BELOW_STRIP = 0.06 / ROW_IN
 _SIZE_PT = 7
 # Approximate share of the axes in the width of a figure.
 _AXES_SHARE = 0.8
@@ -38,7 +40,7 @@ class Timeline:
     """The time range of several results, and the times of the frames.
 
     `frame` increases; `time_s` has the times of these frames. `is_shared` says whether all results
-    agree on them.
+    agree on them. `limits` are those of the time axis in seconds, if they are not to show all.
     """
 
     start_s: float
@@ -46,6 +48,7 @@ class Timeline:
     frame: npt.NDArray[np.int64]
     time_s: Series
     is_shared: bool
+    limits: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, results: Iterable[Result]) -> "Timeline":
@@ -64,6 +67,8 @@ class Timeline:
     @property
     def view(self) -> tuple[float, float]:
         """Limits of the time axis, in seconds."""
+        if self.limits:
+            return self.limits
         margin = _MARGIN * (self.end_s - self.start_s) or 0.5
         if len(self.time_s) > 1:  # a frame extends halfway to the next one
             margin = max(margin, 0.6 * float(np.median(np.diff(self.time_s))))
@@ -71,8 +76,10 @@ class Timeline:
 
     @property
     def frames(self) -> tuple[int, int]:
-        """First and last frame."""
-        first, last = self.frame_of(np.array([self.start_s, self.end_s])).round().astype(int)
+        """First and last frame that are shown."""
+        start_s, end_s = self.limits or (-np.inf, np.inf)
+        ends = np.array([max(start_s, self.start_s), min(end_s, self.end_s)])
+        first, last = self.frame_of(ends).round().astype(int)
         return int(first), int(last)
 
     def time_of(self, frame: npt.ArrayLike) -> Series:
@@ -92,7 +99,7 @@ class Timeline:
         lowest.set_xlabel("Time (s)")
         if self.is_shared:
             first, last = self.frame_of(np.array(self.view))
-            n_ticks = round(_TICKS_PER_INCH * lowest.figure.bbox.width / lowest.figure.dpi)
+            n_ticks = round(_TICKS_PER_INCH * _axes_px(lowest) / _AXES_SHARE / lowest.figure.dpi)
             locator = MaxNLocator(n_ticks, integer=True, steps=[1, 2, 5, 10])
             frames = locator.tick_values(first, last)
             frames = frames[(frames >= first) & (frames <= last)]
@@ -113,7 +120,7 @@ def draw_annotations(
     (first, last), (left, right) = timeline.frames, timeline.view
     strip.set_yticks([])
     strip.spines[["left", "bottom"]].set_visible(False)
-    px_a_second = strip.figure.bbox.width * _AXES_SHARE / (right - left)
+    px_a_second = _axes_px(strip) / (right - left)
     items: list[tuple[float, float, Series, str, Any]] = []
     for start_frame, end_frame, text, kind in annotations.remarks():
         if end_frame < first or start_frame > last:
@@ -133,13 +140,21 @@ def draw_annotations(
         drawn.set_position((start, row + 0.5))
         for axes, top in ((strip, row + 1.0), *((axes, 1.0) for axes in panels)):
             up = axes.transData if axes is strip else axes.get_xaxis_transform()
+            bottom = -_BELOW_STRIP if axes is strip else 0.0
+            look: Any = {"transform": up, "clip_on": False, "in_layout": False}
             if kind == "span":
-                axes.fill_between(times, 0.0, top, transform=up, **_BAND)
+                axes.fill_between(times, bottom, top, **look, **_BAND)
             else:
-                axes.plot(times, [0.0, top], transform=up, zorder=0.9, **_LINES[kind])
+                axes.plot(times, [bottom, top], zorder=0.9, **look, **_LINES[kind])
     n_rows = max((row + 1 for _, row in placed), default=0)
     strip.set_ylim(0.0, max(n_rows, 1))
     return n_rows
+
+
+def _axes_px(axes: Axes) -> float:
+    """Approximate width of one of the columns of axes in a figure."""
+    grid: Any = axes.get_gridspec()
+    return float(axes.figure.bbox.width) * _AXES_SHARE / grid.ncols
 
 
 def _text(strip: Axes, text: str, color: str) -> Any:

@@ -220,8 +220,8 @@ class Result:
         `mp_max`, `mp_max_frame`, `mp_max_time_s` (the peak of the raw membrane potential),
         `spikes` (number of spiking frames), `first_spike_time_s`, `alarms` (number of alarms; those
         less than 0.3 s apart are one), `first_alarm_frame`, `first_alarm_time_s`,
-        `first_alarm_side` (such as ``left high``, see `side_of`), and `mean_attenuation_db` over
-        the frames where it is finite.
+        `first_alarm_side` (such as ``left high``, see `side_of`), `mean_attenuation_db` over the
+        frames where it is finite, and `attenuation_frames`, the number of these.
         """
         peak, spiking, alarms = self._peak_row, np.flatnonzero(self.spikes), self.alarm_list
         passing = self.attenuation_db[np.isfinite(self.attenuation_db) & ~self.is_repeat]
@@ -236,6 +236,7 @@ class Result:
             "first_alarm_time_s": alarms[0].start_s if alarms else None,
             "first_alarm_side": (alarms[0].side or None) if alarms else None,
             "mean_attenuation_db": math.fsum(passing) / passing.size if passing.size else None,
+            "attenuation_frames": int(passing.size),
         }
 
     @property

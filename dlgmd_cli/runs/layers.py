@@ -1,7 +1,8 @@
 """Running a model for its layers, at selected frames or at all frames."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ from dlgmd_cli.video.source import Video
 
 # Number of frames to choose, preferably with responses of at least this share of the peak.
 N_CHOSEN, _RESPONDING = 5, 0.01
+# So many frames after a part that shows nothing, a model responds to the picture that comes back.
+_COMING_BACK = 5
 
 # Lowest and highest value of a layer.
 Range = tuple[float, float]
@@ -95,12 +98,27 @@ def run_layers(
     return LayerRun(result, sheet, ranges, stepper.model)
 
 
-def strongest_frames(result: Result, n_frames: int = N_CHOSEN) -> tuple[int, ...]:
+def strongest_frames(
+    result: Result,
+    n_frames: int = N_CHOSEN,
+    *,
+    contact: int | None = None,
+    blind_s: Sequence[tuple[float, float]] = (),
+) -> tuple[int, ...]:
     """Numbers of the frames with the strongest responses, spread out, in order.
 
-    Frames are chosen by decreasing response, skipping those near a chosen one. If there is no
-    response, they are spread over the whole result.
+    Frames are chosen by decreasing response, skipping those near a chosen one. Frames after the
+    `contact`, and those within or just after the times `blind_s`, in which nothing can be seen, are
+    left out, unless there are no others. If there is no response, the frames are spread over all.
     """
+    shown = np.ones(len(result), np.bool_)
+    for begin_s, end_s in blind_s:
+        blind = np.flatnonzero((result.time_s >= begin_s) & (result.time_s <= end_s))
+        shown[blind.min(initial=len(result)) : blind.max(initial=-1) + 1 + _COMING_BACK] = False
+    if contact is not None:
+        shown &= result.frame <= contact
+    if shown.any() and not shown.all():
+        result = replace(result, rows=result.rows[shown])
     strength = np.where(result.is_repeat, 0.0, np.nan_to_num(result.mp))
     n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
     n_candidates = min(max(int(n_strong), n_frames), np.count_nonzero(strength))

@@ -91,6 +91,11 @@ class BlindSpans:
         if kind:
             self._spans[kind, since_s] = time_s
 
+    @property
+    def spans_s(self) -> list[tuple[float, float]]:
+        """First and last time of every span, in seconds."""
+        return [(since_s, end_s) for (_, since_s), end_s in self._spans.items()]
+
     def report(self) -> str:
         """The warning; empty if there is nothing to tell."""
         if self.throughout:

@@ -94,7 +94,8 @@ class Progress:
     `n_new` counts the new pictures that were yielded. `n_repeats` counts all repeats of a previous
     frame; None if they were not looked for. After the last frame, `damage` tells where frames are
     missing or cannot be decoded, and `blind` says so if all pictures are black or the same (these
-    lines are also in `warnings`), and `frame_rates` is set.
+    lines are also in `warnings`), `blind_s` has the first and last time of each part that shows
+    nothing, in seconds, and `frame_rates` is set.
     """
 
     n_decoded: int = 0
@@ -104,6 +105,7 @@ class Progress:
     warnings: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     blind: str = ""
+    blind_s: list[tuple[float, float]] = field(default_factory=list)
     frame_rates: FrameRates | None = None
 
 
@@ -265,7 +267,7 @@ class Video:
             fault = fault or self._shortfall()
         missing, ending = missing_frames(times, fps), fault and self._ending(fault)
         blind = spans.report()
-        progress.blind = blind if spans.throughout else ""
+        progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         reports = (clock.report(), missing, self._repetition(), blind, ending)
         progress.warnings += [line for line in reports if line]
         progress.damage = [line for line in (missing, ending) if line]

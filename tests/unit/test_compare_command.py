@@ -299,7 +299,7 @@ def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
     annotations = Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
     assert shown == [
         (kind, ["set1", "lgmd"], annotations, {"column": column, "width": "two"})
-        for kind in ("mp", "attenuation")
+        for kind in ("spikes", "attenuation")
     ]
 
 

@@ -1,6 +1,7 @@
 """`dlgmd layers`: its files, options, errors and exit codes."""
 
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -95,6 +96,31 @@ def test_strong_frames_are_spread_out_where_many_respond():
     assert min(np.diff(frames)) >= 100 // 8 and min(frames) >= 20
     assert strongest_frames(result_of_level(np.zeros(9)), 3) == (0, 4, 8)
     assert strongest_frames(result_of_level([NAN, 0.0]), 3) == (0, 1)
+
+
+def test_no_frame_after_contact_or_without_a_picture_is_chosen():
+    level = np.full(60, 0.1)
+    level[[10, 20, 30, 33, 50]] = [0.5, 0.8, 0.6, 0.6, 0.9]  # 20 to 30: black, 50: the recoil
+    result, fps = result_of_level(level), 25
+    assert {20, 30, 50} <= set(strongest_frames(result))
+    frames = strongest_frames(result, contact=45, blind_s=[(20 / fps, 29 / fps)])
+    assert 10 in frames and max(frames) <= 45 and not set(range(20, 35)) & set(frames)
+    assert strongest_frames(result, contact=-1) == strongest_frames(result)
+
+
+def test_collisions_are_those_given_listed_or_rendered(dlgmd, clips):
+    shutil.copy(clips / "loom.avi", "loom.avi")
+    arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
+    assert dlgmd(*arguments).exit_code == 0
+    assert max(record()["frames"]) > 12
+    for options in (["--collision-frame", 12], ["--collisions", "labels.csv"], []):
+        Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
+        Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n" if not options else "")
+        result = dlgmd(*arguments, *options)
+        assert result.exit_code == 0 and result.stderr == "", result.output
+        assert max(record()["frames"]) <= 12
+    result = dlgmd(*arguments, "--collisions", "labels.csv", "--collision-frame", 3)
+    assert result.exit_code == 2 and "not both" in result.stderr
 
 
 def test_layers_of_other_models_have_signs(dlgmd, clips):

@@ -55,13 +55,54 @@ def test_options_reach_the_figure(dlgmd, drawn):
     options += ["--false-positive-frame", 5, "--width", "two", "--label", "9", "--label", "$"]
     assert dlgmd("plot", "mp", "a/one", "a/two", *options, "--normalise", "sequence").exit_code == 0
     kind, results, annotations, given = drawn[-1]
-    assert list(results) == ["9", "$"] and given == {"column": "mp_seq", "width": "two"}
+    look = {"emphasise": None, "collisions": {}, "xlim": None, "ylim": None}
+    assert list(results) == ["9", "$"]
+    assert given == {"column": "mp_seq", "width": "two", **look}
     assert kind == "mp" and annotations.marks == ((4, "pitching"),)
     assert annotations.spans == ((4, 7, "accelerating"),)
     assert (annotations.collision_frame, annotations.false_positive_frame) == (12, 5)
     for arguments, column in (([], "level"), (["--normalise", "absolute"], "mp_abs")):
         assert dlgmd("plot", "overview", "a/one", *arguments, "--overwrite").exit_code == 0
-        assert drawn[-1][3] == {"column": column, "width": "one"}
+        assert drawn[-1][3] == {"column": column, "width": "one", **look}
+    look = ["--emphasise", "one", "--xlim", "1:2.5", "--ylim", "-0.5:1"]
+    assert dlgmd("plot", "mp", "a/one", *look, "--overwrite").exit_code == 0
+    given = drawn[-1][3]
+    assert (given["emphasise"], given["xlim"], given["ylim"]) == ("one", (1, 2.5), (-0.5, 1))
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--xlim", "2:1"], "'--xlim': '2:1' is not FROM:TO. Write 1.5:2.5."),
+        (["--ylim", "-15"], "'--ylim': '-15' is not FROM:TO. Write 1.5:2.5."),
+        (["--xlim", "0:inf"], "'0:inf' is not FROM:TO"),
+        (["--emphasise", "two"], "--emphasise: no result is called two. Choose from one."),
+        (["--collisions", "x.csv", "--collision-frame", 3], "Give --collisions or "),
+    ],
+)
+def test_looks_that_make_no_sense_are_refused(dlgmd, options, error):
+    make_run("one")
+    result = dlgmd("plot", "mp", "one", *options)
+    assert result.exit_code == 2 and error in result.stderr and not os.path.exists("dlgmd-out")
+    result = dlgmd("plot", "overview", "one", "--ylim", "0:1")
+    assert result.exit_code == 2 and "an overview has two" in result.stderr
+
+
+def test_collisions_of_a_table_are_those_of_each_video(dlgmd, drawn):
+    for name in ("one", "two", "three"):
+        result = make_result()
+        result.record["input"]["path"] = os.path.abspath(f"videos/{name}.mp4")
+        make_run(name, result)
+    rows = ("videos/one.mp4,12", "videos/one.mp4,99", "elsewhere/two.mp4,")
+    Path("labels.csv").write_text("\n".join(["video,collision_frame", *rows]))
+    result = dlgmd("plot", "mp", "one", "two", "three", "--collisions", "labels.csv")
+    assert result.exit_code == 0, result.output
+    assert drawn[-1][3]["collisions"] == {"one": [12, 99], "two": []}
+    assert [one.collision_frame for one in drawn[-1][1].values()] == [99, None, None]
+    assert result.stderr.splitlines() == [
+        "Warning: one: the collision at frame 99 is outside frames 0 to 39.",
+        "Warning: labels.csv does not list the video of three.",
+    ]
 
 
 @pytest.mark.usefixtures("drawn")

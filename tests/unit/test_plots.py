@@ -14,10 +14,12 @@ from dlgmd_cli.lab.plots.evaluation import trade_off
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.pages.page import Part, _result_data
 from dlgmd_cli.parameters import load_set
+from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
-from dlgmd_cli.plots.traces import LOOKS, MAX_POINTS, plot, stretches, thinned
+from dlgmd_cli.plots.traces import plot
 
 
 def handles(figure):
@@ -59,15 +61,15 @@ def test_an_alarm_with_a_short_pause_is_one_band_everywhere():
     level[[5, 6, 7, 11, 12, 13]] = 0.6  # a pause of 0.16 s, and one more spike before the alarm
     result = result_of_level(level)
     assert result.summary["alarms"] == 1
-    raster, axes = plot("spikes", {"flight": result}).axes
+    axes, raster = plot("spikes", {"flight": result}).axes
     bands = [bars.get_paths() for bars in (raster.collections[1], axes.collections[0])]
     assert [len(paths) for paths in bands] == [1, 1]
     page = _result_data(Part("flight", result), -10.0)
     assert page["spans"] == [[6, 13]] and page["alarms"] == [pytest.approx([0.22, 0.54])]
 
 
-def test_spikes_are_a_raster_over_the_level_with_its_threshold():
-    raster, level = plot("spikes", {"flight": make_result()}).axes
+def test_spikes_are_a_raster_below_the_level_with_its_threshold():
+    level, raster = plot("spikes", {"flight": make_result()}).axes
     spikes, alarms = raster.collections
     spans = [
         [(path.get_extents().x0, path.get_extents().x1) for path in bars.get_paths()]
@@ -76,7 +78,7 @@ def test_spikes_are_a_raster_over_the_level_with_its_threshold():
     assert spans[0] == [pytest.approx((1.95, 2.45))] and spans[1] == [pytest.approx((2.05, 2.45))]
     assert level.get_ylabel() == "MP (absolute)" and raster.get_xlim() == level.get_xlim()
     assert "threshold 0.4" in legend(level.figure)
-    cut = plot("spikes", {"flight": part(make_result(), slice(0, 24))}).axes[0]
+    cut = plot("spikes", {"flight": part(make_result(), slice(0, 24))}).axes[1]
     ends = [path.get_extents().x1 for bars in cut.collections for path in bars.get_paths()]
     assert ends == pytest.approx([2.35, 2.35]) and cut.get_xlim()[1] > 2.35  # its last is a spike
 
@@ -85,7 +87,7 @@ def test_the_overview_has_all_panels_and_each_entry_once():
     figure = plot("overview", {"a": make_result(), "b": make_result(scale=0.5)})
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["MP (absolute)", "Attenuation (dB)", ""]
-    expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spikes", "alarm"]
+    expected = ["a", "b", "threshold 0.4", "nothing passes (< −60 dB)", "spike", "alarm"]
     assert legend(figure) == expected
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
     assert figure.axes[-1].get_xlabel() == "Time (s)" and not figure.axes[0].get_xlabel()
@@ -99,15 +101,73 @@ def test_rounding_is_no_event():
     assert high - low >= 5 and low < -8.35 < high
 
 
-def test_silence_has_a_row_per_result_below_all_lines():
-    figure = plot("attenuation", {"a": make_result(), "b": make_result()})
+def y_ticks(axes):
+    return dict(zip((t.get_text() for t in axes.get_yticklabels()), axes.get_yticks(), strict=True))
+
+
+@pytest.mark.parametrize("limits", [None, (-20.0, 0.0)])
+def test_silence_has_a_row_per_result_below_a_break_of_the_axis(limits):
+    figure = plot("attenuation", {"a": make_result(), "b": make_result()}, ylim=limits)
     (axes,) = figure.axes
     marks = [line for line in axes.get_lines() if line.get_marker() == "v"]
     assert {line.get_color() for line in marks} == {LOOKS[0][0], LOOKS[1][0]}
+    (ends,) = [line.get_ydata() for line in axes.get_lines() if line.get_color() == "white"]
     heights = [line.get_ydata()[0] for line in marks]
+    assert heights[1] < heights[0] < min(ends)
     low, high = axes.get_ylim()
-    assert heights[0] != heights[1]
-    assert (np.nanmin(curve(axes)) - low) / (high - low) > max(heights) + 0.02
+    ticks = y_ticks(axes)
+    silent = ticks.pop("−∞")
+    assert heights[1] < (silent - low) / (high - low) < heights[0]
+    assert min(ticks) and (min(ticks.values()) - low) / (high - low) > max(ends)
+    if limits is None:
+        assert (np.nanmin(curve(axes)) - low) / (high - low) > max(ends)
+    else:  # lines end at the break
+        line = axes.get_lines()[0]
+        box = line.get_clip_box().transformed(axes.transAxes.inverted())
+        assert box.y0 > max(ends) and high == 0.0 and min(ticks.values()) == -20.0
+    whole = part(make_result(), slice(13, 30))
+    assert "−∞" not in y_ticks(plot("attenuation", {"a": whole}).axes[0])
+
+
+def test_the_emphasised_result_is_the_strongest_line():
+    results = {name: make_result() for name in ("receding", "translating", "looming", "other")}
+    figure = plot("mp", results, emphasise="looming")
+    lines = dict(zip(results, figure.axes[0].get_lines()[::2], strict=False))
+    strong = lines.pop("looming")
+    assert (strong.get_color(), strong.get_marker()) == (LOOKS[0][0], "o")
+    assert all(strong.get_linewidth() > 1.5 * line.get_linewidth() for line in lines.values())
+    assert all(strong.get_zorder() > line.get_zorder() for line in lines.values())
+    assert [line.get_color() for line in lines.values()] == [color for color, _ in LOOKS[1:4]]
+    assert legend(figure)[:4] == list(results)
+
+
+def black_lines(axes):
+    found = [line for line in axes.get_lines() if line.get_color() == BLACK]
+    return [(line.get_xdata()[0], line.get_linestyle()) for line in found]
+
+
+def test_every_result_has_its_own_collisions():
+    results = {"a": make_result(), "b": make_result()}
+    figure = plot("spikes", results, collisions={"a": [30], "b": [33, 99]})
+    level, raster = figure.axes
+    assert black_lines(level) == [(pytest.approx(3.0), "-"), (pytest.approx(3.3), "--")]
+    heights = [line.get_ydata() for line in raster.get_lines()]
+    assert heights == [[0.5, 1.0], [0.0, 0.5]] and "collision" in legend(figure)
+    same = plot("mp", results, collisions={"a": [30], "b": [30]})
+    assert black_lines(same.axes[0]) == [(pytest.approx(3.0), "-")] * 2
+    assert "collision" not in legend(plot("mp", results, collisions={"a": []}))
+
+
+def test_limits_of_time_show_every_row_within():
+    figure = plot("mp", {"a": long_result()}, Annotations(((9000, "x"),)), xlim=(200.0, 201.0))
+    axes = figure.axes[1]
+    assert axes.get_xlim() == (200.0, 201.0)
+    drawn = axes.get_lines()[0].get_xdata()
+    assert np.count_nonzero((drawn >= 200) & (drawn <= 201)) == 31
+    assert all(line.get_clip_on() for line in axes.get_lines())  # such as spikes at other times
+    assert not figure.axes[0].texts  # frame 9000 is at 300 s
+    frames = [int(label.get_text()) for label in frame_axis(figure).get_xticklabels()]
+    assert min(frames) >= 6000 and max(frames) <= 6030
 
 
 def test_what_is_undefined_says_why():
@@ -149,6 +209,8 @@ def test_what_cannot_be_drawn_is_refused():
         (("film", {"a": make_result()}), {}, "kind is 'film', none of mp, attenuation"),
         (("mp", {"a": make_result()}), {"width": "three"}, "'three', neither 'one' nor 'two'"),
         (("mp", {"a": make_result()}), {"column": "spike"}, "none of level, mp_abs, mp_seq"),
+        (("mp", {"a": make_result()}), {"emphasise": "b"}, "emphasise is 'b', none of a"),
+        (("overview", {"a": make_result()}), {"ylim": (0, 1)}, "an overview has two"),
     ):
         with pytest.raises(ValueError, match=why):
             plot(*arguments, **options)
@@ -303,8 +365,21 @@ def test_a_kernel_s_least_value_is_said_where_it_means_something():
         connections = connect(load_set(number))
         figure = plot_kernels(connections.excitation, connections.inhibition, connections.latency)
         words.append([axes.texts[0].get_text() for axes in figure.axes if axes.get_title()])
-    assert words[0] == ["up to 1.1", "up to 0.6", "only 1"]
+    assert words[0] == ["up to 1.1", "up to 0.6"]
     assert words[1][::3] == ["0.096 to 0.15", "0.57 to 1.9"]
+
+
+def test_kernels_have_no_empty_panel():
+    for number, formulation, n_maps in ((1, "default", 2), (9, "default", 4), (9, "equations", 5)):
+        found = connect(load_set(number, formulation=formulation))
+        figure = plot_kernels(found.excitation, found.inhibition, found.latency)
+        shown = [axes for axes in figure.axes if axes.axison and not hasattr(axes, "_colorbar")]
+        assert len(shown) == n_maps and all(axes.images for axes in shown)
+        (free,) = [axes for axes in figure.axes if not axes.axison] or [None]
+        assert (free is None) == (n_maps != 5)
+        assert free is None or len(free.child_axes) == 2  # the colour bars
+        said = figure.get_suptitle() == r"Latency $\tau$: 1 frame everywhere"
+        assert said == (number == 1)
 
 
 @pytest.mark.parametrize("n_models", [3, 6])
@@ -319,4 +394,6 @@ def test_many_models_have_a_panel_each_in_an_evaluation(n_models):
     for line in panels[0].lines[:n_models]:
         assert (np.diff(line.get_xdata()) >= 0).all()  # no line runs back from beyond the edge
     names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names == [*(curves if n_models == 3 else ()), "default threshold"]
+    allowed = "1 a minute, the most allowed"
+    first = curves if n_models == 3 else ["the other models"]
+    assert names == [*first, "default threshold", allowed]

@@ -72,6 +72,7 @@ def test_summary():
         "first_alarm_time_s": 17 / 25,
         "first_alarm_side": None,  # no centroid is known
         "mean_attenuation_db": pytest.approx(-70 / 7),
+        "attenuation_frames": 7,
     }
     assert result.alarm_onsets.tolist() == [6]
 
@@ -104,8 +105,8 @@ def test_alarms_are_merged_and_listed(tmp_path):
 
 def test_summary_of_silence():
     summary = make_result([NAN, NAN, NAN], attenuation_db=[NAN, NAN, NAN]).summary
-    assert summary["spikes"] == summary["alarms"] == 0
-    assert all(value is None for key, value in summary.items() if key not in ("spikes", "alarms"))
+    counts = ("spikes", "alarms", "attenuation_frames")
+    assert all(value == 0 if key in counts else value is None for key, value in summary.items())
 
 
 def test_sharpness_and_distinguishability():

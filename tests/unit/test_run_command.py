@@ -218,6 +218,7 @@ def test_run_yaml(dlgmd, clips):
         "first_alarm_time_s",
         "first_alarm_side",
         "mean_attenuation_db",
+        "attenuation_frames",
     }
 
 

@@ -87,6 +87,7 @@ def test_zero_is_in_the_middle_of_the_colours():
     (axes,) = maps(plot_sweep(attenuation([-12, -6, 0, 1, 2, 3]))).values()
     norm = mesh(axes).norm
     assert isinstance(norm, TwoSlopeNorm) and (norm.vmin, norm.vcenter, norm.vmax) == (-12, 0, 3)
+    assert mesh(axes).colorbar.ax.get_ylabel() == "centred at 0 dB"
     for values, is_blue in (([-6, -5, -4, -3, -2, -1], True), ([1, 2, 3, 4, 5, 6], False)):
         (axes,) = maps(plot_sweep(attenuation(values))).values()
         red, _, blue, _ = mesh(axes).cmap(0.5)

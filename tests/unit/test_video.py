@@ -523,6 +523,8 @@ def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
         lines = [line for line in source.progress.warnings if "nothing can be seen" in line]
         assert len(lines) == bool(told) and told in "".join(lines)
         assert source.progress.blind == (lines[0] if "all" in told else "")
+        for begin_s, end_s in source.progress.blind_s if "from" in told else ():
+            assert f"from {begin_s:.2f} to {end_s:.2f} s" in told
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])

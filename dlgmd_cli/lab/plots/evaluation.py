@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from dlgmd_cli.plots.curves import LOOKS
 from dlgmd_cli.plots.style import (
     GREY,
     Entries,
@@ -17,7 +18,7 @@ from dlgmd_cli.plots.style import (
     new_figure,
     plain,
 )
-from dlgmd_cli.plots.traces import LOOKS, MAX_TOGETHER
+from dlgmd_cli.plots.traces import MAX_TOGETHER
 from dlgmd_cli.results.result import Series
 
 _HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
@@ -33,6 +34,8 @@ _DOT: Any = {
     "clip_on": False,
     "zorder": 3,
 }
+_ALLOWED: Any = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 1)), "zorder": 0.5}
+_OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
 
 
 def trade_off(
@@ -67,12 +70,14 @@ def trade_off(
     with house_style():
         figure, drawn, entries = _draw(lines, ("False alarms per minute", "Recall"), width)
         for label, line in drawn.items():
-            line.axes.axvline(max_false_per_min, color="0.8", linewidth=0.6, zorder=0.5)
+            allowed = line.axes.axvline(max_false_per_min, **_ALLOWED)
             line.axes.set_xlim(0.0, right)
             if label in points:
                 line.axes.plot(*points[label], color=line.get_color(), **_DOT)
         if points:
             entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
+        if lines:
+            entries.append((allowed, f"{max_false_per_min:g} a minute, the most allowed"))
         add_legend(figure, entries)
     return figure
 
@@ -106,7 +111,7 @@ def _draw(
     n_rows = -(-len(lines) // per_row) if is_split else 1
     figure = new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
     grid: Any = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
-    grid[0, 0].set_ylim(0.0, 1.02)
+    grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
     figure.supxlabel(names[0], fontsize=8)
     figure.supylabel(names[1], fontsize=8)
     drawn = {}
@@ -122,6 +127,8 @@ def _draw(
         if is_split:
             axes.set_title(plain(label, 30), loc="left", pad=2, fontsize=7)
             for other in lines.values():
-                axes.plot(*other, color="0.85", linewidth=0.6, drawstyle="steps-post")
+                axes.plot(*other, **_OTHERS)
         (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")
-    return figure, drawn, [] if is_split else [(line, label) for label, line in drawn.items()]
+    if is_split:
+        return figure, drawn, [(Line2D([], [], **_OTHERS), "the other models")]
+    return figure, drawn, [(line, label) for label, line in drawn.items()]

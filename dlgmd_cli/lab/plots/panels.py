@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dlgmd_cli.plots.curves import LOOKS, STRONG
 from dlgmd_cli.plots.style import (
     BLACK,
     FLOOR_DB,
@@ -17,7 +18,6 @@ from dlgmd_cli.plots.style import (
     house_style,
     new_figure,
 )
-from dlgmd_cli.plots.traces import LOOKS
 from dlgmd_cli.results.result import Series
 
 _ROW_IN, _AROUND_IN, _PER_ROW = 1.5, 0.35, 3
@@ -31,7 +31,8 @@ class Panel:
     """One panel: curves by label, each x and y of shape (n,), and marks.
 
     `spans` are ranges of x with a text, `collision` is the x of the collision, `level` the y of a
-    threshold. Infinite values are drawn at -60 dB.
+    threshold. Values of -60 dB and below, through which nothing passes, are drawn at -60 dB, and
+    the axis says so.
     """
 
     title: str
@@ -52,14 +53,18 @@ def plot_panels(
     log_y: bool = False,
     share_x: bool = True,
     share_y: bool = True,
+    emphasise: str | None = None,
 ) -> Figure:
     """Draw panels, three in a row; a label has the same look in all of them.
 
     `dots` draws a marker at every value; `log_x` also puts a tick there. Both are for curves with
-    few values. `share_x` is for panels that share their y.
+    few values. `share_x` is for panels that share their y. `emphasise` is the label of the
+    strongest curve.
     """
     labels = list(dict.fromkeys(label for panel in panels for label in panel.curves))
     looks = {label: _look(place, dots=dots) for place, label in enumerate(labels)}
+    if emphasise:
+        looks[emphasise] |= STRONG
     per_row = min(_PER_ROW, len(panels))
     n_rows = -(-len(panels) // per_row)
     with house_style():
@@ -106,8 +111,11 @@ def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entr
     for label, (x, y) in panel.curves.items():
         look = looks[label]
         every = max(1, len(x) // 10) if len(x) > 2 * _MARKER_ROOM else 1
-        (line,) = axes.plot(x, np.where(np.isinf(y), FLOOR_DB, y), markevery=every, **look)
+        shown = np.where(np.isinf(y), FLOOR_DB, y)
+        (line,) = axes.plot(x, shown, **{"markevery": every, **look})
         entries.append((line, label))
+        if (shown == FLOOR_DB).any():
+            axes.yaxis.set_major_formatter(_decibels)
     if panel.level is not None:
         line = axes.axhline(panel.level, color=GREY, linestyle="--", linewidth=0.8)
         entries.append((line, f"threshold {panel.level:g}"))
@@ -115,3 +123,8 @@ def _draw(axes: Axes, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> Entr
         line = axes.axvline(panel.collision, color=BLACK, linewidth=0.8)
         entries.append((line, "collision"))
     return entries
+
+
+def _decibels(value: float, _: float) -> str:
+    """The label of a tick; that of -60 dB stands for all that lies below, too."""
+    return f"{'≤ ' if value == FLOOR_DB else ''}{value:g}".replace("-", "−")

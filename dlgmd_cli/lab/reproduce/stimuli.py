@@ -237,7 +237,8 @@ def fig8(plan: Plan) -> Steps:
         "fig8-polarised": by_version(lambda v: shares(v)[1] / shares(v)[0]),
         "fig8-sparse": by_version(lambda v: shares(v)[2] - shares(v)[3]),
     }
-    return Evidence(values, {"fig8": partial(plot_panels, panels, "Frame", "Attenuation (dB)")})
+    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
+    return Evidence(values, {"fig8": draw})
 
 
 _FIG_9 = all_versions("set9") | other_models("lgmd")
@@ -341,7 +342,8 @@ def fig10(plan: Plan) -> Steps:
     for name, one in lgmds.items():
         values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(one))]}
     values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
-    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", share_y=False)
+    look: dict[str, Any] = {"share_y": False, "emphasise": f"set 7, {BY_LATENCY[0]}"}
+    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", **look)
     return Evidence(values, {"fig10": draw})
 
 

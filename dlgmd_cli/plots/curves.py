@@ -1,0 +1,317 @@
+"""What the panels of figures over time show: lines, marks and bars of results."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from dlgmd_cli.plots.style import (
+    BLUE,
+    FLOOR_DB,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    Entries,
+    plain,
+)
+from dlgmd_cli.results.result import Flags, Result, Series
+from dlgmd_cli.words import threshold_text
+
+# Least span of the vertical axis, so that rounding errors do not look like an event.
+MIN_SPAN_DB = 5.0
+# Pixel columns of the widest figure; for longer results, the maximum of each column is drawn.
+MAX_POINTS = 1400
+
+COLUMNS = ("level", "mp_abs", "mp_seq")
+# Axis labels by `Result.by_sequence`, in the words of --normalise; and for results that differ.
+LEVEL_NAMES = {False: "MP (absolute)", True: "MP (sequence)"}
+EITHER = "Normalised MP"
+# Neighbours differ in colour, dashes and brightness; vermilion and black have other meanings. The
+# last two are for other kinds of figures: more than four results have a panel each.
+LOOKS: tuple[tuple[str, Any], ...] = (
+    (BLUE, "-"),
+    (PURPLE, (0, (4, 1.5))),
+    (GREEN, (0, (5, 1.5, 1, 1.5))),
+    (SKY_BLUE, (0, (1, 1.2))),
+    (GREY, (0, (9, 2))),
+    (ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
+)
+# The look of an emphasised line, beside that of the others.
+STRONG: dict[str, Any] = {"linewidth": 1.7, "marker": "o", "markersize": 3.5, "markevery": 0.08}
+_WEAK: dict[str, Any] = {"linewidth": 0.8}
+# Height of a row of marks below the break of an axis, and of the break.
+_MARKS_IN, _BREAK_IN = 0.09, 0.08
+
+# Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
+_LEVELS = (-0.03, 1.055)
+# Greatest number of characters of a name beside a row of spikes.
+_LONGEST_ROW_NAME = 18
+# More dots than this touch each other, and their black rims would hide everything else.
+_MAX_RINGED = 200
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A result and the look of its line; if it is `alone`, its spikes and alarms are shown, too.
+
+    `collisions_s` has the times of its collisions, and `n_points` the most points of its line.
+    """
+
+    label: str
+    result: Result
+    look: dict[str, Any]
+    alone: bool
+    collisions_s: tuple[float, ...] = ()
+    n_points: int = MAX_POINTS
+
+
+class Scale(NamedTuple):
+    """The vertical axis of a panel: its height in inches, and what is drawn.
+
+    `column` is that of the potential. `limits` are those of the values, None to fit them.
+    `n_silent` is the number of rows for results of which nothing passes, None for as many as there
+    are.
+    """
+
+    height_in: float
+    column: str = "level"
+    limits: tuple[float, float] | None = None
+    n_silent: int | None = None
+
+
+def thinned(time_s: Series, values: Series, n_points: int = MAX_POINTS) -> tuple[Series, Series]:
+    """Reduce a series to at most `n_points`: the first time and the greatest value of each column.
+
+    A column is NaN if all its values are, and flagged if any of its rows is.
+    """
+    if len(values) <= n_points:
+        return time_s, values
+    edges = np.linspace(time_s[0], time_s[-1], n_points, endpoint=False)
+    starts = np.unique(np.searchsorted(time_s, edges))
+    return time_s[starts], np.fmax.reduceat(values, starts)
+
+
+def stretches(
+    time_s: Series, flags: Flags, n_points: int = MAX_POINTS
+) -> list[tuple[float, float]]:
+    """Start and duration, in seconds, of every run of flagged rows.
+
+    A row extends halfway to its neighbours.
+    """
+    times, any_flag = thinned(time_s, flags.astype(np.float64), n_points)
+    half = np.diff(times) / 2 if len(times) > 1 else np.array([0.1])
+    edges = np.concatenate(
+        (times[:1] - half[:1], times[:-1] + half[: len(times) - 1], times[-1:] + half[-1:])
+    )
+    turns = np.flatnonzero(np.diff(np.concatenate(([0.0], any_flag, [0.0]))))
+    return [(float(edges[a]), float(edges[b] - edges[a])) for a, b in turns.reshape(-1, 2)]
+
+
+def traces_of(results: Mapping[str, Result], emphasise: str | None = None) -> list[Trace]:
+    """The results as traces, each with its look; the emphasised one has the first."""
+    others = [label for label in results if label != emphasise]
+    order = [*([emphasise] if emphasise else ()), *others]
+    looks = {}
+    for place, label in enumerate(order):
+        color, dashes = LOOKS[place % len(LOOKS)]
+        looks[label] = {"color": color, "linestyle": dashes}
+        if emphasise:
+            looks[label] |= {**STRONG, "zorder": 2.5} if label == emphasise else _WEAK
+    return [
+        Trace(label, result, looks[label], alone=len(results) == 1)
+        for label, result in results.items()
+    ]
+
+
+def _draw_line(axes: Axes, trace: Trace, values: Series) -> Entries:
+    """Draw a line that breaks at NaN; an isolated value is a dot."""
+    times, highest = thinned(trace.result.time_s, values, trace.n_points)
+    known = np.concatenate(([False], ~np.isnan(highest), [False]))
+    single = known[1:-1] & ~known[:-2] & ~known[2:]
+    (line,) = axes.plot(times, highest, **trace.look)
+    axes.plot(times[single], highest[single], ".", color=trace.look["color"], markersize=3)
+    return [(line, trace.label)] if known.any() or not trace.alone else []
+
+
+def _draw_level(axes: Axes, traces: list[Trace], scale: Scale) -> Entries:
+    """Draw the normalised potential, a shared threshold, and the events of a single result."""
+    results, column = [trace.result for trace in traces], scale.column
+    by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
+    levels: list[Series] = [getattr(result, column) for result in results]
+    entries = []
+    for trace, level in zip(traces, levels, strict=True):
+        entries += _draw_line(axes, trace, level)
+    thresholds = {result.threshold for result in results}
+    is_level = all({result.by_sequence} == by_sequence for result in results)
+    if len(thresholds) == 1 and (column == "level" or is_level):
+        threshold = thresholds.pop()
+        line = axes.axhline(threshold, color=GREY, linestyle="--", linewidth=0.8)
+        entries.append((line, f"threshold {threshold_text(threshold)}"))
+    if traces[0].alone:
+        entries += _draw_events(axes, traces[0], levels[0])
+    if all(np.isnan(level).all() for level in levels):
+        _note(axes, traces, "the membrane potential never changes")
+    axes.set_ylim(scale.limits or _LEVELS)
+    axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else EITHER)
+    return entries
+
+
+def _draw_events(axes: Axes, trace: Trace, level: Series) -> Entries:
+    """Draw a dot at every spike, and a band at every alarm."""
+    entries: Entries = []
+    result = trace.result
+    spiking_level = np.where(result.spikes, level, np.nan)
+    times, levels = thinned(result.time_s, spiking_level, trace.n_points)
+    spiking = ~np.isnan(levels)
+    if spiking.any():
+        look: Any = {"markersize": 3, "markeredgecolor": "black", "markeredgewidth": 0.3}
+        if np.count_nonzero(spiking) > _MAX_RINGED:
+            look = {"markersize": 2, "markeredgewidth": 0}
+        look |= {"color": ORANGE, "zorder": 3, "clip_on": False}
+        (dots,) = axes.plot(times[spiking], levels[spiking], "o", **look)
+        entries.append((dots, "spike"))
+    if result.alarms.any():
+        lasting = stretches(result.time_s, result.alarmed, trace.n_points)
+        bands = axes.broken_barh(
+            lasting, (0, 1), alpha=0.3, color=VERMILION, linewidth=0.8,
+            transform=axes.get_xaxis_transform(), zorder=0,
+        )  # fmt: skip
+        entries.append((bands, "alarm"))
+    return entries
+
+
+def silence(trace: Trace) -> tuple[Flags, Series]:
+    """Where almost nothing passes, and the attenuation elsewhere."""
+    silent = trace.result.attenuation_db < FLOOR_DB  # -inf, but not NaN
+    return silent, np.where(silent, np.nan, trace.result.attenuation_db)
+
+
+def _draw_attenuation(axes: Axes, traces: list[Trace], scale: Scale) -> Entries:
+    """Draw attenuation in dB; where nothing passes, marks below a break, in a row per result."""
+    entries: Entries = []
+    silences, shown = zip(*(silence(trace) for trace in traces), strict=True)
+    for trace, values in zip(traces, shown, strict=True):
+        entries += _draw_line(axes, trace, values)
+    silent = [(t, s) for t, s in zip(traces, silences, strict=True) if s.any()]
+    if silent:
+        mark = Line2D([], [], marker="v", linestyle="", color=GREY, markersize=3)
+        entries.append((mark, f"nothing passes (< −{-FLOOR_DB:g} dB)"))
+    elif all(np.isnan(values).all() for values in shown):
+        _note(axes, traces, "no frame differs from the one before it")
+    n_rows = len(silent) if scale.n_silent is None else scale.n_silent
+    row = _MARKS_IN / scale.height_in
+    lines = tuple(axes.lines)
+    foot = _break_axis(axes, scale.limits or span_db(shown), n_rows, scale.height_in)
+    if n_rows and scale.limits:  # what lies below the limits does not cross the break
+        edge = foot + _BREAK_IN / scale.height_in
+        for line in lines:
+            line.set_clip_path(Rectangle((0, edge), 1, 1 - edge, transform=axes.transAxes))
+    for place, (trace, flags) in enumerate(silent, start=1):
+        times, flagged = thinned(trace.result.time_s, flags.astype(np.float64), trace.n_points)
+        marked = times[flagged > 0.0]
+        color = GREY if trace.alone else trace.look["color"]
+        look: Any = {"color": color, "markersize": 3}
+        height = np.full(len(marked), foot - (place - 0.5) * row)
+        axes.plot(marked, height, "v", transform=axes.get_xaxis_transform(), **look)
+    axes.set_ylabel("Attenuation (dB)")
+    return entries
+
+
+def _break_axis(axes: Axes, limits: tuple[float, float], n_rows: int, height_in: float) -> float:
+    """Set the limits and ticks of values, above a break and rows for −∞ if there are `n_rows`.
+
+    Returns the height of these rows, as a share of the axes'.
+    """
+    low, high = limits
+    gap, foot = (_BREAK_IN / height_in, n_rows * _MARKS_IN / height_in) if n_rows else (0.0, 0.0)
+    bottom = high - (high - low) / (1.0 - gap - foot)
+    axes.set_ylim(bottom, high)
+    locator: Any = MaxNLocator(int(np.clip(5 * height_in, 2, 6)), steps=[1, 2, 5, 10])
+    ticks = [float(tick) for tick in locator.tick_values(low, high) if low <= tick <= high]
+    labels = [f"{tick:g}".replace("-", "−") for tick in ticks]
+    if n_rows:
+        ticks, labels = [*ticks, bottom + (high - bottom) * foot / 2], [*labels, "−∞"]
+        # Two strokes across the axis, which is interrupted between them.
+        stroke: Any = {"marker": [(-1, -0.4), (1, 0.4)], "markersize": 5, "markeredgewidth": 0.6}
+        ends = foot + gap * np.array([0.3, 0.7])
+        look: Any = {"color": "white", "linewidth": 1.5, "markeredgecolor": "black", "zorder": 3}
+        axes.plot([0, 0], ends, transform=axes.transAxes, clip_on=False, **look, **stroke)
+    axes.set_yticks(ticks, labels)
+    return foot
+
+
+def span_db(shown: Sequence[Series]) -> tuple[float, float]:
+    """Limits of the vertical axis."""
+    drawn = np.concatenate([thinned(np.arange(float(len(v))), v)[1] for v in shown])
+    known = drawn[~np.isnan(drawn)]
+    if not known.size:
+        return FLOOR_DB, 0.0
+    low, high = float(known.min()), float(known.max())
+    missing = max(0.0, MIN_SPAN_DB - (high - low)) / 2
+    margin = 0.1 * max(high - low, MIN_SPAN_DB)
+    return low - missing - margin, high + missing + margin
+
+
+def _draw_raster(axes: Axes, traces: list[Trace], _: Scale) -> Entries:
+    """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
+    axes.tick_params(axis="y", length=0)
+    if traces[0].alone:
+        trace = traces[0]
+        _draw_bars(axes, trace, trace.result.spikes, (0.65, 1.35), ORANGE)
+        _draw_bars(axes, trace, trace.result.alarmed, (-0.35, 0.35), VERMILION)
+        axes.set_yticks([1, 0], ["spikes", "alarm"])
+        axes.set_ylim(-0.6, 1.6)
+        return []
+    for row, trace in enumerate(reversed(traces)):
+        _draw_bars(axes, trace, trace.result.spikes, (row - 0.1, row + 0.4), trace.look["color"])
+        _draw_bars(axes, trace, trace.result.alarmed, (row - 0.4, row - 0.15), VERMILION)
+    names = [plain(trace.label, _LONGEST_ROW_NAME) for trace in reversed(traces)]
+    axes.set_yticks(range(len(traces)), names, fontsize=6.5)
+    axes.set_ylim(-0.5, len(traces) - 0.5)
+    colors = {trace.look["color"] for trace in traces}
+    return [
+        (Line2D([], [], color=color, marker="|", linestyle="", markeredgewidth=1.2), text)
+        for color, text in (
+            (colors.pop() if len(colors) == 1 else GREY, "spike"),
+            (VERMILION, "alarm"),
+        )
+    ]
+
+
+def _draw_bars(
+    axes: Axes, trace: Trace, flags: Flags, reach: tuple[float, float], color: str
+) -> None:
+    """Draw a bar over every run of flagged rows, between two heights."""
+    low, high = reach
+    bars = stretches(trace.result.time_s, flags, trace.n_points)
+    axes.broken_barh(bars, (low, high - low), color=color, linewidth=0.4)
+
+
+def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
+    """Say why there is no line: too few frames, or what `unchanged` says."""
+    n_short = sum(trace.result.n_valid == 0 for trace in traces)
+    reasons = ["too few frames"] * (n_short > 0) + [unchanged] * (n_short < len(traces))
+    why = ", or ".join(reasons)
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+    axes.text(
+        0.5, 0.5, f"undefined: {why}", transform=axes.transAxes, ha="center", va="center",
+        color=GREY, fontsize=7, bbox=ground,
+    )  # fmt: skip
+
+
+# A function that draws results in a panel: axes, results, vertical axis.
+Draw = Callable[[Axes, list[Trace], Scale], Entries]
+# By the names of the panels in `KINDS`.
+DRAWS: dict[str, Draw] = {
+    "level": _draw_level,
+    "attenuation": _draw_attenuation,
+    "raster": _draw_raster,
+}
