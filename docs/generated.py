@@ -85,9 +85,10 @@ class Made(_InFolder):
         """Run the commands."""
         folder = self.folder
         printed = "".join(self._output(line, folder) for line in self.content)
+        printed = "\n".join(line.rstrip() for line in printed.splitlines()).strip("\n")
         found: list[nodes.Node] = [self.block("\n".join(self.content), "sh")]
         if "print" in self.options or not self.arguments:
-            found.append(self.block(printed.strip("\n"), "text"))
+            found.append(self.block(printed, "text"))
         return found + [self._shown(folder / name) for name in self.arguments]
 
     def _shown(self, made: Path) -> nodes.Node:
