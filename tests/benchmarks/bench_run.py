@@ -70,7 +70,9 @@ def commands(clip: Path) -> dict[str, list[str]]:
 def timed(command: list[str], folder: Path) -> tuple[float, float]:
     """CPU and wall time of a process and its children, in seconds."""
     begin_s = time.perf_counter()
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, env=environment())
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.DEVNULL, env=environment(folder)
+    )
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
@@ -78,11 +80,15 @@ def timed(command: list[str], folder: Path) -> tuple[float, float]:
     return usage.ru_utime + usage.ru_stime, time.perf_counter() - begin_s
 
 
-def environment() -> dict[str, str]:
-    """The environment with this repository first on Python's path."""
+def environment(folder: Path) -> dict[str, str]:
+    """The environment with this repository first on Python's path, and its bytecode in `folder`.
+
+    An installed package has its bytecode, whatever the variables of this shell say.
+    """
     here = str(Path(__file__).parents[2])
     paths = filter(None, (here, os.environ.get("PYTHONPATH")))
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    kept = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
+    return {**os.environ, **kept, "PYTHONDONTWRITEBYTECODE": ""}
 
 
 def main(n_rounds: int) -> None:
