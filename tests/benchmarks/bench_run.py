@@ -60,6 +60,7 @@ def commands(clip: Path) -> dict[str, list[str]]:
     variants = {"run": ["--engine", "opencv"], "run, OpenCV's decoder": ["--decoder", "opencv"]}
     if importlib.util.find_spec("numba"):
         variants["run, Numba"] = []
+    found["run, --no-plots"] = [*dlgmd, "bare", *variants["run"], "--no-plots"]
     for name, options in variants.items():
         found[name] = [*dlgmd, "small", *options]
         found[f"{name}, --scale 1"] = [*dlgmd, "large", *options, "--scale", "1"]
@@ -109,10 +110,10 @@ def main(n_rounds: int) -> None:
         for label, times in taken.items()
     }
     cpu_base, wall_base = medians["ffmpeg -f null"]
-    print(f"{'median of ' + str(n_rounds):38}{'CPU s':>8}{'ratio':>7}{'wall s':>8}{'ratio':>7}")
+    print(f"{'median of ' + str(n_rounds):42}{'CPU s':>8}{'ratio':>7}{'wall s':>8}{'ratio':>7}")
     for label, (cpu_s, wall_s) in medians.items():
         ratios = cpu_s / cpu_base, wall_s / wall_base
-        print(f"{label:38}{cpu_s:8.2f}{ratios[0]:7.2f}{wall_s:8.2f}{ratios[1]:7.2f}")
+        print(f"{label:42}{cpu_s:8.2f}{ratios[0]:7.2f}{wall_s:8.2f}{ratios[1]:7.2f}")
 
 
 if __name__ == "__main__":
