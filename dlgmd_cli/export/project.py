@@ -12,13 +12,13 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
 from dlgmd_cli.export.sums import float_literal as f
 from dlgmd_cli.models.contrast import (
-    BLOCK,
     MAX_QUARTILE_CELLS,
     NOMINAL_FPS,
     centre_weights,
     quadrants,
 )
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
+from dlgmd_cli.models.engines import BLOCK
 from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters
 

@@ -15,11 +15,10 @@ from dlgmd_cli.models.base import (
     Grey,
     Photoreceptors,
     Response,
-    aligned,
     centroid,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
-from dlgmd_cli.models.engines import Counting
+from dlgmd_cli.models.engines import BLOCK, Counting
 from dlgmd_cli.parameters import ContrastParameters
 
 # Rows and columns.
@@ -27,8 +26,6 @@ Shift = tuple[int, int]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
-# Side of the blocks whose means tell how the picture moves, in cells.
-BLOCK = 4
 # The picture is moved if less than this share of the change is left.
 MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
@@ -143,7 +140,7 @@ class ContrastDLGMD(Distributed):
 
     def _prepare(self, luminance: Grey) -> None:
         super()._prepare(luminance)
-        self.receptors.subtract = self._engine.subtract
+        self.receptors.blocks = self._engine.blocks
         self._weights = None
 
     def _weakest(self, quarters: tuple[float, ...]) -> float:
@@ -194,15 +191,6 @@ def quadrants(weights: tuple[FloatImage, FloatImage], hidden: Flags | None = Non
     return [float(image[rows, columns].sum()) for rows in sides[0] for columns in sides[1]]
 
 
-def coarse(frame: Grey) -> FloatImage:
-    """Means over whole blocks of `BLOCK` x `BLOCK` cells, in levels."""
-    height, width = (n // BLOCK for n in frame.shape)
-    if height == 0 or width == 0:
-        return np.zeros((0, 0), np.float32)
-    whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
-
-
 def overlap(n: int, shift: int) -> tuple[slice, slice]:
     """Where the cells of a side of n remain after a shift, and where they were."""
     return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
@@ -221,7 +209,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     Parameters
     ----------
     now, before : ndarray
-        The two frames, `coarse`.
+        Means over blocks of the two frames, see `Engine.blocks`.
     start : (int, int)
         The shift in blocks, rows first, that was found one frame earlier.
     most : int
@@ -258,22 +246,21 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     return best, (down, cells(x, change((y, x - 1)), change((y, x + 1))))
 
 
-def lower_quartile(current: Grey, previous: Grey, hidden: Flags | None = None) -> float:
-    """Lower quartile of |L(t) - L(t-1)|, estimated from a subset if there are many cells.
+def lower_quartile(change: Grey, hidden: Flags | None = None) -> float:
+    """Lower quartile of the cells of an image, (H, W), estimated from a subset if there are many.
 
     Cells where `hidden`, (H, W), is True are ignored.
     """
-    step = max(1, math.isqrt(current.size // MAX_QUARTILE_CELLS))
+    step = max(1, math.isqrt(change.size // MAX_QUARTILE_CELLS))
     if hidden is not None and hidden[::step, ::step].all():  # the subset has no visible cell
         step = 1
-    change = cv2.absdiff(current[::step, ::step], previous[::step, ::step])
-    if hidden is not None:
-        change = change[~hidden[::step, ::step]]
-    rank = change.size // 4
-    if change.dtype == np.uint8:  # faster than to sort
-        counts = cv2.calcHist([change], [0], None, [256], [0, 256])
+    some = change[::step, ::step]
+    some = some.ravel() if hidden is None else some[~hidden[::step, ::step]]
+    rank = some.size // 4
+    if some.dtype == np.uint8:  # faster than to sort
+        counts = cv2.calcHist([some], [0], None, [256], [0, 256])
         return float(np.searchsorted(counts.cumsum(dtype=float), rank, side="right"))
-    return float(np.partition(change.ravel(), rank)[rank])
+    return float(np.partition(some, rank)[rank])
 
 
 def smoothed(before: float, newest: float, weight: float) -> float:
@@ -287,7 +274,7 @@ def smoothed(before: float, newest: float, weight: float) -> float:
 
 
 class ContrastReceptors(Photoreceptors):
-    """P' of the last few frames, each with the threshold of its own frame.
+    """P' of the last few frames: |L(t) - L(t-1)| in `stack`, and each frame's floor in `floors`.
 
     `sigma` is the smoothed standard deviation of the luminance, σ(t), and `noise` the smoothed
     lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; both from frame 1 on. `growth` is F(t),
@@ -299,9 +286,8 @@ class ContrastReceptors(Photoreceptors):
     """
 
     sigma: float
-    subtract: Callable[..., tuple[float, float]]  # of the model's engine
+    blocks: Callable[[Grey], FloatImage]  # of the model's engine
     time_s = math.nan
-    _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
         self._params = params
@@ -311,7 +297,8 @@ class ContrastReceptors(Photoreceptors):
         """Forget all earlier frames; the next one may have another size."""
         super().reset()
         self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
-        self._coarse, self._blocks = np.zeros((0, 0), np.float32), (0, 0)
+        self._blocks: FloatImage | None = None
+        self._shift_blocks = (0, 0)
 
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
@@ -322,46 +309,45 @@ class ContrastReceptors(Photoreceptors):
         self._last_s = self.time_s
 
     def _compute_p(self, out: Grey) -> float:
-        """Write P' of the newest frame to `out`; returns Σ|L(t) - L(t-1)|."""
+        """Write |L(t) - L(t-1)| to `out`, and set its floor; returns the sum, in levels."""
         weight = self._weight(self._params.w_sigma)
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
-        if self._params.shift > 0:
-            self._align()
+        self._subtract(out, self._shift() if self._params.shift > 0 else (0, 0))
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
-        quartile = lower_quartile(self.current, self.previous, self.hidden)
-        self.noise = smoothed(self.noise, quartile * self.unit, weight)
-        floor = self._floor() / self.unit
-        p_sum, change_sum = self.subtract(self.current, self.previous, floor, out)
+        self.noise = smoothed(self.noise, lower_quartile(out, self.hidden) * self.unit, weight)
+        floor = self.floors[self.position(0)] = np.float32(self._floor() / self.unit)
+        above = cv2.threshold(out, float(floor), 0.0, cv2.THRESH_TOZERO)[1]
+        p_sum = cv2.sumElems(above)[0] - float(floor) * cv2.countNonZero(above)
         p_sum /= self.n_usual
         self.growth = p_sum / self._usual if self._usual else math.inf if p_sum else 0.0
         self._usual = smoothed(self._usual, p_sum, self._weight(self._params.w_m))
-        return change_sum
+        return float(cv2.sumElems(out)[0])
 
-    def _align(self) -> None:
-        """Move the previous frame and the earlier P' along with the picture."""
-        before, self._coarse = self._coarse, coarse(self.current)
-        if self.frame == 1:
-            before = coarse(self.previous)
+    def _shift(self) -> Shift:
+        """By how many cells the frames move, see `ContrastDLGMD`."""
+        before = self.blocks(self.previous) if self._blocks is None else self._blocks
+        now = self._blocks = self.blocks(self.current)
         most = self._params.shift // BLOCK
-        self._blocks, shift = follow(self._coarse, before, self._blocks, most)
+        self._shift_blocks, shift = follow(now, before, self._shift_blocks, most)
         still = mean_change(self.current, self.previous, (0, 0))
-        if mean_change(self.current, self.previous, shift) < MAX_LEFT * still:
-            np.copyto(self.previous, self._moved(self.previous, self.current, shift))
-            for delay in range(1, self._depth):
-                p = self.p(delay)
-                np.copyto(p, self._moved(p, np.zeros_like(p), shift))
+        moved = mean_change(self.current, self.previous, shift)
+        return shift if moved < MAX_LEFT * still else (0, 0)
 
-    def _moved(self, image: Grey, entering: Grey, shift: Shift) -> Grey:
-        """An image moved by a shift, with `entering` in cells of which nothing is known."""
-        moved = aligned(image.shape, image.dtype)
-        np.copyto(moved, entering)
-        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, shift)
-        source = from_rows, from_columns
-        known = True if self.hidden is None else ~self.hidden[source]
-        np.copyto(moved[rows, columns], image[source], where=known)
-        self.clear(moved)
-        return moved
+    def _subtract(self, out: Grey, shift: Shift) -> None:
+        """Write the change to `out`, (H, W), after the previous frame and earlier P' are moved."""
+        (rows, from_rows), (columns, from_columns) = map(overlap, out.shape, shift)
+        inside, source = (rows, columns), (from_rows, from_columns)
+        cv2.absdiff(self.current[inside], self.previous[source], dst=out[inside])
+        if self.hidden is not None:
+            out[inside][self.hidden[source]] = 0
+        earlier = range(1, self._depth) if shift != (0, 0) else ()
+        for image in map(self.p, earlier):
+            image[inside] = image[source]  # NumPy sees that they overlap
+        for image in (out, *map(self.p, earlier)):
+            image[: rows.start], image[rows.stop :] = 0, 0
+            image[:, : columns.start], image[:, columns.stop :] = 0, 0
+            self.clear(image)
 
     def _weight(self, weight: float) -> float:
         """The weight of the newest frame after `n_usual` frames, if it is `weight` after one."""

@@ -269,8 +269,9 @@ class Result:
                 "the membrane potential never changes by more than rounding, so it cannot be "
                 "normalised by its own sequence; there are no spikes"
             )
-        intervals_s = np.diff(self.time_s[~self.is_repeat])
-        rate_fps = 1.0 / np.median(intervals_s) if intervals_s.size else math.inf
+        # Not NumPy's median, which would import masked arrays.
+        intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
+        rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
         if getattr(self.params, "w_fps", 0.0) and rate_fps < MIN_FPS - 0.1:
             found.append(
                 f"{rate_fps:.3g} frames/s: alarms are unreliable below {MIN_FPS:g} frames/s, since "

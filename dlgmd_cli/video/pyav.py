@@ -173,10 +173,15 @@ class PyAVDecoder:
         return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced, turned_deg)
 
     def close(self) -> None:
-        """Free the file; may be called twice."""
+        """Free the file and all decoded frames; may be called twice."""
         # The generator reads from the container and would crash if that were closed first.
         self._frames.close()
-        self._container.close()
+        container: InputContainer | None = vars(self).pop("_container", None)
+        if container is not None:
+            container.close()
+        # The codec and the last frame keep some 20 MB of a large picture's frames alive.
+        vars(self).pop("_stream", None)
+        vars(self).pop("_frame", None)
 
 
 def details_of(name: str) -> Details | None:

@@ -18,6 +18,9 @@ _log = logging.getLogger(__name__)
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
 NOT_INSTALLED = "is not installed"
+# Side of the blocks whose means tell how the picture moves, in cells. As of MAX_TAPS in plan.py,
+# the cache of Numba does not notice a change.
+BLOCK = 4
 
 
 class Grouping(NamedTuple):
@@ -68,13 +71,8 @@ class Engine(Protocol):
         """
         ...
 
-    def subtract(
-        self, current: Grey, previous: Grey, floor: float, out: FloatImage
-    ) -> tuple[float, float]:
-        """Write max(|L(t) - L(t-1)| - `floor`, 0) to `out`, (H, W).
-
-        Returns its sum, and Σ|L(t) - L(t-1)|. Everything is in levels.
-        """
+    def blocks(self, frame: Grey) -> FloatImage:
+        """Means over whole blocks of `BLOCK` x `BLOCK` cells of a frame, in levels."""
         ...
 
 
