@@ -60,7 +60,8 @@ def run(
     video : str, path, or iterable of ndarray
         A video file, a folder of pictures, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
-        Of images, `fps` is the frame rate, 30 unless given; all of them are processed.
+        Of images in memory, `fps` alone is their rate, 30 unless given, and all are processed.
+        Everywhere else `fps` limits a rate: pictures and ``.npy`` files need `input_fps` for that.
     models : sequence, optional
         The models: parameters, classes of models, or names of sets (``9``), models (``"lgmd"``) and
         presets (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
