@@ -252,8 +252,11 @@ class _Lines(logging.Handler):
     """Shows what the library logs."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record; from a warning on, as one."""
-        (warn if record.levelno >= logging.WARNING else say)(record.getMessage())
+        """Print a record; a warning as one, and less than that unless --quiet is given."""
+        if record.levelno == logging.WARNING:
+            warn(record.getMessage())
+        elif record.levelno > logging.WARNING or not settings().quiet:
+            say(record.getMessage())
 
 
 @contextmanager

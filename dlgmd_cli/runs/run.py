@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, overload
 
 import numpy as np
@@ -22,10 +23,18 @@ from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Source, Video
 
 OnFrame = Callable[[int], None]
+# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
+# may be followed by another name.
+Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
 
 def silent(*_: Any) -> None:
     """The default callback."""
+
+
+def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
+    """The default `Progress`."""
+    return nullcontext(silent)
 
 
 @overload

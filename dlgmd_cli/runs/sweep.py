@@ -7,8 +7,7 @@ appended as points are computed. Both are rewritten at the end, the record last.
 import csv
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,7 @@ from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions,
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList, Rows, rows_of
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, input_record, silent, too_short
+from dlgmd_cli.runs.run import OnFrame, Progress, input_record, no_progress, silent, too_short
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -56,8 +55,6 @@ Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
 # A temporary file of frames, and the data type of one frame.
 Clip = tuple[Path, np.dtype[np.void]]
-# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done.
-Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
 def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
@@ -264,9 +261,7 @@ class Sweep:
         self.warnings = list(before.get("warnings", []))
         self.result.read(self.folder / TABLE)
 
-    def compute(
-        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(silent)
-    ) -> None:
+    def compute(self, jobs: int = 1, *, progress: Progress = no_progress) -> None:
         """Compute the missing points and append them to the table.
 
         Computed points are kept after an error: SourceError or ParameterError if there are too few

@@ -25,6 +25,7 @@ STEPS = [
     {"lab/benchmark", "lab/flights"},
     {"lab/plots"},
     {"lab/evaluation", "lab/reproduce"},
+    {"api"},
     {"commands"},
     {"__main__"},
 ]
