@@ -12,6 +12,8 @@ __version__ = "0.1.0"
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from dlgmd_cli.api.batch import batch as batch
+    from dlgmd_cli.api.calibrate import calibrate as calibrate
+    from dlgmd_cli.api.evaluate import evaluate as evaluate
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.keys import Parameters as Parameters
     from dlgmd_cli.keys import key as key
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _NAMES = {
     "api.batch": "batch",
+    "api.calibrate": "calibrate",
+    "api.evaluate": "evaluate",
     "errors": "DlgmdError",
     "keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",

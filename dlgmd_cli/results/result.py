@@ -320,9 +320,8 @@ class Result:
         OutputError
             If the folder cannot be written.
         """
-        undrawn = store.commit(store.place(folder), store.RUN, self.files(formats, dpi))
-        for name, why in undrawn.items():
-            _log.warning("%s cannot be drawn (%s)", name, why)
+        place = store.place(folder)
+        store.log_undrawn(place, store.commit(place, store.RUN, self.files(formats, dpi)))
 
     def plot(self, kind: str = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
