@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.api.batch import batch as batch
     from dlgmd_cli.api.calibrate import calibrate as calibrate
     from dlgmd_cli.api.evaluate import evaluate as evaluate
+    from dlgmd_cli.api.sweep import sweep as sweep
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.keys import Parameters as Parameters
     from dlgmd_cli.keys import key as key
@@ -43,6 +44,7 @@ _NAMES = {
     "api.batch": "batch",
     "api.calibrate": "calibrate",
     "api.evaluate": "evaluate",
+    "api.sweep": "sweep",
     "errors": "DlgmdError",
     "keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",

@@ -261,10 +261,10 @@ class _Lines(logging.Handler):
     """Shows what the library logs."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record; a warning as one, and less than that unless --quiet is given."""
-        if record.levelno == logging.WARNING:
+        """Print a record; from a warning on, as one, and less than that unless --quiet is given."""
+        if record.levelno >= logging.WARNING:
             warn(record.getMessage())
-        elif record.levelno > logging.WARNING or not settings().quiet:
+        elif not settings().quiet:
             say(record.getMessage())
 
 

@@ -335,9 +335,9 @@ def names_in(folder: "Path | UPath") -> set[str]:
 
 
 def log_undrawn(folder: "Path | UPath", undrawn: Mapping[str, str]) -> None:
-    """Log a warning for each figure that `write_files` could not draw."""
+    """Log an error for each figure that `write_files` could not draw."""
     for name, why in undrawn.items():
-        _log.warning("%s: %s cannot be drawn (%s)", folder, name, why)
+        _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
 
 
 def write_text(path: "Path | UPath", text: str) -> None:

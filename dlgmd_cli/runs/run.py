@@ -106,11 +106,18 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    if not isinstance(video, str | os.PathLike) and options.get("input_fps") is None:
-        options["input_fps"] = options.pop("fps", None)
     setups = choose_all(models, set, config, model, param, formulation, engine)
-    results = run_input(video, setups, common_options(setups, options), on_frame=on_frame)
+    shared = common_options(setups, given_options(video, options))
+    results = run_input(video, setups, shared, on_frame=on_frame)
     return results[0] if models is None else results
+
+
+def given_options(video: Openable, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options as they are given, but `fps` is the rate of images in memory that have none."""
+    found = dict(options)
+    if not isinstance(video, str | os.PathLike) and found.get("input_fps") is None:
+        found["input_fps"] = found.pop("fps", None)
+    return found
 
 
 def run_input(

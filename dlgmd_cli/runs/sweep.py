@@ -201,7 +201,7 @@ class Sweep:
     """A sweep of the model `setup` over a grid, stored in a folder.
 
     `points` holds the parameters of all valid points, and `fault` the error of the first invalid
-    one. `result` holds what is computed so far, `warnings` the doubts about the input. Raises
+    one. `result` holds what is computed so far, and the doubts about the input. Raises
     ParameterError if no point is valid.
     """
 
@@ -224,13 +224,12 @@ class Sweep:
         if self.fault and not self.points:
             raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
         self._identity: dict[str, Any] = {}
         if subject.video is not None:
             info = subject.video.info
             self._identity = {**info.identity, "decoder": info.decoder}
         self.facts: dict[str, Any] = {}
-        self.warnings: list[str] = []
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Load the points of the same sweep that the folder, which must exist, already has.
@@ -258,7 +257,7 @@ class Sweep:
             mend = "Add --overwrite to replace it, or choose another --out."
             raise OutputExistsError(str(self.folder), why, mend)
         self.facts = {key: before[key] for key in ("input", "processed") if key in before}
-        self.warnings = list(before.get("warnings", []))
+        self.result.warnings[:] = before.get("warnings", [])
         self.result.read(self.folder / TABLE)
 
     def compute(self, jobs: int = 1, *, progress: Progress = no_progress) -> None:
@@ -323,7 +322,7 @@ class Sweep:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})
             self.facts = input_record(video, video.size_wh, rows)
-            self.warnings = list(video.progress.warnings)
+            self.result.warnings[:] = video.progress.warnings
         return clips
 
     def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
@@ -354,7 +353,7 @@ class Sweep:
                 **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
                 **self.subject.settings,
             },
-            "warnings": self.warnings,
+            "warnings": self.result.warnings,
             "complete": complete,
             "summary": {
                 "points": len(self.grid),
