@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.api.calibrate import calibrate as calibrate
     from dlgmd_cli.api.evaluate import evaluate as evaluate
     from dlgmd_cli.api.sweep import sweep as sweep
+    from dlgmd_cli.api.synth import synth as synth
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.keys import Parameters as Parameters
     from dlgmd_cli.keys import key as key
@@ -45,6 +46,7 @@ _NAMES = {
     "api.calibrate": "calibrate",
     "api.evaluate": "evaluate",
     "api.sweep": "sweep",
+    "api.synth": "synth",
     "errors": "DlgmdError",
     "keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",
