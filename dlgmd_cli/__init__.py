@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.api.batch import batch as batch
     from dlgmd_cli.api.calibrate import calibrate as calibrate
     from dlgmd_cli.api.evaluate import evaluate as evaluate
+    from dlgmd_cli.api.layers import layers as layers
     from dlgmd_cli.api.sweep import sweep as sweep
     from dlgmd_cli.api.synth import synth as synth
     from dlgmd_cli.errors import DlgmdError as DlgmdError
@@ -45,6 +46,7 @@ _NAMES = {
     "api.batch": "batch",
     "api.calibrate": "calibrate",
     "api.evaluate": "evaluate",
+    "api.layers": "layers",
     "api.sweep": "sweep",
     "api.synth": "synth",
     "errors": "DlgmdError",
