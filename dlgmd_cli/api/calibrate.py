@@ -77,8 +77,9 @@ def calibrate(
     Returns
     -------
     Calibration
-        `params` are the parameters found, `preset` is the text of the file, and `scores` says how
-        well they do on videos that they were not chosen on.
+        `params` are the parameters found, and `preset` is the text of the file. `scores` says how
+        well they do, also on videos that they were not chosen on. `run` and `evaluate` take `setup`
+        as a model, with the width and the rate that it is made for.
 
     Raises
     ------
@@ -132,7 +133,8 @@ def calibrate(
         searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
         about = f"; searched in {n_trials} trials: {searched}" if ranges else ""
         preset = _preset(found, experiment, labels.name, about)
-        found = replace(found, preset=preset, failed=evaluation.failed)
+        named = replace(found.setup, label=name)
+        found = replace(found, setup=named, preset=preset, failed=evaluation.failed)
         if out is not None:
             store.write_text(folder / f"{name}.yaml", preset)
     return found

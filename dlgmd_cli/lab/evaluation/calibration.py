@@ -141,7 +141,8 @@ class Calibration:
     def __repr__(self) -> str:
         form = "held out recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
         held = form.format(**self.scores["held_out"][ALL])
-        return f"<Calibration of {self.setup.label}: {', '.join(self.changes())}; {held}>"
+        label = self.experiment.setup.label
+        return f"<Calibration of {label}: {', '.join(self.changes())}; {held}>"
 
     @property
     def params(self) -> Parameters:
