@@ -136,5 +136,7 @@ def require_known(what: str, name: str, known: Iterable[str], origin: str = "") 
     """Raise ParameterError if `name` is not one of the `known` names."""
     known = tuple(known)
     if name not in known:
-        why, mend = f"there is no {what} {shown(name)}", f"Choose from {', '.join(known)}."
+        near = nearest(name[:100], known)
+        hint = f"Did you mean {near!r}? " if near else ""
+        why, mend = f"there is no {what} {shown(name)}", f"{hint}Choose from {', '.join(known)}."
         raise ParameterError(origin, why, mend)

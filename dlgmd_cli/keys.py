@@ -15,7 +15,7 @@ from dlgmd_cli.errors import ParameterError
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep"),
-        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame"),
+        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame", "settings"),
     ]
 )
 # What the keys of a model may not be called.

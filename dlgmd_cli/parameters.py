@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from dlgmd_cli.checks import Spec, blame, require_known, shown
+from dlgmd_cli.checks import Spec, blame, nearest, require_known, shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.keys import RECORD_KEYS, common_key, implied_key, imported_model, key
 from dlgmd_cli.keys import Parameters as Parameters
@@ -289,7 +289,8 @@ class Config:
 
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
-    are the frame width and the frame rate that the parameters are designed for.
+    are the frame width and the frame rate that the parameters are designed for. `is_record` tells
+    that it is a `run.yaml`.
     """
 
     name: str
@@ -300,6 +301,7 @@ class Config:
     values: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     named: dict[str, Any] = field(default_factory=dict)
+    is_record: bool = False
 
 
 def design_of(params: Any) -> tuple[int, float]:
@@ -330,6 +332,8 @@ def load_preset(name: str | int) -> Config:
     if number not in names:
         why = f"there is no set {str(name)[:40]}"
         mend = f"Choose {names[0]} to {names[-1]}, or give a file with --config."
+        if near := nearest(str(name)[:100], PRESETS):
+            mend = f"Did you mean --config {near}? {mend}"
         raise ParameterError("", why, mend)
     return load_config(presets_dir() / f"set{number}.yaml")
 
@@ -370,6 +374,8 @@ def load_config(path: str | Path) -> Config:
     name, path = str(path), Path(path)
     if name in PRESETS:
         return replace(load_config(presets_dir() / f"{name}.yaml"), named={"preset": name})
+    if not path.exists() and (near := nearest(name[:100], PRESETS)):
+        raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
     document = parse(name, read(path))
     if document is None:
         raise ParameterError(name, "is empty", "Give at least one 'key: value'.")
@@ -389,9 +395,10 @@ def load_config(path: str | Path) -> Config:
     values = {key: value for key, value in document.items() if key not in RECORD_KEYS}
     named = {key: values.pop(key) for key in ("set", "preset") if key in values}
     # A run.yaml already holds every value.
-    base = _named(name, named) if named and "schema" not in document else Config(name)
-    values = {**base.values, **values}
-    return replace(base, name=name, **own, values=values, options=options, named=named)
+    is_record = "schema" in document
+    base = _named(name, named) if named and not is_record else Config(name)
+    own |= {"options": options, "named": named, "is_record": is_record}
+    return replace(base, name=name, values={**base.values, **values}, **own)
 
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:

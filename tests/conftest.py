@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,8 @@ from dlgmd_cli.parameters import DlgmdParameters
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 
+# A dlgmd.yaml above the temporary folders is nothing for tests, nor for the processes they start.
+os.environ["DLGMD_SETTINGS"] = "none"
 if hasattr(signal, "SIGHUP"):
     # Below nohup it is ignored, which the processes that tests start would keep to.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -98,6 +101,14 @@ def csv_rows(path: Path):
 def yaml_of(path: Path):
     """The content of a YAML file."""
     return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+
+
+def until(is_so, limit_s=10.0):
+    """Wait for something that must come about soon, in another thread or process."""
+    end = time.monotonic() + limit_s
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def read_video(path: Path):

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from dlgmd_cli.results.record import read_record
 from dlgmd_cli.results.result import read_result
 
 PATIENCE_S = 60.0
-# How long processes may live on once their parent has ended.
-LINGER_S = 10.0
 # Closes a pipe once it answers signals, which is the first thing that it does.
 _PROGRAM = """
 import os, sys
@@ -122,14 +119,6 @@ def workers_of(pid):
             if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes():
                 found.append(one)
     return found
-
-
-def wait_until(is_so, limit_s=LINGER_S):
-    """Wait for something that must come about soon."""
-    began = time.monotonic()
-    while not is_so():
-        assert time.monotonic() - began < limit_s
-        time.sleep(0.02)
 
 
 @contextmanager

@@ -35,6 +35,7 @@ from dlgmd_cli.runs.run import Progress, no_progress
 from dlgmd_cli.runs.setup import ModelName, Setup, choose_all, input_options
 from dlgmd_cli.threads import n_processors
 from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 
@@ -107,6 +108,7 @@ def batch(
     dpi: int = 200,
     overwrite: bool = False,
     force: bool = False,
+    clips: Place | None = None,
     exclude: Iterable[str] = (),
     dry_run: bool = False,
     jobs: int | None = None,
@@ -134,6 +136,8 @@ def batch(
         Replace results of other parameters or inputs.
     force : bool
         Also process videos that were done before.
+    clips : str or path, optional
+        Also write clips of the alarms into this folder.
     exclude : iterable of str
         Patterns of files and folders to leave out, such as ``"raw*"``.
     dry_run : bool
@@ -178,9 +182,11 @@ def batch(
     labels, out = [one.label for one in setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
-    found = _find([os.fspath(root) for root in roots], out, exclude)
+    outs = [out, *([] if clips is None else [os.fspath(clips)])]
+    found = _find([os.fspath(root) for root in roots], outs, exclude)
     formats = tuple(dict.fromkeys(formats))
     job = Job(tuple(setups), tuple(places), shared, formats, dpi, overwrite or force)
+    job = replace(job, clips=None if clips is None else os.path.abspath(clips))
     if dry_run:
         return Batch(labels, found, _plan(found, job, force), job)
     with store.locked(store.place(out)), ExitStack() as stack:
@@ -243,9 +249,10 @@ def _agreed_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputO
     return every[0]
 
 
-def _find(folders: list[str], out: str, exclude: Iterable[str]) -> Found:
-    """Find the videos, and log what is left out."""
-    found = find_videos(folders, [] if store.is_url(out) else [Path(out)], exclude)
+def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
+    """Find the videos, but not below `outs`, and log what is left out."""
+    local = [Path(out) for out in outs if not store.is_url(out)]
+    found = find_videos(folders, local, exclude)
     for remark in found.remarks:
         _log.info("Note: %s.", remark)
     for fault in found.faults:
@@ -258,13 +265,15 @@ def _find(folders: list[str], out: str, exclude: Iterable[str]) -> Found:
 
 def _plan(found: Found, job: Job, force: bool) -> Plan:
     made = plan(found.videos, job, force=force)
-    n_before = len(found.videos) - len(made.tasks)
+    n_all = len(found.videos)
+    n_before = n_all - len(made.tasks)
     if n_before:
-        _log.info("%d of %d videos are done already.", n_before, len(found.videos))
+        are = "is" if n_all == 1 else "are"
+        _log.info("%d of %s %s done already.", n_before, counted(n_all, "video"), are)
     if made.n_other_version:
         _log.warning(
-            "%d results are from another version of dlgmd; --force processes all videos again",
-            made.n_other_version,
+            "kept %s of another version of dlgmd; --force processes all videos again",
+            counted(made.n_other_version, "result"),
         )
     return made
 
@@ -302,6 +311,9 @@ def _process(
                 ]
                 for line in dict.fromkeys([*failed, *warnings]):
                     _log.warning("%s: %s", task.video.name, line.rstrip("."))
+                for number, row in rows.items():
+                    said = task.video.name, labels[number], row.status, row.wall_s
+                    _log.debug("%s, %s: %s, %s s.", *said)
                 n_ended, n_failed = n_ended + 1, n_failed + bool(failed)
                 advance(n_ended, f"batch, {n_failed} failed")
     except cancel.Interrupted:

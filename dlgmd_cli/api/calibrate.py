@@ -23,6 +23,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.runs.run import Progress, no_progress
 from dlgmd_cli.runs.setup import ModelName, choose, input_options
+from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 
@@ -165,8 +166,8 @@ def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
     """Raise ResultError if fewer than two videos have a collision; log a warning if few have."""
     n_with = sum(bool(case.collisions) for case in cases)
     if n_with < 2:
-        why = f"{n_with or 'no'} video{'s' * (n_with != 1)} with a collision"
-        raise ResultError(str(labels), f"{why}; calibration needs at least 2")
+        why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
+        raise ResultError(str(labels), why)
     if n_with < 20:
         _log.warning("only %d videos have a collision; the calibration may not generalise", n_with)
 
@@ -180,8 +181,9 @@ def _preset(found: Calibration, experiment: Experiment, labels: str, about: str)
     limited = rules.max_false_kind
     where = f" on videos of the kind {printable(limited)}" if limited else ""
     lines = [
-        f"Calibrated by dlgmd {__version__} on {printable(labels)}: {held['videos']} "
-        f"videos, {held['collisions']} collisions, {held['minutes']:.2f} minutes.",
+        f"Calibrated by dlgmd {__version__} on {printable(labels)}: "
+        f"{counted(int(held['videos']), 'video')}, "
+        f"{counted(int(held['collisions']), 'collision')}, {held['minutes']:.2f} minutes.",
         f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute{where}.",
         f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
         f"Calibrated: kappa (LGMD: t_mp) and n_sp{about}.",

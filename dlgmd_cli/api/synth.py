@@ -94,6 +94,7 @@ def synth(
     scene: str,
     out: str | os.PathLike[str] | None = None,
     *,
+    name: str | None = None,
     count: int | None = None,
     jobs: int | None = None,
     lossless: bool = False,
@@ -113,6 +114,8 @@ def synth(
     out : str or path, optional
         Folder for the files of `dlgmd synth`, with `lossless`, `png`, `sheet` (of `dpi`) and
         `overwrite`. Without it, the pictures are kept in memory.
+    name : str, optional
+        Name of the files, so that two seeds do not collide; the scene's unless given.
     count : int, optional
         Render so many flights with consecutive seeds, and ``out/labels.csv``; those that exist
         are kept. `jobs` is the number of processes, all processors unless given.
@@ -158,7 +161,7 @@ def synth(
         from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(found, chosen, Path(out), codec, found.name, draw)
+    clip = Rendering(found, chosen, Path(out), codec, name or found.name, draw)
     if count is None:
         return _one(clip, overwrite, progress)
     if not found.is_flight:

@@ -18,6 +18,7 @@ from dlgmd_cli.commands.console import (
     say,
 )
 from dlgmd_cli.commands.options import (
+    clips_option,
     complete_file,
     dpi_option,
     engine_option,
@@ -35,6 +36,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import printable
 from dlgmd_cli.parameters import parse_overrides
+from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.api.batch import Batch
@@ -82,6 +84,7 @@ def model_setups(
 @format_option
 @dpi_option
 @no_plots_option
+@clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
 @click.option(
@@ -113,6 +116,7 @@ def batch(
     formats: tuple[str, ...],
     dpi: int,
     no_plots: bool,
+    clips: Path | None,
     overwrite: bool,
     force: bool,
     exclude: tuple[str, ...],
@@ -133,7 +137,8 @@ def batch(
     and a summary of its own: OUT/set7, OUT/set9 and so on.
 
     A video that fails does not stop the others. Videos that were done before with the same
-    parameters are skipped: after an interruption, the same command continues.
+    parameters are skipped: after an interruption, the same command continues. --clips writes those
+    of the videos that are processed; --force processes all.
     """
     from dlgmd_cli.api import batch as api
 
@@ -145,6 +150,7 @@ def batch(
         dpi=dpi,
         overwrite=overwrite,
         force=force,
+        clips=clips,
         exclude=exclude,
         dry_run=dry_run,
         jobs=jobs,
@@ -219,11 +225,7 @@ def _counts(plan: "Plan", statuses: dict[str, str]) -> str:
     }
     n_warned = len(_warnings(plan))
     parts += [f"{len(alarmed)} with alarms"] + ([f"{n_warned} with warnings"] if n_warned else [])
-    return f"{_of_videos(len(statuses))}: {', '.join(parts)}."
-
-
-def _of_videos(n: int) -> str:
-    return f"{n} video{'s' * (n != 1)}"
+    return f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
 
 
 def _show_plan(found: "Batch", *, as_json: bool) -> None:
@@ -247,8 +249,8 @@ def _show_plan(found: "Batch", *, as_json: bool) -> None:
     print_table(("video", "would be written to"), rows)
     n_open = len(wanted)
     click.echo(
-        f"{_of_videos(len(videos))}: {n_open} to process, {len(videos) - n_open} done before. "
-        "Nothing was written."
+        f"{counted(len(videos), 'video')}: {n_open} to process, {len(videos) - n_open} done before."
+        " Nothing was written."
     )
 
 
@@ -271,7 +273,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
         first = "frame {first_alarm_frame}, {first_alarm_time_s:.3f} s".format(**summary)
         first += f", {side}" if (side := summary.get("first_alarm_side")) else ""
     counts = (str(summary["spikes"]), str(summary["alarms"]))
-    return (str(row.record["input"]["frames"]), peak, *counts, first)
+    return (frames_text(row.record), peak, *counts, first)
 
 
 def _raise_failures(found: "Batch", statuses: dict[str, str], out: str) -> None:
@@ -279,9 +281,10 @@ def _raise_failures(found: "Batch", statuses: dict[str, str], out: str) -> None:
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
         n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
-        rest = f"; the other {n_done} results are in {printable(out)}"
+        kept = f"{counted(n_done, 'result')} {'is' if n_done == 1 else 'are'}"
+        rest = f"; the other {kept} in {printable(out)}" if n_done else ""
         raise Failed(
-            f"{n_failed} of {n_total} videos failed{rest if n_done else ''}. Fix or remove "
+            f"{n_failed} of {counted(n_total, 'video')} failed{rest}. Fix or remove "
             f"{'that one' if n_failed == 1 < n_total else those}, then run again."
         )
     if found.found.faults:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, say, warn
+from dlgmd_cli.commands.console import Command, print_json, print_path, print_table, tell, warn
 from dlgmd_cli.commands.options import (
     decoder_option,
     engine_option,
@@ -115,7 +115,7 @@ def bench(
             stage = opened.enter_context(replacing(csv_path.parent, option="--csv"))
         clip = input_path
         if clip is None:
-            say("Rendering {} frames of {}x{}.".format(n_frames, *paper.PAPER_SIZE_WH))
+            tell("Rendering {} frames of {}x{}.".format(n_frames, *paper.PAPER_SIZE_WH))
             clip = opened.enter_context(paper.rendered_pan(n_frames))
         with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
             measured = paper.measure(

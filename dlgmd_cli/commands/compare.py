@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dlgmd_cli.checks import blame
 from dlgmd_cli.commands.console import (
     INFINITE_DISTINGUISHABILITY,
     Command,
@@ -19,6 +20,7 @@ from dlgmd_cli.commands.console import (
 from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
+    Parsed,
     engine_option,
     input_argument,
     input_options,
@@ -26,13 +28,16 @@ from dlgmd_cli.commands.options import (
     setup_options,
 )
 from dlgmd_cli.commands.plot import annotation_options
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.parameters import (
     FORMULATIONS,
     DistributedParameters,
     DlgmdParameters,
+    parse_overrides,
     reformulated,
 )
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
@@ -51,8 +56,10 @@ def _setups(
     formulations: tuple[str, ...],
     no_ffi_gd: bool,
     engine: str | None,
+    variants: tuple[tuple[str, dict[str, Any]], ...] = (),
+    labels: tuple[str, ...] = (),
 ) -> "list[Setup]":
-    """Every model that the options ask for, each once, with distinct labels."""
+    """Every model that the options ask for, each once, with distinct labels or those given."""
     from dlgmd_cli.results.csv import text_cell
     from dlgmd_cli.runs.setup import choose
 
@@ -64,7 +71,7 @@ def _setups(
         found.append(replace(choose(config=path), label=text_cell(label)))
     if not (set_names or configs or models):
         found.append(choose())
-        models = () if formulations or no_ffi_gd else COMPARED_MODELS
+        models = () if formulations or no_ffi_gd or variants else COMPARED_MODELS
     found += [choose(model=name) for name in dict.fromkeys(models)]
     for option, is_given, kind in (
         ("--formulation", formulations, DlgmdParameters),
@@ -73,15 +80,54 @@ def _setups(
     ):
         if is_given and not any(isinstance(one.params, kind) for one in found):
             raise click.UsageError(f"{option} works only with the D-LGMD model. Add --set 9.")
+    if variants and len(found) > 1:
+        names = ", ".join(one.label for one in found)
+        raise click.UsageError(f"--variant works with one model, not with {len(found)} ({names}).")
     every: dict[tuple[Any, ...], Setup] = {}
     for one in found:
-        for each in _derived(one, formulations, no_ffi_gd):
+        for each in (*_derived(one, formulations, no_ffi_gd), *_variants(one, variants)):
             if engine and isinstance(each.params, DistributedParameters):
                 each = replace(each, engine=engine)
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
-    labels = numbered([one.label for one in every.values()])
-    return [replace(one, label=label) for one, label in zip(every.values(), labels, strict=True)]
+    own = numbered([one.label for one in every.values()])
+    if labels and len(labels) != len(own):
+        raise click.UsageError(
+            f"--label is given {counted(len(labels), 'time')}, for {counted(len(own), 'model')}. "
+            f"Give one for each, in this order: {', '.join(own)}."
+        )
+    shown = [text_cell(label) for label in labels] or own
+    return [replace(one, label=name) for one, name in zip(every.values(), shown, strict=True)]
+
+
+def _variant(text: str) -> tuple[str, dict[str, Any]]:
+    """`weak:a=1,r=4` -> ("weak", {"a": 1, "r": 4})."""
+    name, _, pairs = text.partition(":")
+    if not name.strip() or not pairs.strip():
+        raise ParameterError("", f"{text[:60]!r} is not NAME:KEY=VALUE,…", "Write weak:a=1,r=4.")
+    with blame(""):
+        return name.strip(), parse_overrides(pairs.split(","))
+
+
+def _variants(one: "Setup", variants: Sequence[tuple[str, dict[str, Any]]]) -> "Iterator[Setup]":
+    """A setup with other parameters, once for each of the variants."""
+    from dlgmd_cli.results.csv import text_cell
+
+    for name, changes in variants:
+        with blame(f"Invalid value for '--variant': {name[:40]}"):
+            values = {**one.params.to_dict(), **reformulated(changes)}
+            yield replace(one, label=text_cell(name), params=type(one.params).from_mapping(values))
+
+
+def _distinct(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """The values of an option whose names must be distinct and not empty."""
+    names = [value if isinstance(value, str) else value[0] for value in values]
+    if not all(name.strip() for name in names):
+        raise click.BadParameter("must not be empty.", ctx, param)
+    for name in names:
+        if names.count(name) > 1:
+            raise click.BadParameter(f"{name[:40]!r} is given twice.", ctx, param)
+    return values
 
 
 def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
@@ -121,6 +167,23 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         help="Also run each D-LGMD without the threshold of G (FFI-GD).",
     ),
     engine_option,
+    click.option(
+        "--variant",
+        "variants",
+        multiple=True,
+        type=Parsed("NAME:KEY=VALUE,…", _variant),
+        callback=_distinct,
+        help="Also run the model with these parameters, such as weak:a=1,r=4; repeatable.",
+    ),
+    click.option(
+        "--label",
+        "labels",
+        multiple=True,
+        metavar="NAME",
+        callback=_distinct,
+        help="Name of a model in files, tables and figures; give one for each model, in the order "
+        "of the table: sets, configs, models, each followed by what is derived from it.",
+    ),
 )
 @input_options
 @annotation_options
@@ -134,8 +197,8 @@ def compare(
 ) -> None:
     """Run several models over one video.
 
-    INPUT is as in 'dlgmd run'. Without --set, --config and --model, the preset flight is compared
-    with the LGMD and the EMD-LGMD.
+    INPUT is as in 'dlgmd run'. Without --set, --config, --model and what is derived from them, the
+    preset flight is compared with the LGMD and the EMD-LGMD.
 
     Writes OUT/NAME/ with compare.csv, figures of the membrane potentials and of the attenuations,
     and compare.yaml. The figure scales each membrane potential to its own extremes, unless
@@ -209,6 +272,7 @@ def _record(
     return {
         "input": first["input"],
         **({} if collision is None else {"collision_frame": collision}),
+        **{key: first[key] for key in ("settings",) if key in first},
         "models": models,
         "options": first["options"],
         "warnings": warnings,

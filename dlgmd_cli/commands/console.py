@@ -8,7 +8,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +17,10 @@ from typing import Any
 import click
 
 from dlgmd_cli import __version__, cancel
+from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
+
+_log = logging.getLogger(__name__)
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # Entry in the context of a command: figures could not be drawn.
@@ -29,11 +32,11 @@ INFINITE_DISTINGUISHABILITY = (
 # Sections of the help, each with its options in order, the common ones first. An option in none of
 # them is specific to its command, and comes before all sections.
 SECTIONS = {
-    "Model": "set config model param formulation no-ffi-gd normalise engine",
+    "Model": "set config model param variant formulation no-ffi-gd normalise engine",
     "Input": "realtime input-size pixel-format scale size fps start end crop mask repeats "
     "input-fps decoder",
     "Output": "out record overwrite force format no-plots width dpi json",
-    "General": "quiet verbose debug version help",
+    "General": "quiet verbose log settings debug version help",
 }
 # The range that click adds to the help of numbers, such as [0<x<=1]. It is removed: errors name it.
 _BOUNDS = r"(?:[\d.e+-]+<=?)?x(?:[<>]=?[\d.e+-]+)?"
@@ -55,19 +58,50 @@ class Settings:
     """The general options, which may be given before or after the name of the command."""
 
     quiet = verbose = debug = False
+    log: Path | None = None
+    own_defaults: str | None = None
 
 
-def _store(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     """Store a general option; it may be given before or after the command."""
     if value:
-        setattr(ctx.ensure_object(Settings), str(param.name), True)
+        setattr(ctx.ensure_object(Settings), str(param.name), value)
 
 
-_flag = partial(click.option, is_flag=True, expose_value=False, callback=_store)
+def _use_defaults(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
+    """Give the options of the command the defaults of the user's own file."""
+    _store(ctx, param, value)
+    try:
+        defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
+    except ParameterError as error:
+        raise click.UsageError(str(error), ctx) from None
 
 
-@_flag("-q", "--quiet", help="Show no progress bar and no notes.")
-@_flag("-v", "--verbose", help="Say what is read, and with which parameters.")
+_general_option = partial(click.option, expose_value=False, callback=_store)
+_flag = partial(_general_option, is_flag=True)
+settings_option = partial(
+    click.option,
+    "--settings",
+    "own_defaults",
+    metavar="FILE",
+    is_eager=True,  # before the options that it has defaults for
+    expose_value=False,
+    callback=_use_defaults,
+)
+
+
+@settings_option(
+    help="Own defaults of options, see 'dlgmd info --help'; none for no file.  "
+    f"[default: {defaults.NAME} here or in a folder above]",
+)
+@_flag("-q", "--quiet", help="Show nothing but results and errors.")
+@_flag("-v", "--verbose", help="Also show details, such as the parameters.")
+@_general_option(
+    "--log",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Append all messages to FILE, details included, with their times.",
+)
 @_flag("--debug", help="Show the traceback of an error.")
 @click.version_option(__version__, "-V", "--version", prog_name="dlgmd")
 def _general() -> None:
@@ -88,16 +122,19 @@ def settings() -> Settings:
     return (ctx and ctx.find_object(Settings)) or Settings()
 
 
+def tell(message: str) -> None:
+    """Print a message on stderr, unless --quiet is given."""
+    _log.info("%s", message)
+
+
 def note(message: str) -> None:
     """Print a note on stderr, unless --quiet is given."""
-    if not settings().quiet:
-        say(f"Note: {message}.")
+    tell(f"Note: {message}.")
 
 
 def detail(message: str) -> None:
     """Print a detail on stderr if --verbose is given."""
-    if settings().verbose:
-        say(f"{message}.")
+    _log.debug("%s.", message)
 
 
 class _WithSections(click.Command):
@@ -108,12 +145,16 @@ class _WithSections(click.Command):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.params += reversed(_general.__click_params__)  # type: ignore[attr-defined]
+        own = {param.name for param in self.params}
+        general = reversed(_general.__click_params__)  # type: ignore[attr-defined]
+        self.params += [param for param in general if param.name not in own]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of a group, then the options in the sections of the help."""
         if isinstance(self, click.Group):
             self.format_commands(ctx, formatter)
+        with suppress(DlgmdError):  # a wrong file is no reason to show no help
+            defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
         ranks = {
             f"--{name}": (section, rank)
             for section, names in SECTIONS.items()
@@ -128,7 +169,8 @@ class _WithSections(click.Command):
             if hasattr(param, "section"):
                 section, rank = param.section, 0
             names, text = record
-            lines.setdefault(section, []).append((rank, (names, _RANGE.sub("", text))))
+            text = defaults.in_help(ctx, param, _RANGE.sub("", text))
+            lines.setdefault(section, []).append((rank, (names, text)))
         for title in [*(title for title in lines if title not in SECTIONS), *SECTIONS]:
             if lines.get(title):
                 with formatter.section(title):
@@ -155,7 +197,7 @@ class Command(_WithSections):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
-        with errors_as_one_line(), log_on_stderr(), warnings.catch_warnings():
+        with logged(), errors_as_one_line(), warnings.catch_warnings():
             # Warnings of the library, such as letters missing from a figure's font, each once.
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
@@ -188,6 +230,9 @@ def usage_errors_escaped() -> Iterator[None]:
         yield
     except click.exceptions.NoArgsIsHelpError:  # its message is the help
         raise
+    except click.MissingParameter as error:  # click lists the choices on lines of their own
+        line = " ".join(error.format_message().split())
+        raise click.UsageError(printable(line), error.ctx) from None
     except click.ClickException as error:
         error.message = printable(error.message)  # type: ignore[misc]
         raise
@@ -232,19 +277,24 @@ def errors_as_one_line() -> Iterator[None]:
 
 
 def say(message: str) -> None:
-    """Print a message on stderr."""
-    click.echo(printable(message), err=True)
+    """Print a message on stderr, even with --quiet: of an error, an end, an address."""
+    _show_line(message)
+    _log.info("%s", message, extra={"is_shown": True})
 
 
 def warn(message: str) -> None:
-    """Print a warning on stderr, even with --quiet."""
-    say(f"Warning: {message}.")
+    """Print a warning on stderr, unless --quiet is given."""
+    _log.warning("%s", message)
+
+
+def _show_line(message: str) -> None:
+    click.echo(printable(message), err=True)
 
 
 def warn_undrawn(folder: Path | str, undrawn: Mapping[str, str]) -> None:
-    """Warn of figures that `store.commit` could not draw; the command then exits with code 1."""
+    """Tell of figures that `store.commit` could not draw; the command then exits with code 1."""
     for name, why in undrawn.items():
-        warn(f"{folder}: {name} cannot be drawn ({why})")
+        _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
         click.get_current_context().meta[_UNDRAWN] = True
 
 
@@ -258,27 +308,50 @@ def written(paths: Iterable[Path]) -> list[Path]:
 
 
 class _Lines(logging.Handler):
-    """Shows what the library logs."""
+    """Shows messages on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record; from a warning on, as one, and less than that unless --quiet is given."""
-        if record.levelno >= logging.WARNING:
-            warn(record.getMessage())
-        elif not settings().quiet:
-            say(record.getMessage())
+        """Print a message, unless `say` or click has printed it; warnings and errors as such."""
+        if hasattr(record, "is_shown"):
+            return
+        is_serious = record.levelno >= logging.WARNING
+        form = f"{record.levelname.capitalize()}: {{}}." if is_serious else "{}"
+        _show_line(form.format(record.getMessage()))
+
+
+class _FileLines(logging.Formatter):
+    """One line a message."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802, logging's name
+        """The time, the level, the logger and the message."""
+        return printable(super().formatMessage(record))
 
 
 @contextmanager
-def log_on_stderr() -> Iterator[None]:
-    """Show what the library logs on stderr while a command runs."""
-    log, handler = logging.getLogger("dlgmd_cli"), _Lines()
+def logged() -> Iterator[None]:
+    """Show what the loggers below dlgmd_cli say while a command runs, as -q, -v and --log ask."""
+    log, asked = logging.getLogger("dlgmd_cli"), settings()
+    shown = logging.ERROR if asked.quiet else logging.DEBUG if asked.verbose else logging.INFO
+    handlers: list[logging.Handler] = [_Lines(shown)]
+    if asked.log is not None:
+        try:
+            handlers.append(logging.FileHandler(asked.log, encoding="utf-8", errors="replace"))
+        except OSError as error:
+            raise Failed(f"--log: {asked.log}: cannot be written ({error.strerror}).") from None
+        handlers[-1].setFormatter(_FileLines("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     before, log.propagate = log.level, False
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
+    for handler in handlers:
+        log.addHandler(handler)
+    log.setLevel(min(shown, logging.DEBUG if asked.log else logging.INFO))
     try:
         yield
+    except click.ClickException as error:
+        _log.error("%s", error.format_message(), extra={"is_shown": True})
+        raise
     finally:
-        log.removeHandler(handler)
+        for handler in handlers:
+            log.removeHandler(handler)
+            handler.close()
         log.setLevel(before)
         log.propagate = True
 

@@ -28,6 +28,7 @@ from dlgmd_cli.commands.options import (
     setup_options,
 )
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.words import counted, threshold_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.report import Report
@@ -180,7 +181,7 @@ def _show(report: "Report") -> None:
         (
             row["model"],
             *((row["kind"],) if kinds else ()),
-            f"{row['at']} {row['threshold']:.4g}",
+            f"{row['at']} {threshold_text(row['threshold'])}",
             *(interval_text(row, name) for name in names),
             str(row["at_contact"]),
         )
@@ -190,8 +191,8 @@ def _show(report: "Report") -> None:
     print_table(("model", *(("kind",) if kinds else ()), *header), rows)
     first = report.rows[0]
     click.echo(
-        f"{first['videos']} videos, {first['collisions']} collisions, {first['minutes']:.2f} "
-        "minutes before contact or the end."
+        f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
+        f"{first['minutes']:.2f} minutes before contact or the end."
     )
     for word in ("target", "manner"):
         _show_groups(report, word)

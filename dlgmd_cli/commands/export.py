@@ -10,6 +10,7 @@ from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     ONE_MODEL,
     SIZE,
+    folder_name,
     json_option,
     option_group,
     overwrite_option,
@@ -57,6 +58,7 @@ def export() -> None:
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("dlgmd-c"),
+    callback=folder_name,
     show_default=True,
     metavar="DIR",
     help="Folder for the sources.",

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
+from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
@@ -13,6 +15,8 @@ from dlgmd_cli.commands.console import (
     print_path,
     print_table,
     say,
+    settings,
+    settings_option,
     warn,
 )
 from dlgmd_cli.commands.frame import write_files
@@ -40,8 +44,11 @@ _SLOW_FPS = 20.0
     short_help="Describe videos: size, frame rate, repeats, damage.",
     epilog="Example: dlgmd info flight.mp4 --write-mask mask.png",
 )
-@click.argument(
-    "input_paths", metavar="INPUT...", nargs=-1, required=True, shell_complete=complete_file
+@click.argument("input_paths", metavar="INPUT...", nargs=-1, shell_complete=complete_file)
+@settings_option(
+    is_flag=False,
+    flag_value="",
+    help=f"Without INPUT: show the own defaults in {defaults.NAME}, or in FILE.",
 )
 @click.option(
     "--write-mask",
@@ -66,7 +73,14 @@ def info(
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
     options of 'dlgmd run', or what to do with the file first.
+
+    'dlgmd info --settings' shows your own defaults of options. The file dlgmd.yaml, in the working
+    folder or in one above it, may set size, mask, decoder, format and out, such as 'out: results'
+    on a line. Paths are relative to the file. Options take precedence over it.
     """
+    if not input_paths:
+        _show_settings(as_json=as_json)
+        return
     if mask_path is not None and len(input_paths) > 1:
         raise click.UsageError("--write-mask works with one INPUT.")
 
@@ -105,9 +119,29 @@ def info(
     elif mask_path is not None:
         print_path(mask_path)
     if failures:
-        n_others = len(input_paths) - len(failures)
-        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed, {n_others} were read.")
+        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed.")
         raise click.exceptions.Exit(EXIT_FAILED)
+
+
+def _show_settings(*, as_json: bool) -> None:
+    """Print the own defaults; raises UsageError if --settings is not given."""
+    source = click.get_current_context().get_parameter_source("own_defaults")
+    if source is ParameterSource.DEFAULT and settings().own_defaults is None:
+        raise click.UsageError("Missing argument 'INPUT...'.")
+    path = defaults.find(settings().own_defaults)
+    values = {} if path is None else defaults.read(path)
+    if as_json:
+        print_json({"settings": None if path is None else str(path), **values})
+        return
+    if path is None:
+        click.echo(f"There is no {defaults.NAME} here or in a folder above. It may set:")
+    rows = [
+        (key, ", ".join([values[key]] if isinstance(values[key], str) else values[key]))
+        for key in defaults.KEYS
+        if key in values
+    ]
+    rows = rows if path else list(defaults.KEYS.items())
+    print_table(("", "" if path is None else str(path)), rows)
 
 
 def _write_mask(path: Path, facts: "Survey", *, overwrite: bool) -> None:
@@ -142,6 +176,8 @@ def _rows(facts: "Survey") -> list[tuple[str, str]]:
         ("interlaced", interlaced[facts.is_interlaced]),
         ("decoder", facts.decoder),
     ]
+    if facts.turned_deg:
+        rows.insert(1, ("rotation", f"{facts.turned_deg}° clockwise, as the file asks"))
     if facts.gaps:
         rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
     rows += [("damage", line) for line in facts.damage or ["none found"]]

@@ -65,8 +65,8 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 @click.option(
     "--overlay",
     is_flag=True,
-    help="With --video: show the input at full size, with the active cells of G tinted and alarms "
-    "as a banner.",
+    help="With --video: show the input at full size, with the active cells of G tinted, MP as a "
+    "bar and alarms as a banner.",
 )
 @model_options
 @input_options

@@ -26,6 +26,7 @@ from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
     complete_file,
+    folder_name,
     live_input_options,
     model_options,
     overwrite_option,
@@ -64,6 +65,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     help="Pixel format of the frames of a pipe, as FFmpeg names it.",
 )
 @click.option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
+@click.option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
 @alarm_option(
     "--jsonl", is_flag=True, help="Print a JSON object for every frame, each on a line of stdout."
 )
@@ -92,6 +94,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
 @click.option(
     "--record",
     type=click.Path(file_okay=False, path_type=Path),
+    callback=folder_name,
     metavar="DIR",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
@@ -112,13 +115,15 @@ def live(
     The newest frame wins: if the model is too slow, frames are dropped and counted. A lost source
     is opened again. Ctrl-C ends the command.
 
-    The JSON objects hold frame, time_s, mp, mp_abs, spike, alarm, g_x, g_y (the centroid of the
-    active cells, from -1 to 1) and latency_ms (from capture to answer). Events have an event:
-    begin and end of an alarm, blind where the source is lost or its pictures are black or frozen,
-    sees where it shows something again. The reason is lost, black or frozen as long as it does not.
-    With begin there is the side that the alarm comes from (left, ahead or right third of the
-    picture, with high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not
-    end an alarm, so its end is told 0.3 s late.
+    The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
+    machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
+    of the active cells, from -1 to 1) and latency_ms (from capture to answer).
+
+    Events have an event: begin and end of an alarm, blind where the source is lost or its pictures
+    are black or frozen, sees where it shows something again. The reason is lost, black or frozen as
+    long as it does not. With begin there is the side that the alarm comes from (left, ahead or
+    right third of the picture, with high or low), with end also duration_s and peak_mp_abs. Pauses
+    under 0.3 s do not end an alarm, so its end is told 0.3 s late.
     """
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import Recording
@@ -129,6 +134,8 @@ def live(
 
     if asked["events"] and not (asked["jsonl"] or asked["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
+    if asked["loop"] and not asked["realtime"]:
+        raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
     options = input_options(setup, given)
     frames = _source(source, setup, options, asked)
     alarm = Alarm(
@@ -183,7 +190,8 @@ def _source(
         return live.LiveSource("standard input", pipe, options, **design)
     if asked["realtime"]:
         plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
-        file = partial(live.shots_at_their_pace, partial(plain.open, source, **design))
+        opened = partial(plain.open, source, **design)
+        file = partial(live.shots_at_their_pace, opened, loops=asked["loop"])
         return live.LiveSource(os.path.abspath(source), file, options, **design)
     return live.LiveSource(
         without_password(source),

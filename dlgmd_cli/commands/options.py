@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.checks import Spec, require_known
+from dlgmd_cli.commands import defaults
+from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     DEFAULT_MODEL_FPS,
@@ -23,6 +25,7 @@ from dlgmd_cli.parameters import (
     PRESETS,
     find_model,
     installed_models,
+    load_config,
     parse_overrides,
     preset_names,
 )
@@ -49,6 +52,10 @@ class Parsed(click.ParamType):
             return self.parse(str(value))
         except ParameterError as error:
             self.fail(str(error), param, ctx)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """The name as it is; click would write WXH."""
+        return self.name
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -102,6 +109,33 @@ _MODEL = Parsed("model", _model, _model_names)
 FORMATS = ("png", "pdf", "svg")
 
 
+# Suffixes of files, which no folder for results has.
+_ENDINGS = """
+    avi bmp csv eps gif htm html jpeg jpg json mkv mov mp4 npy npz pdf png ps svg tif tiff txt webm
+    webp yaml yml
+"""
+_OF_FILES = frozenset(f".{ending}" for ending in _ENDINGS.split())
+
+
+def is_file_name(path: Path) -> bool:
+    """Whether a path for results is that of a file, by its suffix; any other is a folder."""
+    return path.suffix.lower() in _OF_FILES
+
+
+def folder_name(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+    """Callback of options that name a folder: raises BadParameter for the name of a file."""
+    if value is None:
+        return None
+    text = str(value)
+    if not text.strip():
+        raise click.BadParameter("must not be empty. Give the name of a folder.", ctx, param)
+    if is_file_name(Path(text)):
+        shown, stem = text[:80], Path(text).stem[:80]
+        why = f"{shown!r} is the name of a file. Give a folder for the files, such as {stem!r}."
+        raise click.BadParameter(why, ctx, param)
+    return value
+
+
 def file_ending(example: str) -> Callable[[str], Path]:
     """The type of a path that must end as `example` does."""
 
@@ -110,6 +144,16 @@ def file_ending(example: str) -> Callable[[str], Path]:
         if path.suffix.lower() != suffix:
             raise click.BadParameter(f"{value[:80]!r} does not end in {suffix}. Write {example}.")
         return path
+
+    return convert
+
+
+def file_or_folder(example: str) -> Callable[[str], Path]:
+    """The type of a path that is a folder, or a file that must end as `example` does."""
+    as_file = file_ending(example)
+
+    def convert(value: str) -> Path:
+        return as_file(value) if is_file_name(Path(value)) else Path(value)
 
     return convert
 
@@ -269,6 +313,44 @@ def _naming_options(*, many: bool) -> list[Option]:
 ONE_MODEL = (*_naming_options(many=False), param_option, formulation_option)
 
 
+def _outdone(ctx: click.Context) -> set[str]:
+    """The own defaults of how the input is read that something more special outdoes.
+
+    That is --scale, or a file of --config: a run.yaml repeats its run, whatever the defaults are.
+    Without an INPUT, there is nothing that they apply to.
+    """
+    own = {name for name in ("size", "mask", "decoder") if defaults.is_own(ctx, name)}
+    if ctx.params.get("input_path", "") is None:
+        return own
+    outdone = {"size"} if ctx.params.get("scale") is not None else set()
+    configs = ctx.params.get("configs") or [ctx.params.get("config")]
+    for config in filter(None, configs if own else ()):
+        file = load_config(config)
+        outdone |= own if file.is_record else file.options.keys()
+        outdone |= {"size"} if "scale" in file.options else set()
+    return own & outdone
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    """The options of the input."""
+    return {**values, **dict.fromkeys(_outdone(click.get_current_context()))}
+
+
+def _recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
+    """`collect` whose models have the user's own defaults that are in force, for their records."""
+
+    def collected(**values: Any) -> Any:
+        found, ctx = collect(**values), click.get_current_context()
+        own = {key: one for key, one in defaults.used(ctx).items() if key not in _outdone(ctx)}
+        if len(own) < 2:  # nothing but the file's name
+            return found
+        setups = found if isinstance(found, list) else [found]
+        marked = [replace(one, named={**one.named, "settings": own}) for one in setups]
+        return marked if isinstance(found, list) else marked[0]
+
+    return collected
+
+
 def setup_of(
     set_name: str | None,
     config: Path | None,
@@ -283,7 +365,7 @@ def setup_of(
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", setup_of, *ONE_MODEL, engine_option)
+model_options = option_group("setup", _recorded(setup_of), *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", setup_of, *ONE_MODEL)
 
 
@@ -292,7 +374,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group("setups", collect, *_naming_options(many=True), *more)
+    return option_group("setups", _recorded(collect), *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -314,6 +396,7 @@ decoder_option = _input_option(
     "decoder",
     "Library that decodes videos; pictures are read by OpenCV, interlaced video by PyAV.  "
     "[default: pyav]",
+    cls=OwnDefault,
 )
 # What `live` has too.
 _PICTURES = (
@@ -323,7 +406,9 @@ _PICTURES = (
         f"the width that the model is made for, {DEFAULT_WIDTH_PX} px for the paper's sets]",
         metavar="S",
     ),
-    click.option("--size", type=SIZE, help="Scale frames to this size in px instead."),
+    click.option(
+        "--size", type=SIZE, cls=OwnDefault, help="Scale frames to this size in px instead."
+    ),
     _input_option(
         "fps",
         "Process at most F frames a second, by taking every k-th. Times stay true.  "
@@ -342,16 +427,17 @@ _PICTURES = (
     ),
     click.option(
         "--mask",
+        cls=OwnDefault,
         type=click.Path(exists=True, dir_okay=False),
         metavar="FILE",
         help="Ignore what is black in this picture. --crop cuts one of the input's size; any other "
         "is scaled to the crop, or to the input.",
     ),
 )
-live_input_options = option_group("given", dict, *_PICTURES)
+live_input_options = option_group("given", _given, *_PICTURES)
 input_options = option_group(
     "given",
-    dict,
+    _given,
     *_PICTURES,
     click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
     click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),
@@ -387,18 +473,12 @@ def _output(out: str, formats: tuple[str, ...], no_plots: bool, **more: Any) -> 
     return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), **more)
 
 
-def _not_empty(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """The name of a folder."""
-    if not value.strip():
-        raise click.UsageError("--out: must not be empty. Give the name of a folder.", ctx)
-    return value
-
-
 out_option = click.option(
     "-o",
     "--out",
+    cls=OwnDefault,
     default="dlgmd-out",
-    callback=_not_empty,
+    callback=folder_name,
     show_default=True,
     metavar="DIR",
     shell_complete=complete_folder,
@@ -407,6 +487,7 @@ out_option = click.option(
 format_option = click.option(
     "--format",
     "formats",
+    cls=OwnDefault,
     type=click.Choice(FORMATS),
     multiple=True,
     default=["png"],
@@ -423,6 +504,15 @@ dpi_option = click.option(
 )
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no figures.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
+clips_option = click.option(
+    "--clips",
+    type=click.Path(file_okay=False, path_type=Path),
+    callback=folder_name,
+    metavar="DIR",
+    help="Write a clip of each alarm into DIR, from 2 s before its begin to 1 s after, such as "
+    "flight-alarm1-3.97s.mp4. It is copied where a key frame allows that, and then begins up to "
+    "1 s earlier; otherwise it is encoded.",
+)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of tables."
 )

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_path, say, warn
+from dlgmd_cli.commands.console import Command, note, print_path, warn
+from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     FORMATS,
     FRAME,
     dpi_option,
     format_option,
+    is_file_name,
     option_group,
     overwrite_option,
     width_option,
@@ -23,12 +25,12 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.errors import ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
 
 KINDS = ("mp", "attenuation", "spikes", "overview")
-_OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "mp4", "ps", "tif", "tiff", "webp")
 _COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
 # Greatest number of characters of a figure's name, and of a wrong value that an error quotes.
 _MAX_NAME, _MAX_SHOWN = 100, 60
@@ -103,6 +105,7 @@ annotation_options = option_group(
 @click.option(
     "-o",
     "--out",
+    cls=OwnDefault,
     type=click.Path(path_type=Path),
     default=Path("dlgmd-out"),
     show_default=True,
@@ -126,8 +129,8 @@ def plot(
 ) -> None:
     """Draw stored results: membrane potential, attenuation, spikes, or all of them.
 
-    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run' or 'dlgmd
-    compare' wrote, or the compare.csv in it.
+    KIND is mp, attenuation, spikes or overview. RESULT is a folder that 'dlgmd run', 'dlgmd
+    compare' or 'dlgmd batch' wrote, or the compare.csv in it.
 
     Writes OUT/KIND-NAME.png, or the file or formats that --out and --format name.
     """
@@ -137,17 +140,20 @@ def plot(
         raise click.UsageError("--label: a label may not be empty.")
     if len(set(labels)) < len(labels):
         raise click.UsageError("--label: two results may not have the same label.")
-    from dlgmd_cli.results.store import fitting
+    from dlgmd_cli.results.store import SUMMARY, fitting, with_results
 
+    given = [
+        path.absolute().parent if path.name in ("compare.csv", SUMMARY) else path for path in paths
+    ]
+    paths = tuple(with_results(paths))
     folders = [path.absolute().parent if path.name == "compare.csv" else path for path in paths]
-    # The names of all results, cut off if they get too long for a file name.
-    names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in folders)
+    # The names of all that was given, cut off if they get too long for a file name.
+    names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in given)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     found, are_compared = _read(paths, folders)
     if labels and len(labels) != len(found):
         raise click.UsageError(
-            f"--label is given {len(labels)} time{'s' * (len(labels) > 1)}, "
-            f"for {len(found)} result{'s' * (len(found) > 1)}."
+            f"--label is given {counted(len(labels), 'time')}, for {counted(len(found), 'result')}."
         )
     shown = labels or numbered([name for name, _ in found])
     until = annotations.collision_frame
@@ -168,7 +174,7 @@ def plot(
 def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     """The files to write: `out` itself if its suffix is that of a figure, otherwise files in it."""
     suffix = out.suffix.lower().removeprefix(".")
-    if suffix in _OTHER_FORMATS and not out.is_dir():
+    if is_file_name(out) and suffix not in FORMATS:
         raise click.UsageError(
             f"--out: figures are written as {', '.join(FORMATS)}, not as {suffix}. "
             f"Give {printable(out.with_suffix('.png').name)}, or the name of a folder."
@@ -203,7 +209,7 @@ def _read(
         )
         are_compared.append(folder is not path or (has_comparison and not has_run))
         if has_run and has_comparison and folder is path:
-            say(f"Drawing the run in {path}; give {path / 'compare.csv'} for the comparison.")
+            note(f"{path} holds a run and a comparison; for that, give {path / 'compare.csv'}")
     results = []
     for folder, name, is_compared in zip(
         folders, distinct_names(folders), are_compared, strict=True

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from dlgmd_cli.commands.console import Command, print_path, print_table
-from dlgmd_cli.commands.options import dpi_option, jobs_option, overwrite_option
+from dlgmd_cli.commands.options import dpi_option, folder_name, jobs_option, overwrite_option
 from dlgmd_cli.commands.progress import progress
 
 # Least load average at which times are not judged.
@@ -36,6 +36,7 @@ _IDLE = 0.5
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default="dlgmd-paper",
+    callback=folder_name,
     show_default=True,
     metavar="DIR",
     help="Folder for the report.",

@@ -11,15 +11,18 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
+    say,
 )
 from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
+    clips_option,
     input_argument,
     input_options,
     model_options,
     run_output_options,
 )
+from dlgmd_cli.words import frames_text
 
 if TYPE_CHECKING:
     from dlgmd_cli.models.detection import AlarmSpan
@@ -38,7 +41,10 @@ _MAX_LISTED = 5
 @model_options
 @input_options
 @run_output_options
-def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) -> None:
+@clips_option
+def run(
+    input_path: str, setup: "Setup", given: dict[str, Any], output: Output, clips: Path | None
+) -> None:
     """Run a model over a video.
 
     INPUT is a video file, a folder of pictures, a quoted pattern such as 'frames/%04d.png' or
@@ -51,9 +57,13 @@ def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) 
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs
     from dlgmd_cli.runs.setup import input_options as recorded
+    from dlgmd_cli.video.clips import refuse_clips, write_clips
+    from dlgmd_cli.words import counted
 
     options = recorded(setup, given)
     with job(input_path, [setup], options, output, store.RUN) as one:
+        if clips is not None and not output.overwrite:
+            refuse_clips(clips, one.video.info.name)
         with one.progress() as on_frame:
             (result,) = runs.run_models(one.video, [setup], options, on_frame=on_frame)
         one.warn(result.warnings)
@@ -61,6 +71,11 @@ def run(input_path: str, setup: "Setup", given: dict[str, Any], output: Output) 
             detail(line)
         runs.require_response(one.video, [setup], [result], options)
         one.commit(result.files(output.formats, output.dpi))
+        if clips is not None and result.record["complete"]:
+            onsets_s = [alarm.start_s for alarm in result.alarm_list]
+            name = one.video.info.name
+            made = write_clips(input_path, name, onsets_s, clips, options.input_fps)
+            say(f"{counted(len(made), 'clip')} in {clips}.")
     _show(result, one.folder, output.as_json)
     one.end(len(result), complete=result.record["complete"])
 
@@ -107,7 +122,7 @@ def _show(result: "Result", folder: Path, as_json: bool) -> None:
     if summary["mean_attenuation_db"] is not None:
         attenuation = "{mean_attenuation_db:.2f} dB".format(**summary)
     rows = [
-        ("frames", "{frames} at {width}x{height}".format(**processed)),
+        ("frames", "{} at {width}x{height}".format(frames_text(result.record), **processed)),
         ("peak MP", peak),
         ("spikes", spikes),
         ("alarms", f"{summary['alarms'] or 'none'}"),

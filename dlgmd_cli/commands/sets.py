@@ -3,7 +3,9 @@
 import click
 from click.shell_completion import CompletionItem
 
+from dlgmd_cli.checks import nearest
 from dlgmd_cli.commands.console import Command, Group, print_table
+from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.parameters import (
     MODELS,
     PRESETS,
@@ -73,6 +75,17 @@ def _complete_name(
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
+def _paper_set(name: str) -> Config:
+    """One of the paper's sets; the error names everything that `show` takes."""
+    numbers, others = preset_names(), (*PRESETS, *MODELS)
+    if name.removeprefix("set") not in numbers:
+        near = nearest(name[:100], others)
+        hint = f"Did you mean {near!r}? " if near else ""
+        mend = f"{hint}Choose {numbers[0]} to {numbers[-1]}, {', '.join(others)}."
+        raise ParameterError("", f"there is no set {name[:40]}", mend)
+    return load_preset(name)
+
+
 @sets.command(
     cls=Command,
     epilog="Example: dlgmd sets show 9 > my.yaml; dlgmd run flight.mp4 --config my.yaml",
@@ -93,7 +106,7 @@ def show(name: str) -> None:
     elif ":" in name or name in installed_models():
         config, origin = Config(name, model=find_model(name).model), "The defaults."
     else:
-        config = load_preset(name)
+        config = _paper_set(name)
         origin = (
             f"Set {name.removeprefix('set')}; Table II of {DlgmdParameters.source}, and defaults."
         )

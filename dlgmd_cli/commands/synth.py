@@ -13,6 +13,8 @@ from dlgmd_cli.commands.options import (
     SectionOption,
     complete_folder,
     dpi_option,
+    folder_name,
+    is_file_name,
     numeric,
     overwrite_option,
 )
@@ -72,6 +74,16 @@ def _complete_scene(
     return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
 
 
+def _file_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A name without folder and suffix."""
+    is_name = value is None or (value.strip(". ") and Path(value).name == value)
+    if not is_name or (value and (value[0] == "." or is_file_name(Path(value)))):
+        raise click.BadParameter(
+            f"{value!r} is not a name. Write loom-2, without folder and suffix."
+        )
+    return value
+
+
 def _scene_options(command: Any) -> Any:
     for section in reversed(_SCENE_OPTIONS):
         for name, (kind, metavar, text) in reversed(_SCENE_OPTIONS[section].items()):
@@ -92,10 +104,17 @@ def _scene_options(command: Any) -> Any:
     "--out",
     type=click.Path(path_type=Path),
     default=Path(),
+    callback=folder_name,
     metavar="DIR",
     show_default="here",
     shell_complete=complete_folder,
     help="Folder for the files.",
+)
+@click.option(
+    "--name",
+    callback=_file_name,
+    metavar="NAME",
+    help="Name of the files, so that two seeds do not collide.  [default: the scene's]",
 )
 @click.option("--lossless", is_flag=True, help="Write a lossless video (FFV1 in .avi).")
 @click.option("--png", is_flag=True, help="Write a folder of PNG pictures instead of a video.")
@@ -125,6 +144,7 @@ def synth(
     scene_name: str | None,
     lists: bool,
     out: Path,
+    name: str | None,
     lossless: bool,
     png: bool,
     sheet: bool,
@@ -139,12 +159,12 @@ def synth(
     SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
     background. 'dlgmd synth --list' lists the scenes.
 
-    Writes DIR/SCENE.mp4 and DIR/SCENE.csv, which has the ground truth of each frame. For a flight,
-    DIR/SCENE.yaml has its phases and the frame of the collision. --sheet adds DIR/SCENE-sheet.png,
-    a contact sheet of frames with their ground truth.
+    Writes DIR/NAME.mp4 and DIR/NAME.csv, which has the ground truth of each frame. For a flight,
+    DIR/NAME.yaml has its phases and the frame of the collision. --sheet adds DIR/NAME-sheet.png, a
+    contact sheet of frames with their ground truth.
 
-    With --count, writes DIR/SCENE-0000.mp4 and so on, and DIR/labels.csv. Flights that already
-    exist are kept: after an interruption, run the same command again to continue.
+    With --count, writes DIR/NAME-0000.mp4 and so on, and DIR/labels.csv. Flights that already exist
+    are kept: after an interruption, run the same command again to continue.
 
     Half of the flights of 'random' hit something. The others are as hard as real footage. Column
     manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, turns, close
@@ -159,7 +179,7 @@ def synth(
     from dlgmd_cli.api import synth as api
 
     more: dict[str, Any] = {"lossless": lossless, "png": png, "sheet": sheet, "dpi": dpi, **given}
-    more |= {"jobs": jobs, "overwrite": overwrite, "progress": progress}
+    more |= {"name": name, "jobs": jobs, "overwrite": overwrite, "progress": progress}
     if count is None:
         for path in api.synth(scene_name, out, **more).paths:
             print_path(path)

@@ -9,15 +9,24 @@ from urllib.parse import quote
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_path, say, warn
-from dlgmd_cli.commands.options import FRAME, complete_file, file_ending, numeric, overwrite_option
+from dlgmd_cli.commands.console import Command, print_path, tell, warn
+from dlgmd_cli.commands.defaults import OwnDefault
+from dlgmd_cli.commands.options import (
+    FRAME,
+    complete_file,
+    file_or_folder,
+    is_file_name,
+    numeric,
+    overwrite_option,
+)
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name
 
 if TYPE_CHECKING:
     from dlgmd_cli.pages.gather import Gathered, Input
-    from dlgmd_cli.pages.page import Part
+    from dlgmd_cli.pages.page import Index, Part, Score
+    from dlgmd_cli.results.result import Result
 
 # Greatest number of characters of a page's name; and the size in bytes from which on a page is too
 # large for most mailboxes.
@@ -35,9 +44,12 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option(
     "-o",
     "--out",
-    type=file_ending("page.html"),
-    metavar="FILE",
-    help="The page, ending in .html.  [default: dlgmd-out/view-NAME.html]",
+    cls=OwnDefault,
+    type=file_or_folder("page.html"),
+    default="dlgmd-out",
+    show_default=True,
+    metavar="PATH",
+    help="Folder for the page, view-NAME.html, or a file ending in .html.",
 )
 @overwrite_option
 @click.option(
@@ -50,10 +62,12 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 )
 @click.option(
     "--labels",
+    "--collisions",
     "labels_path",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Table of the videos' collisions, as for 'dlgmd evaluate'.",
+    help="Table of the videos' collisions, as for 'dlgmd evaluate'. The index then tells hits, "
+    "misses and false alarms.",
 )
 @click.option(
     "--input",
@@ -74,7 +88,7 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
     paths: tuple[Path, ...],
-    out: Path | None,
+    out: Path,
     overwrite: bool,
     frames: tuple[int, ...],
     labels_path: Path | None,
@@ -85,18 +99,27 @@ def view(
     """Make a web page of results: the film beside MP, attenuation and spikes.
 
     RESULT is a folder that 'dlgmd run', 'dlgmd compare' or 'dlgmd batch' wrote. Results of the same
-    input share a page. Several inputs get a page each, and an index that links to them.
+    input share a page. Several inputs get a page each, in the folder NAME-pages beside an index
+    that filters and sorts them; move both together.
 
-    Every page is one file that needs no network. Its film shows the input and, tinted, the cells
-    of layer G, for which the model is run once more. Needs dlgmd[view].
+    Pages need no network. The film shows the input and, tinted, the cells of layer G, for which the
+    model is run once more. Collisions can be labelled; the browser keeps the labels, and the index
+    gathers them into one labels.csv. Needs dlgmd[view].
     """
-    from dlgmd_cli.pages.gather import gather, read_collisions
+    from dlgmd_cli.pages.gather import gather
     from dlgmd_cli.pages.page import require_packages
+    from dlgmd_cli.results.labels import read_collisions, read_labels
     from dlgmd_cli.results.store import fitting, refuse_existing
 
     require_packages()
     labels = read_collisions(labels_path) if labels_path else {}
     gathered = gather(paths)
+    if labels_path:  # their words are handed on to labels.csv
+        of_video: dict[str, list[Any]] = {}
+        for label in read_labels(labels_path):
+            of_video.setdefault(os.path.abspath(labels_path.parent / label.video), []).append(label)
+        inputs = [replace(i, labels=tuple(of_video.get(i.path, ()))) for i in gathered.inputs]
+        gathered = replace(gathered, inputs=inputs)
     is_one = len(gathered.inputs) == 1 and not gathered.is_batch
     if frames and len(gathered.inputs) > 1:
         raise click.UsageError(
@@ -107,7 +130,7 @@ def view(
     first = gathered.inputs[0].results[0].result
     name = recorded_name(first.record["input"]) if is_one else paths[0].absolute().name
     stem = fitting(name[:_MAX_NAME]) or "results"
-    out = out or Path("dlgmd-out") / f"view-{stem}.html"
+    out = out if is_file_name(out) else out / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
     request = _Request(frames, labels, input_path, width_px, no_film)
     if is_one:
@@ -133,7 +156,7 @@ def _link(name: str) -> str:
 
 def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrite: bool) -> None:
     """Write a page for each input into a folder beside the index, then the index."""
-    from dlgmd_cli.pages.page import index_page
+    from dlgmd_cli.pages.page import index_of, index_page, library
     from dlgmd_cli.results.store import fitting, locked, refuse_existing, write_text
 
     folder = out.with_name(f"{out.stem}-pages")
@@ -141,27 +164,33 @@ def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrit
     pages = [
         folder / f"{fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])
     ]
+    index = index_of(gathered, f"../{_link(out.name)}")
     with locked(folder):
         for page in pages:
             refuse_existing(page, overwrite=overwrite)
+        name, text = library()  # its version is in its name
+        write_text(folder / name, text)
         rows = []
         for one, page in zip(gathered.inputs, pages, strict=True):
-            rows.append(_write_page(one, page, request, index=out.name))
-            rows[-1]["href"] = f"{_link(folder.name)}/{_link(page.name)}"
-        write_text(out, index_page(rows, gathered.failed))
+            href = f"{_link(folder.name)}/{_link(page.name)}"
+            rows += _write_page(one, page, request, index, href)
+        write_text(out, index_page(rows, gathered.failed, index))
     if gathered.failed:
         n_failed = len(gathered.failed)
         those = "1 failed video is" if n_failed == 1 else f"{n_failed} failed videos are"
-        say(f"{those} listed at the end of the index.")
+        tell(f"{those} listed at the end of the index.")
 
 
-def _write_page(one: "Input", out: Path, request: _Request, index: str = "") -> dict[str, Any]:
-    """Write the page of an input; returns its row of the index."""
+def _write_page(
+    one: "Input", out: Path, request: _Request, index: "Index | None" = None, href: str = ""
+) -> list[dict[str, Any]]:
+    """Write the page of an input; returns its rows of the index, which link to `href`."""
     from dlgmd_cli.pages.gather import collisions_of
-    from dlgmd_cli.pages.page import index_row, page
+    from dlgmd_cli.pages.page import index_rows, page
     from dlgmd_cli.results.store import write_text
 
-    collisions = collisions_of(one, request.frames, request.labels)
+    known = collisions_of(one, request.frames, request.labels)
+    collisions = known or []
     first, last = int(one.results[0].result.frame[0]), int(one.results[0].result.frame[-1])
     for frame in collisions:
         if not first <= frame <= last:
@@ -170,14 +199,32 @@ def _write_page(one: "Input", out: Path, request: _Request, index: str = "") -> 
         until = [replace(r, result=r.result.until(collisions[0])) for r in one.results]
         one = replace(one, results=tuple(until))
     parts = _parts(one, request)
-    text = page(one, parts, collisions, index=f"../{_link(index)}" if index else "")
+    text = page(one, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
-        say(
+        tell(
             f"{printable(str(out))} has {len(text) / 1e6:.0f} MB. A smaller --film-width makes it "
             "smaller."
         )
     write_text(out, text)
-    return dict(index_row(one, out.name, parts, collisions))
+    scores = [None if known is None else _score(part.result, known) for part in parts]
+    return index_rows(one, href, parts, known, scores)
+
+
+def _score(result: "Result", collisions: list[int]) -> "Score | None":
+    """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
+    from dlgmd_cli.errors import SourceError
+    from dlgmd_cli.lab.evaluation.cases import Case, signal_of
+    from dlgmd_cli.lab.evaluation.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
+    from dlgmd_cli.pages.page import Score
+
+    try:
+        signal = signal_of(result, Case("", "", tuple(collisions), ()))
+    except SourceError:  # it was interrupted, or a collision is outside
+        return None
+    kind, collision = (found[result.alarm_onsets] for found in kinds(signal, HORIZON_S))
+    n_hits = len({*collision[kind == HIT].tolist()})
+    n_false = int(((kind == FALSE) | (kind == EARLY)).sum())
+    return Score(n_hits, len(collisions) - n_hits, n_false)
 
 
 def _parts(one: "Input", request: _Request) -> "Sequence[Part]":

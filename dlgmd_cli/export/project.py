@@ -20,7 +20,7 @@ from dlgmd_cli.models.contrast import (
 )
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.kernels import Connections, connect
-from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, Parameters
+from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters
 
 # With at most this many cells, the sum of their squares (up to 128**2) fits 32 bits. The stimulus
 # of the test needs 16 px.
@@ -55,9 +55,8 @@ class Export:
 
     def __post_init__(self) -> None:
         if type(self.params) not in (DlgmdParameters, ContrastParameters):
-            name = self.params.model if isinstance(self.params, Parameters) else self.params
-            mend = "Only dlgmd and dlgmd-contrast can be exported."
-            raise ParameterError("", f"there is no C version of the model {name}", mend)
+            why = f"there is no C version of the model {self.params.model}"
+            raise ParameterError("", why, "Only dlgmd and dlgmd-contrast can be exported.")
         low, high = sorted((self.width, self.height))
         if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
             raise ParameterError(
@@ -199,15 +198,16 @@ class Export:
             "P_MIN": params.p_min * LEVELS,
             "C_S": params.c_s,
             "S_MIN": params.s_min * LEVELS,
+            "C_M": params.c_m,
         }
         interval_s = 1.0 / (params.w_fps or NOMINAL_FPS)
+        of_quadrant = quadrants(centre_weights((self.height, self.width), params.sigma_c))[0]
         shares = {
             "W_SIGMA": params.w_sigma,
             "W_M": params.w_m,
             "W_MEAN": -math.expm1(-interval_s / params.tau_m),
-            "BOTH": self.n_cells / 2.0 / self._quadrant_weight,
+            "BOTH": self.n_cells / 2.0 / of_quadrant,
         }
-        values["C_M"] = params.c_m
         if self.is_fixed:
             constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
             constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
@@ -217,12 +217,6 @@ class Export:
             values |= {**shares, "GROWTH": params.growth}
             constants = {key: f(value) for key, value in values.items()}
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
-
-    @property
-    def _quadrant_weight(self) -> float:
-        """Σw of a quadrant."""
-        weights = centre_weights((self.height, self.width), self.params.sigma_c)
-        return quadrants(weights)[0]
 
     def _of_product(self) -> dict[str, str]:
         """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""

@@ -1,6 +1,7 @@
 """Receivers of alarms and events: lines of JSON, UDP, MAVLink and programs, each in a thread."""
 
 import ipaddress
+import json
 import logging
 import os
 import re
@@ -179,7 +180,8 @@ class Programs:
     """Starts a program with each event, without a shell and without waiting for its end.
 
     The answer is in its environment: DLGMD_EVENT is `begin`, `end`, `blind` or `sees`, and
-    DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON. Its output goes to stderr.
+    DLGMD_FRAME, DLGMD_TIME_S and so on are the values of a line of JSON, as it has them: true, not
+    True; null is empty. Its output goes to stderr.
 
     Raises
     ------
@@ -206,7 +208,10 @@ class Programs:
         if len(self._running) == _MAX_RUNNING:
             raise RuntimeError(f"{_MAX_RUNNING} programs are still running; no more are started")
         facts = {f"DLGMD_{key.upper()}": value for key, value in answer.to_dict().items()}
-        texts = {key: "" if value is None else str(value) for key, value in facts.items()}
+        texts = {
+            key: value if isinstance(value, str) else "" if value is None else json.dumps(value)
+            for key, value in facts.items()
+        }
         one = subprocess.Popen(
             self._arguments,
             env={**os.environ, **texts},

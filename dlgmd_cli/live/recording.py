@@ -113,7 +113,7 @@ class Recording:
                 yield
         except OutputError as error:
             self.has_failed = True
-            _log.warning("the recording has ended: %s %s", error.what, error.why)
+            _log.error("the recording has ended: %s %s", error.what, error.why)
             for file in self._files.values():
                 with suppress(OSError):
                     file.close()

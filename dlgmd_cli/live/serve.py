@@ -271,14 +271,19 @@ class PageServer:
         return self._jpegs[has_overlay][1]
 
     async def _events(self) -> AsyncIterator[str]:
-        """State and new rows some ten times a second; at first those of the last seconds."""
-        n_sent = 0
-        while not self._is_closing:
+        """State and new rows some ten times a second; at first those of the last seconds.
+
+        The last state says that this was all.
+        """
+        n_sent, is_last = 0, False
+        while not is_last:
+            is_last = self._is_closing
             with self._lock:
                 n_new = min(self._n_rows - n_sent, len(self._rows))
                 first, n_sent = len(self._rows) - n_new, self._n_rows
                 rows = [row for _, row in islice(self._rows, first, None)]
-            yield f"data: {json.dumps({'rows': rows, **self._state()})}\n\n"
+            state = {"rows": rows, "ended": is_last, **self._state()}
+            yield f"data: {json.dumps(state)}\n\n"
             await asyncio.sleep(_EVENT_PERIOD_S)
 
     def _state(self) -> dict[str, object]:

@@ -7,7 +7,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from itertools import islice
 from typing import Any
 
@@ -19,6 +20,7 @@ from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.words import counted
 
 Image = npt.NDArray[Any]
 _log = logging.getLogger(__name__)
@@ -61,6 +63,8 @@ class Answer:
         Why the source shows nothing: `lost`, `black` or `frozen`; empty if it does.
     span : AlarmSpan or None
         With `begin` and `end`, the alarm, as far as it is known.
+    utc_s : float
+        When the frame came, or the event, in seconds since 1970 by the system's clock.
     """
 
     frame: Frame | None
@@ -70,6 +74,7 @@ class Answer:
     latency_ms: float = math.nan
     reason: str = ""
     span: AlarmSpan | None = None
+    utc_s: float = field(default_factory=time.time)
 
     @property
     def is_of_frame(self) -> bool:
@@ -86,6 +91,7 @@ class Answer:
         facts: dict[str, object] = {
             "frame": None if frame is None else frame.index,
             "time_s": None if frame is None else round(frame.time_s, 6),
+            "utc": utc_text(self.utc_s),
             "mp": _number(found.mp),
             "mp_abs": _number(found.mp_abs),
             "spike": found.spike,
@@ -108,6 +114,11 @@ class Answer:
     def to_json(self) -> str:
         """The same on one line."""
         return json.dumps(self.to_dict())
+
+
+def utc_text(utc_s: float) -> str:
+    """A time in UTC by ISO 8601, to the millisecond: ``2026-05-01T09:30:00.125Z``."""
+    return f"{datetime.fromtimestamp(utc_s, timezone.utc):%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z"
 
 
 def _number(value: float) -> float | None:
@@ -232,7 +243,8 @@ def answers(
             for event, span in told[:-1]:
                 yield between_frames(event, span=span)
             event, span = told[-1] if told else ("", None)
-            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason, span)
+            utc_s = time.time() - latency_ms / 1e3
+            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason, span, utc_s)
             yield last
     if span := events.over():
         yield between_frames(END, span=span)
@@ -313,7 +325,7 @@ class Sight:
     def warnings(self) -> list[str]:
         """How long it showed nothing, a line for each reason."""
         return [
-            f"blind {n_times} time{'s' * (n_times > 1)}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
+            f"blind {counted(n_times, 'time')}, {total_s:.1f} s: {BLIND_WORDS[reason]}"
             for reason, (n_times, total_s) in self._so_far().items()
         ]
 
@@ -342,6 +354,8 @@ class Statistics:
             return
         self.n_frames += 1
         self.n_alarms += answer.event == BEGIN
+        if answer.event:
+            _log.debug("%s", answer.to_json())
         self._latencies_ms.append(answer.latency_ms)
         self._lately.append(time.monotonic())
 

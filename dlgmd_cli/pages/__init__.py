@@ -1,1 +1,1 @@
-"""Web pages of stored results, each in one file that needs no network."""
+"""Web pages of stored results, which need no network."""

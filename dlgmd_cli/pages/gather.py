@@ -1,6 +1,7 @@
 """Gather the content of pages: results grouped by input, and labelled collisions."""
 
 import csv
+import hashlib
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -12,40 +13,52 @@ from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.results.labels import Label, labelled_frames
 from dlgmd_cli.results.result import Result, read_comparison, read_result
-from dlgmd_cli.runs.find import SUMMARY
 
 
 @dataclass(frozen=True)
 class LabelledResult:
-    """A result, its folder and label; `peers` are all results of the same run, with itself."""
+    """A result, its folder and label; `peers` are all results of the same run, with itself.
+
+    `below` is the folder relative to that of its batch.
+    """
 
     folder: Path
     label: str
     result: Result
     peers: tuple[Result, ...]
+    below: Path = Path()
 
 
 @dataclass(frozen=True)
 class Input:
-    """An input with all of its results, at least one; `name` is unique among the inputs."""
+    """An input with all of its results, at least one; `name` is unique among the inputs.
+
+    `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv. Its
+    `labels` are those that a given table has.
+    """
 
     name: str
     path: str
     results: tuple[LabelledResult, ...]
+    key: str
+    in_labels: str
+    labels: tuple[Label, ...] = ()
 
 
 @dataclass(frozen=True)
 class Gathered:
     """All inputs, sorted by name; `failed` has the failed videos of batches, with the reasons.
 
-    `is_batch` says whether results were found in subfolders of a given folder.
+    `is_batch` says whether results were found in subfolders of a given folder. The paths in
+    labels.csv are relative to `labels_folder`, which holds all inputs.
     """
 
     inputs: list[Input]
     failed: list[tuple[str, str]]
     is_batch: bool
+    labels_folder: str
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
@@ -58,65 +71,67 @@ def gather(paths: Sequence[Path]) -> Gathered:
     """
     failed: list[tuple[str, str]] = []
     by_input: dict[tuple[Any, ...], list[LabelledResult]] = {}
-    batches = [path for path in paths if not _has_result(path)]
-    for path in paths:
-        for folder in _below(path) if path in batches else [path]:
-            for one in _read(folder):
-                known = one.result.record["input"]
-                same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
-                by_input.setdefault(same, []).append(one)
-    for path in batches:
-        failed += _failures(path)
-    inputs = []
+    trees = [tree for tree in map(store.tree_at, paths) if tree is not None]
+    for folder in store.with_results(paths):
+        for one in _read(folder):
+            one = replace(one, below=_below_one(trees, folder))
+            known = one.result.record["input"]
+            same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+            by_input.setdefault(same, []).append(one)
+    for tree in dict.fromkeys(trees):
+        failed += _failures(tree)
     places = [_place(first.result) for first, *_ in by_input.values()]
+    first_of = [results[0] for results in by_input.values()]
+    labels_folder = _common([_root(one) for one in first_of])
+    inputs = []
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
-        path = results[0].result.record["input"]["path"]
-        inputs.append(Input(name, path, _labelled(results)))
-    return Gathered(sorted(inputs, key=lambda one: one.name), failed, bool(batches))
+        known = results[0].result.record["input"]
+        key = hashlib.sha256(f"{known['path']}|{known.get('bytes')}".encode()).hexdigest()[:16]
+        in_labels = known["path"]
+        if labels_folder:
+            in_labels = Path(os.path.relpath(known["path"], labels_folder)).as_posix()
+        inputs.append(Input(name, known["path"], _labelled(results), key, in_labels))
+    inputs.sort(key=lambda one: one.name)
+    return Gathered(inputs, failed, bool(trees), labels_folder)
 
 
-def collisions_of(one: Input, frames: Iterable[int], labels: dict[str, list[int]]) -> list[int]:
-    """The collision frames of an input: those given, those on record, and those labelled."""
-    known = {labelled.result.collision_frame for labelled in one.results}
-    listed = labels.get(one.path, labels.get(PurePath(one.path).name, []))
-    return sorted({*frames, *listed, *(frame for frame in known if frame is not None)})
+def _below_one(batches: Iterable[Path], folder: Path) -> Path:
+    """A result's folder relative to that of its batch; empty if it was given itself."""
+    return next((folder.relative_to(p) for p in batches if folder.is_relative_to(p)), Path())
 
 
-def read_collisions(path: Path) -> dict[str, list[int]]:
-    """Read the collision frames in a labels.csv, by the video's absolute path.
+def _root(one: LabelledResult) -> str:
+    """The folder of an input; of a batch, the one that was searched: its results mirror its tree.
 
-    They can also be found by the name of the file, if it is unique. Raises ResultError if `path` is
-    not a file of labels.
+    Then 'dlgmd evaluate --results' finds the results by the paths in labels.csv.
     """
-    found: dict[str, list[int]] = {}
-    by_name: dict[str, set[str]] = {}
-    for label in read_labels(path):
-        where = os.path.abspath(path.parent / label.video)
-        by_name.setdefault(PurePath(where).name, set()).add(where)
-        frames = found.setdefault(where, [])
-        if label.collision_frame is not None:
-            frames.append(label.collision_frame)
-    unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
-    return unique | found
+    parts, names = PurePath(one.result.record["input"]["path"]).parts, one.below.parts
+    n = 1
+    while n < min(len(parts) - 1, len(names)) and parts[-1 - n] == names[-1 - n]:
+        n += 1
+    return str(PurePath(*parts[:-n])) if len(parts) > n else ""
 
 
-def _has_result(folder: Path) -> bool:
-    """Whether a folder holds a result itself; a missing folder counts, and fails when read."""
-    records = (store.RUN, store.COMPARISON)
-    return not folder.is_dir() or any((folder / name).exists() for name in records)
+def _common(folders: Sequence[str]) -> str:
+    """The folder that holds all of these; empty if there is none, as of URLs and several drives."""
+    try:
+        found = os.path.commonpath(folders)
+    except ValueError:
+        return ""
+    return found if Path(found).is_absolute() else ""
 
 
-def _below(folder: Path) -> list[Path]:
-    """The subfolders with results, sorted; raises ResultError if there are none."""
-    names = (store.RUN, store.COMPARISON)
-    found = sorted({record.parent for name in names for record in folder.rglob(name)})
-    if not found:
-        raise ResultError(
-            str(folder),
-            f"contains no result (no {store.RUN} or {store.COMPARISON})",
-            "Run 'dlgmd run' or 'dlgmd batch' first.",
-        )
-    return found
+def collisions_of(
+    one: Input, frames: Iterable[int], labels: dict[str, list[int]]
+) -> list[int] | None:
+    """The collision frames of an input: those given, those on record, and those labelled.
+
+    None if nobody has said whether there is one.
+    """
+    known = {labelled.result.collision_frame for labelled in one.results}
+    listed = labelled_frames(labels, one.path)
+    found = {*frames, *(listed or []), *(frame for frame in known if frame is not None)}
+    return sorted(found) if found or listed is not None else None
 
 
 def _read(folder: Path) -> list[LabelledResult]:
@@ -163,7 +178,7 @@ def _place(result: Result) -> Path:
 def _failures(folder: Path) -> list[tuple[str, str]]:
     """The failed videos of a batch, with the reasons; none if the summary cannot be read."""
     failed = []
-    for path in sorted([*folder.glob(SUMMARY), *folder.glob(f"*/{SUMMARY}")]):
+    for path in sorted([*folder.glob(store.SUMMARY), *folder.glob(f"*/{store.SUMMARY}")]):
         try:
             with open_regular(path, newline="", encoding="utf-8") as file:
                 for row in csv.DictReader(file):

@@ -1,10 +1,10 @@
 """HTML of the page of one input, and of the index of many."""
 
 import base64
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -14,15 +14,19 @@ import numpy.typing as npt
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
 from dlgmd_cli.pages.film import Film
-from dlgmd_cli.pages.gather import Input
+from dlgmd_cli.pages.gather import Gathered, Input
+from dlgmd_cli.plots.overlay import TINT
 from dlgmd_cli.plots.style import FLOOR_DB
-from dlgmd_cli.plots.traces import stretches
+from dlgmd_cli.plots.traces import LOOKS, stretches
 from dlgmd_cli.results.csv import text_cell
+from dlgmd_cli.results.labels import Label
 from dlgmd_cli.results.result import Result, Series
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Points of a sparkline, and its width and height in px.
 _SPARK_POINTS, _SPARK_WIDTH, _SPARK_HEIGHT = 160, 240, 44
+# Alarms of a result that the index lists.
+_MAX_LISTED = 4
 _SUMMARY_WORDS = {
     "mp_max": "peak MP",
     "mp_max_frame": "frame of the peak",
@@ -47,6 +51,30 @@ class Part:
     no_film: str = ""
 
 
+@dataclass(frozen=True)
+class Score:
+    """How many collisions a model announced and missed, and how many of its alarms are false."""
+
+    hits: int
+    missed: int
+    false: int
+
+
+@dataclass(frozen=True)
+class Index:
+    """What the pages of an index know of it.
+
+    `href` is its URL relative to the pages, `key` identifies it in the browser, `library` is the
+    file of the library that the pages share, and `folder` is the name of the folder that labels.csv
+    belongs into.
+    """
+
+    href: str
+    key: str
+    library: str
+    folder: str
+
+
 def require_packages() -> None:
     """Raise MissingExtraError if the packages of the extra `view` are not installed."""
     try:
@@ -64,57 +92,92 @@ def thumbnail_row(result: Result) -> int:
     return len(result) // 2 if np.isnan(level).all() else int(np.nanargmax(level))
 
 
-def page(one: Input, parts: Sequence[Part], collisions: Sequence[int], index: str = "") -> str:
-    """The page of an input as HTML; `index` is the relative URL of the index, if there is one."""
+def library() -> tuple[str, str]:
+    """File name and text of the library that draws the curves."""
+    from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+    return f"plotly-{get_plotlyjs_version()}.min.js", str(get_plotlyjs())
+
+
+def index_of(gathered: Gathered, href: str) -> Index:
+    """The index of inputs, which is at `href` as seen from their pages."""
+    keys = "".join(one.key for one in gathered.inputs)
+    key = hashlib.sha256(keys.encode()).hexdigest()[:16]
+    folder = printable(PurePath(gathered.labels_folder).name)
+    return Index(href, key, library()[0], folder)
+
+
+def page(
+    one: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None = None
+) -> str:
+    """The page of an input as HTML: one file, or, with an `index`, beside the library's."""
     films = [base64.b64encode(part.film.data).decode() if part.film else "" for part in parts]
     notes = list(dict.fromkeys(part.no_film for part in parts if part.no_film))
     return _rendered(
         "page.html.j2",
         name=printable(one.name),
-        data=_page_data(one, parts, collisions),
+        data=_page_data(one, parts, collisions, index),
         films=films,
         notes=[printable(note) for note in notes],
         drawer=[_drawer(part) for part in parts],
         index=index,
-        plotly=_plotly(),
+        tint=TINT,
+        plotly="" if index else library()[1],
     )
 
 
-def index_row(one: Input, href: str, parts: Sequence[Part], collisions: Sequence[int]) -> Any:
-    """The row of an input in the index."""
-    thumbnail = next((part.film.thumbnail for part in parts if part.film), b"")
-    results = []
-    for part in parts:
-        result, summary = part.result, part.result.summary
-        results.append(
+def index_rows(
+    one: Input,
+    href: str,
+    parts: Sequence[Part],
+    collisions: Sequence[int] | None,
+    scores: Sequence[Score | None],
+) -> list[dict[str, Any]]:
+    """The rows of an input in the index, one for each result.
+
+    `collisions` is None if nobody has said whether there is one, and scores are None then.
+    """
+    rows = []
+    for part, score in zip(parts, scores, strict=True):
+        result, alarms = part.result, part.result.alarm_list
+        thumbnail = part.film.thumbnail if part.film else b""
+        rows.append(
             {
+                "labelled": {**_labelled(one), "collisions": collisions},
+                "key": one.key,
+                "name": printable(one.name),
+                "href": href,
                 "label": printable(part.label),
-                "alarms": summary["alarms"],
-                "first_s": summary["first_alarm_time_s"],
-                "side": summary["first_alarm_side"],
-                "spark": _spark(result, collisions),
+                "thumbnail": base64.b64encode(thumbnail).decode(),
+                "duration_s": float(result.time_s[-1] - result.time_s[0]),
+                "n_frames": len(result),
+                "collisions": collisions,
+                "spark": _spark(result, collisions or ()),
+                "n_alarms": len(alarms),
+                "alarms": alarms[:_MAX_LISTED],
+                "first_s": alarms[0].start_s if alarms else "",
+                "peak": max((alarm.peak_mp_abs for alarm in alarms), default=""),
+                "score": score,
                 "n_warnings": len(result.warnings),
             }
         )
-    first = one.results[0].result
-    return {
-        "name": printable(one.name),
-        "href": href,
-        "thumbnail": base64.b64encode(thumbnail).decode(),
-        "duration_s": float(first.time_s[-1] - first.time_s[0]),
-        "n_frames": len(first),
-        "n_collisions": len(collisions),
-        "results": results,
-    }
+    return rows
 
 
-def index_page(rows: Sequence[Any], failed: Sequence[tuple[str, str]]) -> str:
+def index_page(
+    rows: Sequence[Mapping[str, Any]], failed: Sequence[tuple[str, str]], index: Index
+) -> str:
     """The index of many inputs as HTML."""
     failures = [(printable(name), printable(why)) for name, why in failed]
+    videos = {row["key"]: row["labelled"] for row in rows}
     return _rendered(
         "index.html.j2",
         rows=rows,
+        models=list(dict.fromkeys(row["label"] for row in rows)),
+        has_scores=any(row["score"] for row in rows),
         failed=failures,
+        data={"index": index.key, "videos": list(videos.values())},
+        where=_where(index),
         width=_SPARK_WIDTH,
         height=_SPARK_HEIGHT,
     )
@@ -134,24 +197,44 @@ def _rendered(template: str, **values: Any) -> str:
     return environment.get_template(template).render(version=__version__, **values)
 
 
-@cache
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    return str(get_plotlyjs())
-
-
-def _page_data(one: Input, parts: Sequence[Part], collisions: Sequence[int]) -> dict[str, Any]:
+def _page_data(
+    one: Input, parts: Sequence[Part], collisions: Sequence[int], index: Index | None
+) -> dict[str, Any]:
     results = [part.result for part in parts]
     found = [float(v) for r in results for v in r.attenuation_db if v > FLOOR_DB]
     foot_db = (min(found) if found else -10.0) - 2.0
     return {
         "name": printable(one.name),
-        # Labels are saved beside the video, so its file name is enough.
-        "video": text_cell(PurePath(one.path).name),
+        **_labelled(one),
+        "index": index and index.key,
+        "library": index and index.library,
+        "download": f"labels-{text_cell(PurePath(one.path).stem)}.csv" if index else "labels.csv",
+        "where": _where(index),
         "collisions": list(collisions),
+        "looks": [[colour, [] if dash == "-" else [*dash[1]]] for colour, dash in LOOKS],
         "results": [_result_data(part, foot_db) for part in parts],
     }
+
+
+def _labelled(one: Input) -> dict[str, Any]:
+    """What a page's script needs for the rows of an input in labels.csv, without the collisions."""
+    words = one.labels[0] if one.labels else Label("")
+    return {
+        "key": one.key,
+        "video": text_cell(one.in_labels),
+        "targets": {label.collision_frame: label.target for label in one.labels if label.target},
+        "kind": words.kind,
+        "manner": words.manner,
+    }
+
+
+def _where(index: Index | None) -> str:
+    """Where labels.csv is to be saved, for its paths to be right."""
+    if index is None:
+        return "Save labels.csv beside the video."
+    if not index.folder:
+        return "Save labels.csv where you like: its paths are whole."
+    return f"Save labels.csv in the folder “{index.folder}”: its paths start there."
 
 
 def _result_data(part: Part, foot_db: float) -> dict[str, Any]:

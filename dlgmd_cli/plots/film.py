@@ -17,6 +17,7 @@ from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
 from dlgmd_cli.plots.traces import LEVEL_NAMES, stretches, thinned
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.words import threshold_text
 
 WIDTH, HEIGHT = 1280, 720
 
@@ -141,7 +142,8 @@ def _static(
     for axes, title, scale, unit in zip(
         panels, ("Input", "S", "G"), all_scales, all_units, strict=True
     ):
-        axes.set_title(title, fontsize=13)
+        named = "G, with the centroid of its active cells (○)" if title == "G" else title
+        axes.set_title(named, fontsize=13)
         axes.imshow(np.zeros(shape), cmap="gray", vmin=-1.0, vmax=0.0, alpha=0.0, aspect="equal")
         axes.set_facecolor(LIGHT_GREY)
         axes.set_xticks([])
@@ -162,9 +164,10 @@ def _static(
     trace.set_ylabel(LEVEL_NAMES[result.by_sequence], fontsize=12)
     trace.axhline(result.threshold, color=GREY, linestyle="--", linewidth=1.0)
     dot: Any = {"marker": "o", "linestyle": "", "markeredgecolor": "black", "markersize": 6}
+    threshold = threshold_text(result.threshold)
     handles = [
         Line2D([], [], color=BLUE, linewidth=1.6, label="MP"),
-        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {result.threshold:g}"),
+        Line2D([], [], color=GREY, linestyle="--", label=f"threshold {threshold}"),
         Line2D([], [], color=ORANGE, label="spike", **dot),
         Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
     ]

@@ -29,6 +29,7 @@ from dlgmd_cli.plots.style import (
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
 from dlgmd_cli.results.result import Flags, Result, Series
+from dlgmd_cli.words import threshold_text
 
 # Least span of the vertical axis, so that rounding errors do not look like an event.
 MIN_SPAN_DB = 5.0
@@ -303,7 +304,7 @@ def _draw_level(axes: Axes, traces: list[_Trace], column: str) -> Entries:
     if len(thresholds) == 1 and (column == "level" or is_level):
         threshold = thresholds.pop()
         line = axes.axhline(threshold, color=GREY, linestyle="--", linewidth=0.8)
-        entries.append((line, f"threshold {threshold:g}"))
+        entries.append((line, f"threshold {threshold_text(threshold)}"))
     if traces[0].alone:
         entries += _draw_events(axes, results[0], levels[0])
     if all(np.isnan(level).all() for level in levels):

@@ -1,8 +1,9 @@
 """Labels: which videos show a collision, and at which frame."""
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.results.csv import read_rows, text_cell, write_rows
@@ -58,6 +59,29 @@ def read_labels(path: Path) -> list[Label]:
         for number, row in enumerate(rows[1:], start=2)
         if row
     ]
+
+
+def read_collisions(path: Path) -> dict[str, list[int]]:
+    """Read the collision frames in a table of labels, by the video's absolute path.
+
+    They can also be found by the name of the file, if it is unique, see `labelled_frames`. Raises
+    ResultError if `path` is not a table of labels.
+    """
+    found: dict[str, list[int]] = {}
+    by_name: dict[str, set[str]] = {}
+    for label in read_labels(path):
+        where = os.path.abspath(path.parent / label.video)
+        by_name.setdefault(PurePath(where).name, set()).add(where)
+        frames = found.setdefault(where, [])
+        if label.collision_frame is not None:
+            frames.append(label.collision_frame)
+    unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
+    return unique | found
+
+
+def labelled_frames(collisions: dict[str, list[int]], input_path: str) -> list[int] | None:
+    """The frames that `read_collisions` found for an input; None if it is not listed."""
+    return collisions.get(input_path, collisions.get(PurePath(input_path).name))
 
 
 def _label(path: Path, number: int, row: dict[str, str]) -> Label:

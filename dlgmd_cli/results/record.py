@@ -208,6 +208,7 @@ _KINDS: dict[str, _Kind] = {
         "first_alarm_side": lambda value: value is None or _is_text(value),
     },
     "sweep": {},
+    "settings": {},
     "warnings": [_is_text],
 }
 _KINDS["models"] = [_KINDS]

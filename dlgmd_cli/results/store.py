@@ -21,6 +21,7 @@ from dlgmd_cli.errors import (
     OutputError,
     OutputExistsError,
     ParameterError,
+    ResultError,
 )
 from dlgmd_cli.files import LOCK, PREFIX, staging
 from dlgmd_cli.results.record import differences, read_record
@@ -34,6 +35,8 @@ Write = Callable[[Path], object]
 
 PLOT_FORMATS = ("png", "pdf", "svg")
 RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
+# The table in the top folder of a batch.
+SUMMARY = "summary.csv"
 # The files that belong to each record: tables, and figures without their suffixes.
 _TABLES = {
     RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
@@ -99,6 +102,36 @@ def fitting(name: str) -> str:
 def result_folder(out: Path, name: str) -> Path:
     """The result folder of the input called `name`."""
     return out / (name if name.strip(".") else f"video{name}")
+
+
+def tree_at(path: Path) -> Path | None:
+    """The tree of results that a path stands for; None if it is a result itself, or is missing.
+
+    A tree is a folder without a result of its own, or given by the summary.csv of a batch in it.
+    """
+    if path.name == SUMMARY and path.is_file():
+        return path.parent
+    is_result = any((path / record).exists() for record in (RUN, COMPARISON))
+    return path if path.is_dir() and not is_result else None
+
+
+def with_results(paths: Iterable[Path]) -> list[Path]:
+    """The paths, with each tree replaced by the folders of its results that are not there yet.
+
+    Raises ResultError if a tree holds no result.
+    """
+    found: list[Path] = []
+    for path in paths:
+        tree = tree_at(path)
+        if tree is None:
+            found.append(path)
+            continue
+        below = {one.parent for record in (RUN, COMPARISON) for one in tree.rglob(record)}
+        if not below:
+            why = f"contains no result (no {RUN} or {COMPARISON})"
+            raise ResultError(str(tree), why, "Run 'dlgmd run' or 'dlgmd batch' first.")
+        found += sorted(below - set(found))
+    return found
 
 
 def check(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli import __version__
@@ -15,14 +15,13 @@ from dlgmd_cli.pool import DONE, FAILED, Outcome
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.find import SUMMARY, Input, local_copy
+from dlgmd_cli.runs.find import Input, local_copy
 from dlgmd_cli.runs.run import open_input, require_response, run_models
 from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.video.clips import write_clips
 from dlgmd_cli.video.options import InputOptions
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from upath import UPath
 
 OF_INPUT = ("frames", "width", "height", "fps", "duration_s")
@@ -60,6 +59,7 @@ class Job:
     dpi: int
     overwrite: bool = False
     scratch: str | None = None
+    clips: str | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Summary:
     """A summary.csv: its rows by the video's name, and the file, which is rewritten each time."""
 
     def __init__(self, place: "Path | UPath") -> None:
-        self.path = place / SUMMARY
+        self.path = place / store.SUMMARY
         self.rows: dict[str, Row] = {}
         self._next_write_s = 0.0
 
@@ -105,7 +105,7 @@ class Summary:
             return
         rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
         write = partial(csv.write_values, header=COLUMNS, rows=rows)
-        store.write_files(self.path.parent, {SUMMARY: write})
+        store.write_files(self.path.parent, {store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
 
@@ -231,6 +231,8 @@ def run_video(job: Job, task: Task) -> dict[int, Row]:
                 try:
                     require_response(opened, [job.setups[number]], [result], job.options)
                     rows[number] = _save(job, number, video, result, began)
+                    if job.clips is not None:
+                        _write_clips(job, number, video, path, result)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)
     except Exception as error:
@@ -260,6 +262,14 @@ def _save(job: Job, number: int, video: Input, result: Result, began: float) -> 
     unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
     record = {**result.record, "summary": result.summary, "warnings": [*result.warnings, *unsaid]}
     return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
+
+
+def _write_clips(job: Job, number: int, video: Input, path: str, result: Result) -> None:
+    """Write the clips of a result's alarms, in a tree like that of the results."""
+    label = job.setups[number].label if len(job.places) > 1 else ""
+    place = Path(job.clips or "") / label / video.folder
+    onsets_s = [alarm.start_s for alarm in result.alarm_list]
+    write_clips(path, place.name, onsets_s, place.parent, job.options.input_fps)
 
 
 def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:

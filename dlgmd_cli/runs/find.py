@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names
-from dlgmd_cli.results.store import failure_text, is_url, place
+from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
 from dlgmd_cli.video.images import read_image
@@ -36,8 +36,6 @@ _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modifi
 MIN_PICTURES, _N_CHECKED = 8, 5
 # Metadata that Matplotlib writes near the beginning of a figure.
 _MATPLOTLIB = b"Matplotlib"
-# The table in the top folder of the results.
-SUMMARY = "summary.csv"
 
 
 @dataclass(frozen=True)

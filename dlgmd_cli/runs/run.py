@@ -20,7 +20,8 @@ from dlgmd_cli.runs.setup import ModelName, Setup, choose_all, common_options
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Source, Video
+from dlgmd_cli.video.source import Video
+from dlgmd_cli.words import counted
 
 OnFrame = Callable[[int], None]
 # Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
@@ -142,21 +143,21 @@ def open_input(source: Openable, setups: Sequence[Setup], options: InputOptions)
 
 
 def responses(
-    source: Source,
+    video: Video,
     steppers: Sequence[Stepper],
     *,
     layers: Callable[[Frame], bool] = lambda frame: False,
     picture_wh: tuple[int, int] | None = None,
     on_frame: OnFrame = silent,
 ) -> Iterator[tuple[Frame, list[Response]]]:
-    """Step models through a source that is read once; the loop of all commands.
+    """Step models through an input that is read once; the loop of all commands.
 
     Parameters
     ----------
-    source : Source
+    video : Video
         Where the frames come from; a thread reads ahead.
     steppers : sequence of Stepper
-        The models, each with its frame size, or None for the source's.
+        The models, each with its frame size, or None for the video's.
     layers : callable
         Whether the responses to a frame have the layers.
     picture_wh : (int, int), optional
@@ -169,8 +170,8 @@ def responses(
     frame, responses : Frame, list of Response
         Each frame with one response per stepper. The stop flag ends the loop after a frame.
     """
-    sizes = [one.size_wh or source.size_wh for one in steppers]
-    frames = source.frames(*sizes, picture_wh=picture_wh)
+    sizes = [one.size_wh or video.size_wh for one in steppers]
+    frames = video.frames(*sizes, picture_wh=picture_wh)
     # OpenCV's threads would only compete with those of the decoder.
     with opencv_threads(1), read_ahead(frames) as ahead:
         for frame in ahead:
@@ -329,7 +330,7 @@ def too_short(video: Video, label: str, n_needed: int, options: InputOptions) ->
         end = "" if math.isnan(last_s) else f"Its last frame read is at {last_s:.3f} s."
         why = f"--start, --end and --fps leave fewer than the {n_needed} frames that {label} needs"
         return SourceError(name, why, end)
-    frames = f"{n_read} frame{'s' * (n_read > 1)}"
+    frames = counted(n_read, "frame")
     if n_new < n_needed <= n_read:
         why = f"{frames}, of which the model sees {n_new}, but {label} needs at least {n_needed}"
         return SourceError(name, why, "Use a longer clip, or --repeats keep and --fps all.")

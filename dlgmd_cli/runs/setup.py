@@ -36,11 +36,11 @@ class Setup:
     """One model of a run: its parameters and their origin.
 
     `label` is the name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file.
-    `engine` is `opencv`, `numba` or `auto`. `named` is an entry for the record: ``{"set": 9}`` or
-    ``{"preset": "flight"}`` if one was named. `origin` is the file of the parameters, for error
-    messages, and `options` those of the run that wrote that file, if it is a `run.yaml`. The
-    parameters are designed for frames `width_px` wide, in px, and for `model_fps`: the defaults
-    unless an option is given.
+    `engine` is `opencv`, `numba` or `auto`. `named` has entries for the record: ``{"set": 9}`` or
+    ``{"preset": "flight"}`` if one was named, and what the command line took from the user's own
+    `settings`. `origin` is the file of the parameters, for error messages, and `options` those of
+    the run that wrote that file, if it is a `run.yaml`. The parameters are designed for frames
+    `width_px` wide, in px, and for `model_fps`: the defaults unless an option is given.
     """
 
     params: Parameters

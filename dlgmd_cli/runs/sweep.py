@@ -37,6 +37,7 @@ from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
+from dlgmd_cli.words import counted
 
 RECORD, TABLE, FIGURE = "sweep.yaml", "sweep.csv", "sweep"
 PRODUCTS = frozenset({RECORD, TABLE, *(f"{FIGURE}.{suffix}" for suffix in store.PLOT_FORMATS)})
@@ -329,7 +330,7 @@ class Sweep:
         subject, label = self.subject, self.setup.label
         if subject.video is not None:
             return too_short(subject.video, label, n_needed, subject.asked)
-        frames = f"{n_frames} frame{'s' * (n_frames > 1)}"
+        frames = counted(n_frames, "frame")
         why = f"{frames} of each cube, but {label} needs at least {n_needed}"
         return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
 

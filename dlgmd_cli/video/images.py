@@ -35,6 +35,8 @@ class ImageDecoder:
             first = read_image(self._path)
         except Unreadable as error:
             mend = "Remove it from the sequence or convert it to PNG."
+            if self._path.suffix.lower() not in SUFFIXES:
+                mend = "A pattern is for pictures; for several videos, use 'dlgmd batch'."
             raise SourceError(str(self._path), str(error), mend) from None
         kind = self._path.suffix[1:].lower()
         self.stream_info: StreamInfo = StreamInfo(
@@ -94,7 +96,10 @@ def pictures_at(path: Path) -> list[Path] | None:
             raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
         why = "there is no picture in this folder"
-        mend = "'dlgmd run' takes a video, or a folder of pictures such as PNG or JPEG."
+        mend = (
+            "For the videos in a folder, use 'dlgmd batch'; this command takes one, or a folder of "
+            "pictures such as PNG or JPEG."
+        )
     elif is_pattern(str(path)) and not path.exists():
         globbed = glob.iglob(str(path), recursive=True)
         found = _printf_matches(path) or [Path(name) for name in globbed]

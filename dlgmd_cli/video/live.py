@@ -49,6 +49,9 @@ FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
 _N_MEASURED, _N_AT_LEAST, _SLACK, _STALL_FRAMES = 61, 10, 0.1, 3.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
 _MAX_LATE_S = 0.25
+# Pause before a file plays again: a gap for the model at 5 frames/s or more, and not yet a lost
+# source.
+SEAM_S = 0.75
 SHOWN_PX = 640
 
 
@@ -436,29 +439,40 @@ def _unpacked(data: Image, size_wh: tuple[int, int], pixel_format: str) -> tuple
     return luma, None if pixel_format == "gray" else _LIMITED
 
 
-def shots_at_their_pace(open_file: Callable[[], Video]) -> Generator[Shot, None, None]:
+def shots_at_their_pace(
+    open_file: Callable[[], Video], *, loops: bool = False
+) -> Generator[Shot, None, None]:
     """The pictures of a file, each at its time, counted from when the first one was taken.
 
     One that is decoded too late is handed on at once. If that happens all the time, the file plays
     slower, with a warning.
+
+    If it `loops`, the file plays again and again: numbers and times go on, `SEAM_S` after its last
+    picture, so that models restart.
     """
     begin_s, has_warned = math.nan, False
+    index, time_s, n_before, before_s = 0, 0.0, 0, 0.0
     with open_file() as video:
-        for picture in video.pictures():
-            now_s = time.monotonic()
-            due_s = now_s if math.isnan(begin_s) else begin_s + picture.time_s
-            if now_s > due_s + _MAX_LATE_S:
-                begin_s += now_s - due_s
-                due_s = now_s
-                if not has_warned:
-                    what = "%s: it cannot be decoded at its own pace here, and plays slower"
-                    _log.warning(what, video.info.path)
-                    has_warned = True
-            while (left_s := due_s - time.monotonic()) > 0.0:
-                time.sleep(left_s)
-            yield Shot(picture.image, picture.levels, due_s, picture.index, picture.time_s)
-            if math.isnan(begin_s):
-                begin_s = time.monotonic() - picture.time_s
+        while True:
+            for picture in video.pictures():
+                index, time_s = n_before + picture.index, before_s + picture.time_s
+                now_s = time.monotonic()
+                due_s = now_s if math.isnan(begin_s) else begin_s + time_s
+                if now_s > due_s + _MAX_LATE_S:
+                    begin_s += now_s - due_s
+                    due_s = now_s
+                    if not has_warned:
+                        what = "%s: it cannot be decoded at its own pace here, and plays slower"
+                        _log.warning(what, video.info.path)
+                        has_warned = True
+                while (left_s := due_s - time.monotonic()) > 0.0:
+                    time.sleep(left_s)
+                yield Shot(picture.image, picture.levels, due_s, index, time_s)
+                if math.isnan(begin_s):
+                    begin_s = time.monotonic() - time_s
+            if not loops:
+                return
+            n_before, before_s = index + 1, time_s + SEAM_S
 
 
 def check_source(source: str, *, is_realtime: bool, has_size: bool) -> None:

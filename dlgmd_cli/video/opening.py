@@ -28,7 +28,7 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.pyav import PyAVDecoder, is_flagged
+from dlgmd_cli.video.pyav import PyAVDecoder, details_of
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampling_step
 
@@ -191,15 +191,13 @@ def _source(
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder for a video file; raises SourceError if no frame can be decoded.
-
-    Interlaced video is de-interlaced by PyAV; raises MissingExtraError if that is not installed.
-    """
+    """A decoder for a video file; interlaced video is de-interlaced by PyAV, or refused."""
     is_interlaced = False
     opens: Callable[[str], Decoder] = PyAVDecoder if decoder == "pyav" else OpenCVDecoder
     try:
         with openable(path.absolute()) as name:
-            is_interlaced = is_flagged(name)
+            details = details_of(name)
+            is_interlaced = details is not None and details.is_interlaced
             if not is_interlaced:
                 opened = opens(name)
                 if not has_analog_size(opened):
@@ -218,10 +216,7 @@ def _open_file(path: Path, decoder: str) -> Decoder:
 
 
 def _refuse_streams(name: str) -> None:
-    """Raise ParameterError for a stream, standard input or a URL.
-
-    A local file or folder of that name, or one that a pattern starts with, takes precedence.
-    """
+    """Raise ParameterError for a stream, standard input or a URL, unless such a file exists."""
     if name == "-" and not Path(name).exists():
         raise ParameterError("-", "standard input is not read; only files are", _RECORD)
     if _URL.match(name) and not Path(name.partition("/")[0]).exists():

@@ -41,12 +41,16 @@ _TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTA
 
 
 class Details(NamedTuple):
-    """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample."""
+    """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
+
+    The pictures are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270.
+    """
 
     codec: str
     pixel_format: str
     n_bits: int
     is_interlaced: bool
+    turned_deg: int
 
 
 class PyAVDecoder:
@@ -165,7 +169,8 @@ class PyAVDecoder:
         is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
-        return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced)
+        turned_deg = -_rotation_deg(self._frame) % 360
+        return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced, turned_deg)
 
     def close(self) -> None:
         """Free the file; may be called twice."""
@@ -174,14 +179,13 @@ class PyAVDecoder:
         self._container.close()
 
 
-def is_flagged(name: str) -> bool:
-    """Whether FFmpeg says that a video is interlaced; False if PyAV is missing or fails."""
+def details_of(name: str) -> Details | None:
+    """How a file is encoded; None if PyAV is not installed or cannot open it."""
     try:
-        decoder = PyAVDecoder(name, n_threads=1)
+        with closing(PyAVDecoder(name, n_threads=1)) as decoder:
+            return decoder.details()
     except (MissingExtraError, Unreadable):
-        return False
-    with closing(decoder):
-        return decoder.details().is_interlaced
+        return None
 
 
 def _deinterlaced(
@@ -273,10 +277,16 @@ def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
     return (container.duration or 0) / 1e6
 
 
+def _rotation_deg(frame: "VideoFrame") -> int:
+    """The angle, counterclockwise, that rotates the frame upright: 0, 90, 180 or 270."""
+    # PyAV truncates the angle, hence the rounding; other angles are ignored.
+    angle = round(frame.rotation, -1) % 360
+    return angle if angle in _TURNS else 0
+
+
 def _rotation_code(frame: "VideoFrame") -> int | None:
     """OpenCV's code for rotating the frame upright; None if it is upright already."""
-    # PyAV truncates the angle, hence the rounding; other angles are ignored.
-    return _TURNS.get(round(frame.rotation, -1) % 360)
+    return _TURNS.get(_rotation_deg(frame))
 
 
 def _upright(frame: "VideoFrame", image: Image) -> Image:

@@ -71,35 +71,6 @@ class SourceInfo:
     is_interlaced: bool = False
 
 
-class Source(Protocol):
-    """Anything that frames come from: a file, pictures, an array, a rendered scene, a camera.
-
-    Attributes
-    ----------
-    info : SourceInfo
-        What it is.
-    size_wh : (int, int)
-        Width and height of its frames, in px, unless others are asked for.
-    """
-
-    info: SourceInfo
-    size_wh: tuple[int, int]
-
-    def frames(
-        self, *sizes_wh: tuple[int, int], picture_wh: tuple[int, int] | None = None
-    ) -> Iterator[Frame]:
-        """The frames in order, see `Video.frames`."""
-        ...
-
-    def hidden(self, size_wh: tuple[int, int] | None = None) -> npt.NDArray[np.bool_] | None:
-        """The cells that models ignore, see `Video.hidden`."""
-        ...
-
-    def close(self) -> None:
-        """Free the source; may be called twice."""
-        ...
-
-
 @dataclass(frozen=True)
 class Picture:
     """A decoded picture: uint8 or uint16, (H, W) grey or (H, W, 3) BGR.
@@ -200,9 +171,10 @@ def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
 
 
 class Video:
-    """An open input, created by `open_video`: a context manager and an iterable of `Frame`.
+    """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 
-    Each frame has its own memory. Every iteration starts at the beginning.
+    It is a file, pictures, an array, or a rendered scene. Each frame has its own memory. Every
+    iteration starts at the beginning.
 
     Attributes
     ----------

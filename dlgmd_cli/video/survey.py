@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import MissingExtraError
 from dlgmd_cli.video.arrays import NAME
-from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, Unreadable, openable
+from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.prefetch import opencv_threads
-from dlgmd_cli.video.pyav import Details, PyAVDecoder
+from dlgmd_cli.video.pyav import details_of
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.source import Picture
 
@@ -52,8 +51,9 @@ class Survey:
 
     `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
     is the FOURCC. `bits` is per sample. `is_interlaced` tells whether frames consist of two fields.
-    Both are None if PyAV is not installed. `damage` says where the input is damaged, `warnings` has
-    other doubts about it.
+    `turned_deg` is the angle by which the pictures are turned clockwise to be upright, as the file
+    asks; `width` and `height` are those after it. All three are None if PyAV is not installed.
+    `damage` says where the input is damaged, `warnings` has other doubts about it.
 
     `crop` is the picture without its black borders; None if there are none. `still` has the pixels
     of that part that never change while the others do, (H, W) bool; None if there are none.
@@ -74,6 +74,7 @@ class Survey:
     pixel_format: str
     bits: int | None
     is_interlaced: bool | None
+    turned_deg: int | None
     decoder: str
     damage: list[str]
     warnings: list[str]
@@ -111,7 +112,10 @@ def survey(
     n_gaps, pixel_range = 0, PixelRange()
     with open_video(path, decoder=decoder, input_fps=input_fps, repeats="skip") as video:
         is_video = video.info.decoder != NAME and pictures_at(Path(path)) is None
-        details = _details(Path(path)) if is_video else None
+        details = None
+        if is_video:
+            with openable(Path(path).absolute()) as name:
+                details = details_of(name)
         with opencv_threads(1):
             for picture in video.pictures():
                 n_gaps += picture.after_gap
@@ -138,24 +142,13 @@ def survey(
         pixel_format=details.pixel_format if details else "",
         bits=details.n_bits if details else None,
         is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
+        turned_deg=details.turned_deg if details else None if is_video else 0,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],
         crop=crop,
         still=still,
     )
-
-
-def _details(path: Path) -> Details | None:
-    """How a file is encoded; None if PyAV is not installed or cannot open it."""
-    try:
-        with openable(path.absolute()) as name:
-            decoder = PyAVDecoder(name)
-    except (MissingExtraError, Unreadable):
-        return None
-    details = decoder.details()
-    decoder.close()
-    return details
 
 
 class PixelRange:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
+from conftest import looming_frames, until, write_video
 from damaged import all_inputs
 from disturbed import (
     PATIENCE_S,
@@ -24,7 +24,6 @@ from disturbed import (
     small_disk,
     small_files,
     started,
-    wait_until,
     workers_of,
 )
 from faulty import faulty
@@ -171,7 +170,7 @@ def test_a_signal_at_any_moment(long, name):
             if process.returncode == -number != -signal.SIGKILL:  # while Python itself ends
                 assert long.judge() == dict.fromkeys(long.names, "done")
             assert "Traceback" not in said and "Error" not in said
-            wait_until(lambda process=process: not session_of(process.pid))
+            until(lambda process=process: not session_of(process.pid))
         long.judge()
         if case % 3 or case == N_SIGNALS - 1:
             long.then_as_ever()
@@ -192,7 +191,7 @@ def test_a_worker_killed_costs_one_video(long):
     moments, n_lost = random.Random(23), 0
     for _ in range(N_SIGNALS):
         with started(*long.command(), cwd=long.folder) as process:
-            wait_until(lambda: any(long.out.rglob(store.RUN)))
+            until(lambda: any(long.out.rglob(store.RUN)))
             time.sleep(moments.uniform(0.0, 0.1))
             with suppress(ProcessLookupError, IndexError):
                 os.kill(workers_of(process.pid)[-1], signal.SIGKILL)

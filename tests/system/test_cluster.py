@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from conftest import looming_frames, write_video
-from disturbed import environment, files_of, hidden_in, started, wait_until
+from conftest import looming_frames, until, write_video
+from disturbed import environment, files_of, hidden_in, started
 from faulty import faulty
 
 from dlgmd_cli.errors import ParameterError, WorkerError
@@ -191,7 +191,7 @@ def scheduler_file(tmp_path):
     file = tmp_path / "s.json"
     arguments = ("--port", 0, "--no-dashboard", "--host", "127.0.0.1", "--scheduler-file", file)
     with program("scheduler", *arguments) as process:
-        wait_until(file.exists, 20)
+        until(file.exists, 20)
         yield file, process
 
 
@@ -234,14 +234,14 @@ def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
     command = ("batch", "in", "--no-plots", "--scheduler", scheduler)
     summary = tmp_path / "dlgmd-out/summary.csv"
     with started(*command, cwd=tmp_path) as process:
-        wait_until(lambda: summary.exists() and "a.avi" in summary.read_text(), 20)
+        until(lambda: summary.exists() and "a.avi" in summary.read_text(), 20)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20)
     assert process.returncode == 130
     assert said == "Interrupted. 1 of 3 videos are done; the same command continues from there.\n"
     # What a worker was at comes to its end there; no more is begun.
     with distributed.Client(scheduler, set_as_default=False) as client:
-        wait_until(lambda: not any(client.processing().values()), 20)
+        until(lambda: not any(client.processing().values()), 20)
     with started(*command, cwd=tmp_path) as process:
         _, said = process.communicate(timeout=60)
     assert process.returncode == 0 and "videos are done already" in said

@@ -4,7 +4,6 @@ What needs a tool that is not installed is skipped: gcc, clang, gcc-arm-none-eab
 qemu-system-arm.
 """
 
-import csv
 import re
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from conftest import csv_rows
 from exported import (
     WARNINGS,
     answers_of_c,
@@ -133,11 +133,11 @@ def test_large_frames_skip_cells_for_the_quartile(tmp_path, flights):
 def test_alarms_are_those_of_the_command(dlgmd, tmp_path):
     options = ["--size", "96x72", "--repeats", "keep", "--no-plots"]
     assert dlgmd("run", SAMPLE, *options).exit_code == 0
-    with open("dlgmd-out/group2/spikes.csv", newline="", encoding="ascii") as file:
-        rows = [(int(row["spike"]), int(row["alarm"])) for row in csv.DictReader(file)]
+    rows = csv_rows("dlgmd-out/group2/spikes.csv")
     frames = [frame.grey for frame in open_video(SAMPLE, size_wh=(96, 72))]
     answers = answers_of_c(Export(FLIGHT, 96, 72), tmp_path, frames)
-    assert answers[:, 1:3].astype(int).tolist() == [list(row) for row in rows]
+    expected = [[int(row["spike"]), int(row["alarm"])] for row in rows]
+    assert answers[:, 1:3].astype(int).tolist() == expected
     assert answers[:, 2].any()
 
 

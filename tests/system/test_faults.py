@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
+from conftest import looming_frames, until, write_video
 from damaged import all_inputs
 from disturbed import (
     PATIENCE_S,
@@ -27,7 +27,6 @@ from disturbed import (
     small_disk,
     small_files,
     started,
-    wait_until,
 )
 
 from dlgmd_cli.commands.app import cli
@@ -181,7 +180,7 @@ def test_kills(tmp_path, monkeypatch, command):
         process.kill()
         process.join()
         n_killed += process.exitcode == -signal.SIGKILL
-        wait_until(lambda process=process: not session_of(process.pid))
+        until(lambda process=process: not session_of(process.pid))
         if "live" in command and record.exists():  # what came before, whatever its record counts
             read_result(record.parent)
         elif record.exists():
@@ -314,7 +313,7 @@ def test_a_signal_in_the_middle(tmp_path, name):
     write_video(tmp_path / "long.avi", looming_frames(20, 320, 240) * 150)
     with started("run", "long.avi", "--no-plots", cwd=tmp_path) as process:
         # The lock is taken just before the first frame.
-        wait_until(lambda: list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")), PATIENCE_S)
+        until(lambda: list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")), PATIENCE_S)
         time.sleep(0.3)
         process.send_signal(getattr(signal, name))
         _, said = process.communicate(timeout=PATIENCE_S)

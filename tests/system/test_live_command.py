@@ -200,18 +200,3 @@ def test_memory_does_not_grow(tmp_path):
     assert n_rows > n_frames / 8
     # A frame kept of each would take 4 MB at least, a few numbers of each 1 MB.
     assert late_kb - early_kb < 3_000, (n_rows, early_kb, late_kb)
-
-
-def test_what_is_left_of_a_killed_process_can_be_read(tmp_path):
-    arguments = (SAMPLE, "--realtime", "--jsonl", "--record", tmp_path, "--overwrite")
-    with live(*arguments) as process:
-        lines = lines_of(process)
-        last = next(one for one in lines if one["frame"] >= 40)
-        process.kill()
-        process.wait()
-    result = read_result(tmp_path)
-    # The line of a frame may be out before its rows are.
-    assert not result.record["complete"] and result.frame[-1] >= last["frame"] - 1
-    arguments = (SAMPLE, "--realtime", "--jsonl", "--record", tmp_path)
-    with live(*arguments, stdout=subprocess.DEVNULL) as process:
-        assert process.wait(PATIENCE_S) == 2 and b"--overwrite" in process.stderr.read()

@@ -23,7 +23,7 @@ PHONE = {
     "has_touch": True,
     "color_scheme": "dark",
 }
-# How many pixels of the picture are orange, and its checksum; neither while there is none.
+# How many pixels of the picture are tinted, and its checksum; neither while there is none.
 PICTURE = """(() => {
     if (!picture.naturalWidth) return {};
     const canvas = document.createElement("canvas");
@@ -31,12 +31,12 @@ PICTURE = """(() => {
     const pen = canvas.getContext("2d");
     pen.drawImage(picture, 0, 0);
     const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
-    let [orange, sum] = [0, 0];
+    let [tinted, sum] = [0, 0];
     for (let i = 0; i < data.length; i += 4) {
-        orange += data[i] - data[i + 2] > 80;
+        tinted += data[i] - data[i + 1] > 80;
         sum = (31 * sum + data[i]) % 1000003;
     }
-    return {orange, sum};
+    return {tinted, sum};
 })()"""
 # Pixels of a canvas in a colour of the page, with some tolerance.
 PAINTED = """(name, colour) => {
@@ -111,7 +111,7 @@ def test_page(browser, watch, place, look):
     reader.until("find('name').textContent.endsWith('<b>flights.avi')")
     assert page.evaluate("document.documentElement.scrollWidth") == look["viewport"]["width"]
     reader.sees_motion()
-    reader.until(f"{PICTURE}.orange > 50")
+    reader.until(f"{PICTURE}.tinted > 50")
     reader.painted("mp", "accent")
     reader.painted("latency", "ink")
 
@@ -122,15 +122,28 @@ def test_page(browser, watch, place, look):
     assert int(page.text_content("#alarms")) >= 1
 
     page.click("#overlay")
-    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.orange === 0")
+    reader.until(f"picture.src.includes('overlay=0') && {PICTURE}.tinted === 0")
     # Many cells are active again at the next alarm.
     reader.until("find('state').className === 'alarm'")
-    assert page.evaluate(PICTURE).get("orange", 0) == 0
+    assert page.evaluate(PICTURE).get("tinted", 0) == 0
     assert reader.faults == []
 
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 130
     assert process.stderr.read() == "Interrupted.\n"
+    reader.until("find('state').textContent === 'Ended'")
+
+
+def test_page_ends_with_its_file(browser, watch):
+    process, url = watch("0", SAMPLE, "--realtime")
+    reader = Watcher(browser, url, **WIDE)
+    reader.until("find('state').textContent === 'Ended'")
+    assert process.wait(timeout=20) == 0
+    # It stays so, and the numbers are those of the whole file.
+    reader.until("Date.now() - heard > SILENT_MS + 1500")
+    assert reader.page.text_content("#state") == "Ended"
+    assert reader.page.text_content("#alarms") == "1"
+    assert reader.page.evaluate("rows.at(-1).time_s") == pytest.approx(155 / 30, abs=0.1)
 
 
 def test_page_goes_on_by_itself(browser, watch):
@@ -138,7 +151,7 @@ def test_page_goes_on_by_itself(browser, watch):
     reader = Watcher(browser, url)
     reader.sees_motion()
     reader.until("rows.length > 30")
-    process.send_signal(signal.SIGINT)
+    process.kill()
     process.wait(timeout=20)
     reader.until("find('state').textContent === 'Not connected'")
     watch(url.rstrip("/").rpartition(":")[2])

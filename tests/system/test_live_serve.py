@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import pytest
+from conftest import until
 
 pytest.importorskip("starlette", reason="the page needs Starlette")
 pytest.importorskip("uvicorn", reason="the page needs Uvicorn")
@@ -80,14 +81,6 @@ def ask():
             return connections.enter_context(one.getresponse())
 
         yield asking
-
-
-def until(condition):
-    """Wait until a condition holds."""
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def next_event(response):
@@ -171,8 +164,8 @@ def test_picture_has_the_active_cells(serve, ask):
     for _ in range(3):  # time for a picture, if there were one
         next_event(events)
     screen.put(answer(1))
-    blue, _, red = next_picture(tinted)[1, 1].astype(int)
-    assert red - blue > 80
+    _, green, red = next_picture(tinted)[1, 1].astype(int)
+    assert red - green > 80
     assert np.ptp(next_picture(plain)[1, 1].astype(int)) < 10
     screen.put(answer(2, wh=(80, 60)))
     assert next_picture(tinted).shape == next_picture(plain).shape == (60, 80, 3)

@@ -94,6 +94,172 @@ def test_labels_are_saved(browser, page_file, tmp_path):
     assert not reader.faults
 
 
+def test_labels_are_kept_and_leaving_with_new_ones_asks(browser, page_file):
+    reader = Viewer(browser, page_file)
+    page, asked = reader.page, []
+    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.keyboard.press("End")
+    page.keyboard.press("l")
+    page.fill("#label-list input", "wall")
+    page.reload()
+    assert asked == ["beforeunload"]
+    reader.until("labels.length === 1")
+    assert page.input_value("#label-list input") == "wall"
+    page.click("#save")
+    page.reload()
+    assert asked == ["beforeunload"] and page.evaluate("labels.length") == 1
+    page.click("#label-list button:last-child")
+    page.reload()
+    assert asked == ["beforeunload"] and page.evaluate("labels.length") == 0
+
+
+@pytest.fixture
+def index_file(dlgmd, tmp_path):
+    """An index of a cube that looms, in a folder called =x, and of one that moves across."""
+    for name, place in (("looming-cube", "in/=x/a, b.mp4"), ("translating-cubes", "in/c.mp4")):
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(os.path.join(os.path.dirname(SAMPLE), f"{name}.mp4"), tmp_path / place)
+    done = dlgmd("batch", "in", "--set", 9, "--no-plots", "--jobs", 1, "--out", "res")
+    assert done.exit_code == 0, done.output
+    made = dlgmd("view", "res", "--no-film", "--out", "web/all.html")
+    assert made.exit_code == 0, made.output
+    return tmp_path / "web/all.html"
+
+
+def open_index(browser, path, **look):
+    reader = Reader(browser, f"file://{path}", allowed=("file:",), **look)
+    reader.asked = []
+    reader.page.on("dialog", lambda dialog: (reader.asked.append(dialog.type), dialog.accept()))
+    return reader
+
+
+def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
+    browser, index_file, dlgmd, tmp_path
+):
+    reader = open_index(browser, index_file)
+    page = reader.page
+    assert page.is_disabled("#save") and "No labels" in page.text_content("#summary")
+    page.wait_for_timeout(500)  # until what it keeps has reached the browser
+    page.click("text=a, b.mp4")
+    reader.until("plot._fullLayout !== undefined")
+    page.keyboard.press("End")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("l")
+    frame = page.evaluate("labels[0].frame")
+    reader.until("by('keeping').textContent.includes('the index downloads those of all')")
+    page.click("text=All videos")  # which asks nothing, as the index has them
+    assert not reader.asked
+    page.reload()
+    assert reader.asked == ["beforeunload"]
+    assert page.text_content("#summary") == "1 label in 1 of 2 videos, not downloaded yet."
+    assert page.text_content(".yours:visible") == f"your label: frame {frame}"
+    assert "in the folder “in”" in page.text_content("#labels")
+    page.check("#rest")
+    with page.expect_download() as saved:
+        page.click("#save")
+    assert page.text_content("#summary") == "1 label in 1 of 2 videos."
+    page.reload()
+    assert len(reader.asked) == 1
+    assert saved.value.suggested_filename == "labels.csv"
+    saved.value.save_as(tmp_path / "in/labels.csv")
+    with open(tmp_path / "in/labels.csv", newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    assert rows == [["./=x/a, b.mp4", str(frame), ""], ["c.mp4", "", ""]]
+    for more in (("--results", "res"), ("--set", 9, "--jobs", 1)):
+        scored = dlgmd("evaluate", "in/labels.csv", *more, "--no-plots", "--out", f"{more[0]}.out")
+        assert scored.exit_code == 0, scored.output
+        assert scored.stderr == ""
+        with open(f"{more[0]}.out/evaluate.csv", newline="") as file:
+            told = next(csv.DictReader(file))
+        assert [told[key] for key in ("videos", "collisions")] == ["2", "1"]
+    assert not reader.faults
+
+
+def test_labels_that_are_known_keep_their_words(browser, index_file, dlgmd, tmp_path):
+    table = ["video,collision_frame,target,kind", "=x/a\\, b.mp4,70,wall,real", "c.mp4,,,rendered"]
+    text = "\n".join(table).replace("=x/a\\, b.mp4", '"./=x/a, b.mp4"')
+    (tmp_path / "in/labels.csv").write_text(text + "\n")
+    made = ("view", "res", "--no-film", "--labels", "in/labels.csv", "--out", "web/all.html")
+    assert dlgmd(*made, "--overwrite").exit_code == 0
+    page = open_index(browser, index_file).page
+    page.click("text=c.mp4")
+    page.wait_for_load_state()
+    page.keyboard.press("End")
+    page.keyboard.press("l")
+    page.fill("#label-list input", "gate")
+    frame = page.evaluate("labels[0].frame")
+    page.click("text=All videos")
+    with page.expect_download() as saved:
+        page.click("#save")
+    saved.value.save_as(tmp_path / "new.csv")
+    assert (tmp_path / "new.csv").read_text().splitlines() == [
+        "video,collision_frame,target,kind",
+        '"./=x/a, b.mp4",70,wall,real',
+        f"c.mp4,{frame},gate,rendered",
+    ]
+
+
+def test_where_a_browser_keeps_nothing_the_page_says_so(browser, page_file):
+    context = browser.new_context()
+    context.add_init_script(
+        "delete window.localStorage; Object.defineProperty(window,"
+        "'localStorage', {get() { throw new Error(); }})"
+    )
+    page, asked = context.new_page(), []
+    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.goto(f"file://{page_file}")
+    page.keyboard.press("l")
+    assert "does not keep them" in page.text_content("#keeping")
+    page.reload()
+    assert asked == ["beforeunload"] and page.is_hidden("#labels")
+
+
+def test_the_index_filters_and_sorts_by_keyboard(browser, index_file):
+    reader = open_index(browser, index_file, viewport={"width": 390, "height": 844})
+    page = reader.page
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+
+    def names():
+        return page.locator("tr:visible .name a").all_text_contents()
+
+    assert names() == ["a, b.mp4", "c.mp4"]
+    page.keyboard.press("Tab")  # the button of the theme, then the fields
+    page.keyboard.press("Tab")
+    page.keyboard.type("C.M")
+    assert names() == ["c.mp4"] and page.text_content("#count") == "1 of 2 shown"
+    page.keyboard.press("Control+a")
+    page.keyboard.press("Delete")
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowDown")  # with alarms
+    assert names() == ["a, b.mp4"]
+    page.keyboard.press("ArrowDown")  # without alarms
+    assert names() == ["c.mp4"]
+    page.select_option("#which", "")
+    page.evaluate("rows[1].dataset.first = '0.5'")
+    page.select_option("#order", "first")
+    assert names() == ["c.mp4", "a, b.mp4"]
+    page.select_option("#order", "")
+    assert names() == ["a, b.mp4", "c.mp4"]
+    assert not reader.faults
+
+
+def test_the_folder_of_an_index_may_move_but_a_page_needs_its_library(
+    browser, index_file, tmp_path
+):
+    moved = tmp_path / "elsewhere"
+    index_file.parent.rename(moved)
+    reader = open_index(browser, moved / "all.html")
+    reader.page.click("text=c.mp4")
+    reader.until("plot._fullLayout !== undefined")
+    assert not reader.faults
+    (library,) = (moved / "all-pages").glob("plotly-*.js")
+    library.unlink()
+    reader.page.reload()
+    assert f"The curves need the file {library.name}" in reader.page.text_content("#plot")
+    reader.page.keyboard.press("ArrowRight")  # everything else works
+    reader.until("Number(slider.value) === 1")
+
+
 def test_on_a_phone(browser, page_file):
     reader = Viewer(
         *(browser, page_file),
@@ -125,8 +291,11 @@ def test_hostile_names(browser, dlgmd, tmp_path):
     reader = Reader(browser, f"file://{tmp_path}/all.html", allowed=("file:",))
     page = reader.page
     page.on("dialog", lambda dialog: (reader.faults.append("dialog"), dialog.dismiss()))
-    page.click("h2 a")
+    page.click(".name a")
     assert page.text_content("h1") == name
+    reader.until("document.readyState === 'complete'")
+    page.keyboard.press("l")
+    page.fill("#label-list input", name)
     page.click("text=All videos")
-    assert page.text_content("h2") == name
+    assert page.text_content(".name a") == name
     assert not reader.faults

@@ -6,7 +6,8 @@ import time
 from pathlib import Path
 
 import pytest
-from disturbed import environment, session_of, wait_until
+from conftest import until
+from disturbed import environment, session_of
 from pooltasks import work
 
 from dlgmd_cli.errors import WorkerError
@@ -55,4 +56,4 @@ def test_processes_end_when_their_parent_is_killed(tmp_path):
         time.sleep(0.5)  # it is in the midst of the next task by now
         assert child in session_of(parent.pid)
         parent.kill()
-    wait_until(lambda: not session_of(parent.pid))
+    until(lambda: not session_of(parent.pid))

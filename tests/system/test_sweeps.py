@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
-from disturbed import session_of, started, wait_until, workers_of
+from conftest import looming_frames, until, write_video
+from disturbed import session_of, started, workers_of
 
 from dlgmd_cli.commands.app import cli
 
@@ -32,7 +32,7 @@ def n_lines(folder=CUBES):
 
 
 def until_some_are_done(running):
-    wait_until(lambda: n_lines() > 30 or running.poll() is not None, 60)
+    until(lambda: n_lines() > 30 or running.poll() is not None, 60)
     assert running.poll() is None, running.communicate()
 
 
@@ -80,7 +80,7 @@ def test_a_killed_sweep_continues_and_leaves_no_process(dlgmd, undisturbed):
         assert len(session_of(running.pid)) >= 3
         running.kill()
         running.wait()
-        wait_until(lambda: not session_of(running.pid), 30)
+        until(lambda: not session_of(running.pid), 30)
     with Path(CUBES, "sweep.csv").open("ab") as table:
         table.write(b"2,6,1,-3.")
     assert check_continues(dlgmd, undisturbed, 2) > 6

@@ -206,7 +206,7 @@ def test_results_of_run_and_of_another_version_count(dlgmd, flights, here):
     edit(Path("dlgmd-out/a/loom"), "  dlgmd: ", "  dlgmd: 0.0.1.")
     result = dlgmd("batch", flights, *QUICK)
     first, second, *_ = result.stderr.splitlines()
-    assert first == "1 of 4 videos are done already." and "1 results are from another" in second
+    assert first == "1 of 4 videos are done already." and "kept 1 result of another" in second
     assert summary()["a/loom.avi"]["wall_s"] == ""
 
 
@@ -246,7 +246,7 @@ def test_another_input_of_the_same_name(dlgmd, flights, here):
     assert "dlgmd-out/loom: the result there is of another input" in result.stderr
     shutil.copy2(flights / "a" / "loom.avi", other / "loom.avi")  # the same, at another place
     result = dlgmd("batch", other, *QUICK)
-    assert result.exit_code == 0 and "1 of 1 videos are done already." in result.stderr
+    assert result.exit_code == 0 and "1 of 1 video is done already." in result.stderr
 
 
 def test_a_comparison_of_another_input_is_not_removed_unasked(dlgmd, flights, here):
@@ -428,3 +428,9 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     result = dlgmd("batch", flights, *QUICK, "--force")
     assert result.exit_code == 1 and result.stderr.count("\n") == 1
     assert "summary.csv: cannot be written (No space left on device)" in result.stderr
+
+
+def test_frames_are_counted_as_by_run(dlgmd, clips):
+    alone = dlgmd("run", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "a")
+    many = dlgmd("batch", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "b")
+    assert "7 of 20 at 32x24" in alone.stdout and "done     7 of 20 " in many.stdout

@@ -33,7 +33,7 @@ def test_help_has_sections_and_nothing_of_the_parser(dlgmd):
     """The common options come first in their sections, and types are named by what is wanted."""
     for name in COMMANDS:
         text = dlgmd(name, "--help").stdout
-        assert not re.search(r"RANGE|INTEGER|FLOAT|x<=|<x", text.partition("\n\n")[2]), name
+        assert not re.search(r"RANGE|INTEGER|FLOAT|WXH|x<=|<x", text.partition("\n\n")[2]), name
         titles = re.findall(r"^(Model|Input|Output|General):$", text, re.M)
         order = ["Model", "Input", "Output", "General"]
         assert titles == [title for title in order if title in titles] and "General" in titles

@@ -127,6 +127,62 @@ def test_labels(tmp_path):
     assert labels(configs=(configs[0],), formulations=("released",), no_ffi_gd=True) == ["run"]
 
 
+def test_variants_are_the_model_with_other_parameters(dlgmd, clips, tmp_path):
+    options = ["--set", 9, "--variant", "weak:a=1", "--variant", "strong:a=2,r=4", "--no-plots"]
+    assert dlgmd("compare", clips / "loom.avi", *options).exit_code == 0
+    found = read_comparison("dlgmd-out/loom")
+    assert {label: (one.params.a, one.params.r) for label, one in found.items()} == {
+        "set9": (1.5, 6),
+        "weak": (1.0, 6),
+        "strong": (2.0, 4),
+    }
+    changes = ["--param", "a=2", "--param", "r=4"]
+    assert dlgmd("run", clips / "loom.avi", "--set", 9, *changes, "--no-plots").exit_code == 0
+    alone = csv_rows(tmp_path / "dlgmd-out/loom/mp.csv")
+    assert [row["mp"] for row in rows(tmp_path / "dlgmd-out/loom")["strong"]] == [
+        row["mp"] for row in alone
+    ]
+
+
+def test_labels_name_the_models_in_files_tables_and_figures(dlgmd, clips, monkeypatch, tmp_path):
+    shown = []
+    original = traces.plot
+    monkeypatch.setattr(traces, "plot", lambda *a, **k: shown.append([*a[1]]) or original(*a, **k))
+    options = ["--model", "lgmd", "--set", 9, "--label", "ours", "--label", "old one"]
+    result = dlgmd("compare", clips / "loom.avi", *options)
+    assert result.exit_code == 0 and " old one " in result.stdout
+    assert shown == [["ours", "old one"]] * 2
+    read = read_comparison("dlgmd-out/loom")
+    assert [one.params.model for one in read.values()] == ["dlgmd", "lgmd"]
+    assert list(read) == list(rows(tmp_path / "dlgmd-out/loom")) == ["ours", "old one"]
+    assert dlgmd("plot", "mp", "dlgmd-out/loom").exit_code == 0 and shown[-1] == ["ours", "old one"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--variant weak", "Invalid value for '--variant': 'weak' is not NAME:KEY=VALUE,…."),
+        ("--variant :a=2", "':a=2' is not NAME:KEY=VALUE"),
+        ("--variant w:b", "'--variant': 'b' is not KEY=VALUE. Write r=4."),
+        ("--variant w:sigmae=1", "w: unknown parameter 'sigmae'. Did you mean 'sigma_e'?"),
+        ("--variant w:a=-1", "'--variant': w: a = -1 is not at least 0."),
+        ("--variant w:a=1 --variant w:a=2", "'--variant': 'w' is given twice."),
+        ("--set 3 --set 9 --variant w:a=1", "works with one model, not with 2 (set3, set9)."),
+        ("--set 9 --label a --label b", "--label is given 2 times, for 1 model. Give one for each"),
+        (
+            "--set 9 --model lgmd --no-ffi-gd --label a",
+            "for 3 models. Give one for each, in this order: set9, set9/no-ffi-gd, lgmd.",
+        ),
+        ("--set 3 --set 9 --label a --label a", "'--label': 'a' is given twice."),
+        ("--label=", "'--label': must not be empty."),
+    ],
+)
+def test_wrong_variants_and_labels(dlgmd, clips, options, words):
+    result = dlgmd("compare", clips / "loom.avi", *options.split())
+    assert result.exit_code == 2 and words in result.stderr
+    assert not Path("dlgmd-out").exists()
+
+
 def test_one_decode(dlgmd, clips, monkeypatch):
     counts = Counter()
     original = OpenCVDecoder.picture

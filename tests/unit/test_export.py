@@ -10,7 +10,6 @@ from conftest import looming_frames
 from exported import answers_of_c, answers_of_python, error_of_mp, error_of_place, make, needs_cc
 
 from dlgmd_cli import load_set
-from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
 from dlgmd_cli.models.kernels import connect
@@ -114,8 +113,3 @@ def test_table_of_costs():
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
-
-
-def test_export_needs_parameters_of_the_two_models():
-    with pytest.raises(ParameterError, match="no C version"):
-        Export("set9", 96, 72)

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 
 from dlgmd_cli.plots.film import HEIGHT, WIDTH, Film
 from dlgmd_cli.plots.heat import Scale
-from dlgmd_cli.plots.overlay import mark_centroid
+from dlgmd_cli.plots.overlay import TINT, Overlay, mark_centroid
 from dlgmd_cli.plots.style import BLUE, ORANGE, VERMILION
 
 UNITS = ("luminance", "luminance²")
@@ -115,3 +115,22 @@ def test_a_ring_marks_the_centroid():
     picture = np.full((100, 200, 3), 90, np.uint8)
     mark_centroid(picture, math.nan, math.nan)
     assert (picture == 90).all()
+
+
+@pytest.mark.parametrize("shape", [(270, 480), (480, 270)])
+def test_an_overlay_names_its_marks_and_has_the_mp_as_a_bar(shape):
+    result = make_result()
+    film = Overlay(result, shape, 1.0)
+    shown = {
+        row: film.picture(row, np.full((*shape, 3), 120, np.uint8), None) for row in (0, 9, 22)
+    }
+    heights = {}
+    for row, picture in shown.items():
+        assert is_colour(picture[shape[0] // 2 :], TINT).sum() > 50  # in the legend
+        bar = picture[40 : round(0.8 * shape[0]), shape[1] // 2 :]
+        heights[row] = [is_colour(bar, colour).any(axis=1).sum() for colour in (BLUE, ORANGE)]
+    assert heights[0] == [0, 0]  # undefined
+    whole = 0.6 * shape[0]
+    assert heights[9] == [pytest.approx(0.1 * whole, abs=3), 0]
+    # The tick at the threshold lies on it.
+    assert heights[22] == [0, pytest.approx(0.8 * whole, abs=8)]

@@ -215,4 +215,13 @@ def test_several_inputs(dlgmd, clips, pictures, tmp_path):
     first, failed, last = json.loads(result.stdout)["inputs"]
     assert first["frames"] == 20 and last["frames"] == 12
     assert "no frame could be decoded" in failed["error"]
-    assert "1 of 3 inputs failed, 2 were read." in result.stderr
+    assert "1 of 3 inputs failed." in result.stderr
+
+
+def test_a_turned_video_is_said_to_be_turned(dlgmd, clips, monkeypatch):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    assert "rotation" not in dlgmd("info", clips / "loom.mp4").stdout
+    monkeypatch.setattr("dlgmd_cli.video.pyav._rotation_deg", lambda frame: 270)
+    shown = dlgmd("info", clips / "loom.mp4").stdout
+    assert "90° clockwise, as the file asks" in shown and "24x32" in shown
+    assert facts_of(dlgmd, clips / "loom.mp4")["turned_deg"] == 90

@@ -13,7 +13,7 @@ import dlgmd_cli
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors", "cancel", "files", "names", "threads"},
+    {"errors", "cancel", "files", "names", "threads", "words"},
     {"checks", "plain_yaml", "frame"},
     {"keys"},
     {"parameters", "pool"},

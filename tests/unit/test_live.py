@@ -11,21 +11,21 @@ import time
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
-from conftest import looming_frames, write_video
+from conftest import looming_frames, until, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_result
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.live import outputs
 from dlgmd_cli.live.recording import Recording
-from dlgmd_cli.live.watch import Answer, Events, Sight, Statistics, answers
+from dlgmd_cli.live.watch import Answer, Events, Sight, Statistics, answers, utc_text
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.names import without_password
 from dlgmd_cli.results import csv
@@ -45,14 +45,6 @@ UNDEFINED = Alarm().step(np.zeros((9, 9), np.uint8))
 @pytest.fixture(autouse=True)
 def unstopped(stop):
     """The stop flag is clear, before and after."""
-
-
-def until(condition):
-    """Wait for something that happens in another thread."""
-    end = time.monotonic() + SOON_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def source_of(shots, options=None, **more):
@@ -264,6 +256,9 @@ def test_crop_and_mask(tmp_path, caplog):
     with played([picture], options) as source:
         assert (source.sample(SOON_S) == 200).all() and source.size_wh == (20, 20)
         assert source.hidden().sum() == 200 and source.hidden()[:10].all()
+    alarm = Alarm()
+    answered(played([picture], options), alarm)
+    assert alarm.model.n_cells == 200
     with played([picture, picture[:40]], options, tries_again=True) as source:
         source.sample(SOON_S)
         source.begin()
@@ -421,6 +416,23 @@ def test_a_file_that_decodes_too_slowly_plays_slower(monkeypatch, caplog):
     assert len(caplog.messages) == 1 and "plays slower" in caplog.text
 
 
+def test_a_file_that_loops_goes_on_after_a_gap(tmp_path):
+    frames = looming_frames(5, width=64, height=48)
+    write_video(tmp_path / "a.avi", frames, fps=25.0)
+    video = InputOptions(repeats="keep").open(tmp_path / "a.avi")
+    shots = list(islice(live.shots_at_their_pace(lambda: video, loops=True), 12))
+    video.close()
+    assert [one.index for one in shots] == list(range(12))
+    lap_s = 4 / 25 + live.SEAM_S
+    times = [number // 5 * lap_s + number % 5 / 25 for number in range(12)]
+    assert [one.time_s for one in shots] == pytest.approx(times)
+    # In true time, too; and what the model then sees is what it saw at first.
+    assert shots[-1].captured_s - shots[0].captured_s == pytest.approx(times[-1], abs=0.2)
+    alarm = Alarm(load_set(9), resize=False, repeats="keep")
+    found = [alarm.step(live.to_grey(one.image, (64, 48)), one.time_s).mp for one in shots]
+    np.testing.assert_array_equal(found[5:10], found[:5])
+
+
 @pytest.mark.parametrize(
     ("source", "more", "why"),
     [
@@ -495,6 +507,7 @@ def test_events_are_the_onsets_of_a_result():
 def test_answers_are_those_of_the_alarm():
     frames = looming_frames(n_frames=30, width=64, height=48)
     expected = Alarm(load_set(3))
+    began_s = time.time()
     found, _ = answered(played(frames), Alarm(load_set(3)))
     assert len(found) == 31 and found[-2].detection.alarm
     for number, (one, frame) in enumerate(zip(found, frames, strict=False)):
@@ -511,10 +524,18 @@ def test_answers_are_those_of_the_alarm():
     assert (end["side"], end["duration_s"]) == ("ahead", 0.0)
     assert end["peak_mp_abs"] == facts["mp_abs"]
     assert list(facts) == [
-        *("frame", "time_s", "mp", "mp_abs", "spike", "alarm", "g_x", "g_y", "latency_ms")
+        *("frame", "time_s", "utc", "mp", "mp_abs", "spike", "alarm", "g_x", "g_y", "latency_ms")
     ]
     assert facts["frame"] == 29 and facts["alarm"] is True and abs(facts["g_x"]) < 0.1
     assert json.loads(found[0].to_json())["mp"] is None  # and not NaN
+    # When the frame came: so long before the answer.
+    answered_s = [one.utc_s + one.latency_ms / 1e3 for one in found] + [last.utc_s, time.time()]
+    assert began_s < answered_s[0] and answered_s == sorted(answered_s)
+    assert facts["utc"] == utc_text(found[-1].utc_s)
+
+
+def test_utc_is_iso_8601():
+    assert utc_text(1_777_627_800.125) == "2026-05-01T09:30:00.125Z"
 
 
 NOISE = np.random.default_rng(3).integers(0, 255, (90, 30, 40), np.uint8)
@@ -591,17 +612,6 @@ def test_a_source_that_cannot_be_opened_yet_is_blind():
     assert events == [("blind", "lost", None), ("sees", "", None)]
     (line,) = sight.warnings()
     assert line.startswith("blind 1 time, 0.") and "lost" in line
-
-
-def test_the_alarm_ignores_what_the_mask_hides():
-    frames = looming_frames(n_frames=30, width=64, height=48)
-    hidden = np.zeros((48, 64), bool)
-    hidden[10:38, 15:49] = True
-    alarm = Alarm()
-    alarm.ignore(hidden)
-    # What still grows beyond the mask at the end is seen.
-    assert not any(alarm.step(frame, t / 30).alarm for t, frame in enumerate(frames[:28]))
-    assert alarm.model.n_cells == 48 * 64 - 28 * 34
 
 
 def test_statistics():
@@ -738,7 +748,7 @@ def test_a_program_gets_the_event_in_its_environment(tmp_path, caplog):
     found = dict(eval(file.read_text()))
     assert (found["DLGMD_EVENT"], found["DLGMD_FRAME"]) == ("begin", "7")
     wait_for(start)
-    assert found["DLGMD_ALARM"] == "True" and found["DLGMD_G_X"] == "" and not caplog.messages
+    assert found["DLGMD_ALARM"] == "true" and found["DLGMD_G_X"] == "" and not caplog.messages
 
 
 def test_programs_that_hang_or_fail(caplog):
@@ -833,7 +843,7 @@ def test_a_recording_is_a_result_at_every_moment(tmp_path):
         values = [getattr(one, name) for one in expected]
         np.testing.assert_allclose(getattr(result, name), values, rtol=1e-8)
     assert result.alarms.tolist() == [one.alarm for one in expected] and result.alarms.any()
-    stored = yaml.safe_load((tmp_path / "r/run.yaml").read_text())["summary"]
+    stored = yaml_of(tmp_path / "r/run.yaml")["summary"]
     assert stored.pop("first_alarm_side") == result.summary.pop("first_alarm_side") == "ahead"
     assert stored == pytest.approx(result.summary, rel=1e-8)
     columns = np.genfromtxt(tmp_path / "r/mp.csv", delimiter=",", names=True)

@@ -1,7 +1,10 @@
 """What users stumble over: one line each says what is wrong and what to do."""
 
 import json
+import logging
 import os
+import re
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +47,51 @@ def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
     lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
     assert any("32x24, 25 frames a second, decoded by pyav" in line for line in lines)
     assert any("sigma_e = 1.5" in line for line in lines)
+
+
+def test_quiet_leaves_results_and_errors(dlgmd, clips):
+    whole = (clips / "loom.avi").read_bytes()
+    Path("cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    warned = dlgmd("run", "cut.avi", "--no-plots", "-v")
+    assert "Warning: " in warned.stderr and "Model: " in warned.stderr
+    quiet = dlgmd("run", "cut.avi", "--no-plots", "-q", "--overwrite")
+    assert quiet.stderr == "" and quiet.stdout == warned.stdout
+    assert "already exists" in dlgmd("run", "cut.avi", "-q").stderr
+
+
+def test_a_log_has_everything_with_times(dlgmd, clips):
+    whole = (clips / "loom.avi").read_bytes()
+    Path("cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    run = ["run", "cut.avi", "--no-plots", "-q", "--log", "a.log"]
+    assert dlgmd(*run).exit_code == 0 and dlgmd(*run).exit_code == 2
+    lines = Path("a.log").read_text().splitlines()
+    assert all(
+        re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ dlgmd_cli", one) for one in lines
+    )
+    for level, words in (
+        ("DEBUG", "Model: dlgmd-contrast"),
+        ("WARNING", "cut.avi: "),
+        ("ERROR", "a result already exists here"),
+    ):
+        assert any(f" {level} " in line and words in line for line in lines), level
+    assert not logging.getLogger("dlgmd_cli").handlers[1:]
+
+
+def test_details_of_a_batch_and_of_live(dlgmd, clips):
+    common = ["--no-plots", "--jobs", 1, "-v"]
+    done = dlgmd("batch", clips / "loom.avi", "--set", 9, "--model", "lgmd", *common)
+    for label in ("set9", "lgmd"):
+        assert re.search(rf"loom.avi, {label}: done, \d+\.\d+ s\.", done.stderr)
+    live = ["live", clips / "loom.avi", "--realtime", "--param", "t_mp=0.01", "--param", "n_sp=1"]
+    assert '"event": "begin"' in dlgmd(*live, "-v").stderr
+
+
+def test_a_log_that_cannot_be_written(dlgmd, clips):
+    result = dlgmd("--log", "no/a.log", "run", clips / "loom.avi")
+    assert result.exit_code == 1
+    assert (
+        result.stderr == "Error: --log: no/a.log: cannot be written (No such file or directory).\n"
+    )
 
 
 def test_sweep_json(dlgmd):

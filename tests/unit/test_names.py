@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dlgmd_cli.names import distinct_names, numbered, recorded_name
+from dlgmd_cli.names import distinct_names, input_name, numbered, recorded_name
 
 
 @pytest.mark.parametrize(
@@ -18,6 +18,7 @@ from dlgmd_cli.names import distinct_names, numbered, recorded_name
 )
 def test_pictures_are_called_as_their_folder(path, name):
     assert recorded_name({"path": path, "pictures": 8}) == name
+    assert input_name(Path("."), are_pictures=True) == Path.cwd().name
 
 
 def test_a_file_is_called_by_its_stem():

@@ -186,12 +186,27 @@ def test_a_comparison_has_labels_of_its_own(dlgmd, drawn):
         assert result.stdout.strip() == os.path.join("dlgmd-out", f"{file}.png")
 
 
+def test_a_tree_stands_for_its_results(dlgmd, drawn):
+    make_run("out/set9/a"), make_run("out/set9/day/b")
+    Path("out/set9/summary.csv").write_text("video\n")
+    for paths, names, file in (
+        (["out/set9"], ["a", "b"], "mp-set9"),
+        (["out"], ["a", "b"], "mp-out"),
+        (["out/set9/summary.csv"], ["a", "b"], "mp-set9"),
+        # What a shell makes of out/set9/*.
+        (["out/set9/day", "out/set9/a", "out/set9/summary.csv"], ["b", "a"], "mp-day-a-set9"),
+    ):
+        result = dlgmd("plot", "mp", *paths, "--overwrite")
+        assert result.exit_code == 0 and list(drawn[-1][1]) == names
+        assert result.stdout.strip() == os.path.join("dlgmd-out", f"{file}.png")
+
+
 def test_a_run_goes_before_a_comparison_in_the_same_folder(dlgmd, drawn):
     make_run("both"), make_comparison("both")
     result = dlgmd("plot", "mp", "both")
     assert result.exit_code == 0 and list(drawn[-1][1]) == ["both"]
     given = os.path.join("both", "compare.csv")
-    assert result.stderr == f"Drawing the run in both; give {given} for the comparison.\n"
+    assert result.stderr == (f"Note: both holds a run and a comparison; for that, give {given}.\n")
     result = dlgmd("plot", "mp", "both/compare.csv", "--overwrite")
     assert result.exit_code == 0 and list(drawn[-1][1]) == ["set9", "lgmd"]
     assert result.stderr == ""

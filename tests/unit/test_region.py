@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-import yaml
-from conftest import looming_frames, write_video
+from conftest import looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, SourceError
@@ -121,7 +120,7 @@ def test_every_command_takes_them(dlgmd, folder, tmp_path):
     n_cells = WIDTH * (HEIGHT - 2 * BAR) - 5 * 16
     result = dlgmd("run", folder / "display", *options, "--no-plots")
     assert result.exit_code == 0, result.output
-    record = yaml.safe_load((tmp_path / "dlgmd-out/display/run.yaml").read_text())
+    record = yaml_of(tmp_path / "dlgmd-out/display/run.yaml")
     assert record["processed"]["cells"] == n_cells
     assert record["options"]["crop"] == CROP
     assert record["options"]["mask"] == str(folder / "cropped.png")
@@ -141,7 +140,7 @@ def test_every_command_takes_them(dlgmd, folder, tmp_path):
     grid = ("--x", "alpha=-0.1", "--y", "t0=1")
     result = dlgmd("sweep", *grid, *options, "--no-plots", folder / "display")
     assert result.exit_code == 0, result.output
-    swept = yaml.safe_load((tmp_path / "dlgmd-out/sweep-display/sweep.yaml").read_text())
+    swept = yaml_of(tmp_path / "dlgmd-out/sweep-display/sweep.yaml")
     assert swept["processed"]["cells"] == n_cells
     result = dlgmd("layers", folder / "display", *options, "--frames", "19", "--npz")
     assert result.exit_code == 0, result.output

@@ -1,13 +1,13 @@
 """Frames that repeat the one before, and gaps in time: what is told apart, and what follows."""
 
-import csv
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import looming_frames, read_video, write_video
+from conftest import csv_rows, looming_frames, read_video, write_video, yaml_of
 
 from dlgmd_cli import Alarm, load_set, read_comparison, read_result, run
 from dlgmd_cli.errors import ParameterError, ResultError
@@ -146,8 +146,7 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
         "78 of 120 frames repeat the one before: the video shows about 10 new pictures"
         in result.stderr
     )
-    with open("dlgmd-out/ten/run.yaml", encoding="utf-8") as file:
-        record = yaml.safe_load(file)
+    record = yaml_of("dlgmd-out/ten/run.yaml")
     assert record["input"]["repeats"] == 78 and record["processed"]["frames"] == 120
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
     assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
@@ -157,11 +156,9 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
     assert np.array_equal(compared.alarms, fresh.alarms)
     again = ["--config", "dlgmd-out/ten/run.yaml", "--no-plots", "--out", "again"]
     assert dlgmd("run", doubled / "ten.avi", *again).exit_code == 0
-    with open("again/ten/run.yaml", encoding="utf-8") as file:
-        assert yaml.safe_load(file) == record
+    assert yaml_of("again/ten/run.yaml") == record
     record["input"]["repeated_rows"] = "nonsense"
-    with open("again/ten/run.yaml", "w", encoding="utf-8") as file:
-        yaml.safe_dump(record, file)
+    Path("again/ten/run.yaml").write_text(yaml.safe_dump(record))
     with pytest.raises(ResultError, match="its repeated_rows are damaged"):
         read_result("again/ten")
 
@@ -176,28 +173,6 @@ def test_every_frame_of_pictures_and_of_the_released_code_is_kept(dlgmd, doubled
     kept = run("pictures", set=7, input_fps=120)
     assert len(kept) == 40 and "repeats" not in kept.record["input"]
     assert run("pictures", set=7, repeats="skip").record["input"]["repeats"] == 19
-
-
-def test_a_gap_in_a_video_gives_no_spike(tmp_path):
-    av = pytest.importorskip("av", reason="PyAV writes a video of variable rate")
-    wide = scene()
-    offsets = [2 * t for t in range(20)] + [300 + 2 * t for t in range(20)]
-    views = [np.uint8(np.clip(wide[:, x : x + SIZE[1]], 0, 255)) for x in offsets]
-    with av.open(str(tmp_path / "gap.mp4"), "w") as file:
-        stream = file.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
-        stream.bit_rate = 4_000_000
-        for t, view in enumerate(views):
-            frame = av.VideoFrame.from_ndarray(view, format="gray")
-            frame.pts = t + 30 * (t >= 20)
-            file.mux(stream.encode(frame))
-        file.mux(stream.encode())
-    write_video(tmp_path / "steady.avi", views, 30)
-    steady = run(tmp_path / "steady.avi", set=3, param={"kappa": 1e-3})
-    gap = run(tmp_path / "gap.mp4", set=3, param={"kappa": 1e-3})
-    assert gap.time_s[20] - gap.time_s[19] == pytest.approx(31 / 30, abs=1e-3)
-    assert steady.spikes[20] and not gap.spikes.any()
-    assert np.flatnonzero(np.isnan(gap.mp)).tolist() == [0, 1, 20, 21]
 
 
 def test_an_alarm_answers_to_a_repeat_as_before():
@@ -228,8 +203,7 @@ def test_layers_and_sweeps_see_what_run_sees(dlgmd, doubled):
     onset = run(doubled / "ten.avi", set=7).summary["first_alarm_frame"]
     grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--no-plots", "--jobs", 1]
     assert dlgmd("sweep", doubled / "ten.avi", *grid).exit_code == 0
-    with open("dlgmd-out/sweep-ten/sweep.csv", encoding="ascii", newline="") as file:
-        (row,) = csv.DictReader(file)
+    (row,) = csv_rows("dlgmd-out/sweep-ten/sweep.csv")
     assert int(row["first_alarm_frame"]) == onset
     options = ["--frames", f"{onset},{onset + 1}", "--set", 7, "--no-plots", "--video", "film.mp4"]
     result = dlgmd("layers", doubled / "ten.avi", *options)

@@ -57,10 +57,18 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
         info = source.info
         assert (info.width, info.height, info.fps) == (WIDTH, HEIGHT, FPS)
         assert info.n_frames == N_FRAMES and info.name and source.size_wh == (WIDTH, HEIGHT)
-        for _ in range(2):  # every iteration starts at the beginning
-            frames = list(source.frames())
-            assert [one.index for one in frames] == list(range(N_FRAMES))
-            assert np.allclose([one.time_s for one in frames], np.arange(N_FRAMES) / FPS)
+        first, frames = list(source), list(source.frames())
+        copies = [one.grey.copy() for one in first]  # every iteration starts at the beginning
+        for each in (first, frames):
+            assert [one.index for one in each] == list(range(N_FRAMES))
+            assert np.allclose([one.time_s for one in each], np.arange(N_FRAMES) / FPS)
+            assert np.array_equal([one.grey for one in each], copies)  # in memory of their own
+            assert not any(map(np.shares_memory, [one.grey for one in each], FRAMES))
+        assert source.progress.n_decoded == N_FRAMES
+        assert source.progress.last_time_s == frames[-1].time_s
+        luminance = frames[-1].luminance
+        assert luminance.dtype == np.float32 and luminance.shape == (HEIGHT, WIDTH)
+        assert 0.0 <= luminance.min() <= luminance.max() <= 1.0
         frame = next(source.frames((16, 12), (8, 6), picture_wh=(20, 15)))
         assert frame.grey.shape == (12, 16) and frame.at((8, 6)).shape == (6, 8)
         assert frame.picture.shape == (15, 20, 3) and frame.picture.dtype == np.uint8

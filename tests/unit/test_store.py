@@ -185,14 +185,6 @@ def test_commands_lock_their_folder(dlgmd, clips, tmp_path, monkeypatch, argumen
     assert "another dlgmd command is writing here" in result.stderr
 
 
-def test_a_killed_synth_is_cleaned_up_by_the_next(dlgmd, tmp_path, monkeypatch):
-    monkeypatch.setitem(SCENES, "quick", Quick())
-    (tmp_path / f"{PREFIX}killed").mkdir()
-    (tmp_path / f"{PREFIX}killed" / "quick.mp4").touch()
-    assert dlgmd("synth", "quick").exit_code == 0
-    assert hidden(tmp_path) == [] and len(os.listdir(tmp_path)) == 3
-
-
 # Records
 
 

@@ -45,27 +45,6 @@ def any_input(request, clips, pictures):
     }[request.param]
 
 
-def test_contract_frames(any_input, decoder):
-    with open_video(any_input, decoder=decoder) as source:
-        frames = list(source)
-        copies = [frame.grey.copy() for frame in frames]
-        assert (source.info.width, source.info.height) == source.size_wh == (WIDTH, HEIGHT)
-        assert [f.index for f in frames] == list(range(len(frames)))
-        assert source.progress.n_decoded == len(frames) == source.info.n_frames
-        times = [f.time_s for f in frames]
-        assert times == pytest.approx(np.arange(len(frames)) / source.info.fps)
-        assert times[-1] == source.progress.last_time_s
-        again = list(source)  # in memory of its own
-    for frame, copy, other in zip(frames, copies, again, strict=True):
-        assert frame.luminance.shape == (HEIGHT, WIDTH)
-        assert frame.luminance.dtype == np.float32
-        assert 0.0 <= frame.luminance.min() <= frame.luminance.max() <= 1.0
-        assert np.array_equal(frame.grey, copy) and np.array_equal(frame.grey, other.grey)
-    assert [f.time_s for f in again] == times
-    # The square has grown: later frames are darker.
-    assert frames[-1].luminance.mean() < frames[0].luminance.mean() - 0.2
-
-
 def test_contract_closing(any_input, decoder):
     source = open_video(any_input, decoder=decoder)
     n_frames = len(list(source))
@@ -77,13 +56,6 @@ def test_contract_closing(any_input, decoder):
         assert list(frames) == []
     assert len(list(source)) == n_frames  # opened again
     source.close()
-
-
-def test_contract_size(any_input, decoder):
-    sizes = [({"size_wh": (15, 11)}, (11, 15)), ({"scale": 0.5}, (HEIGHT // 2, WIDTH // 2))]
-    for option, shape in sizes:
-        with open_video(any_input, decoder=decoder, **option) as source:
-            assert next(iter(source)).luminance.shape == shape
 
 
 def test_contract_selection(any_input, decoder):
@@ -396,24 +368,6 @@ def test_what_is_no_video(tmp_path, content, why, decoder):
 def test_what_is_not_there(tmp_path, path, why):
     with pytest.raises(SourceError, match=why):
         open_video(os.path.join(tmp_path, path))
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFO here")
-@pytest.mark.parametrize("name", ["pipe.mp4", "pipe.npy"])
-def test_a_pipe_is_not_waited_for(tmp_path, name):
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(SourceError, match="is a pipe"):
-        open_video(tmp_path / name)
-
-
-def test_a_name_for_the_results(tmp_path, monkeypatch, clips, pictures, decoder):
-    monkeypatch.chdir(pictures)
-    expected = pictures.name
-    for path in (".", pictures, "%d.png", "*.png", pictures / "?.png"):
-        with open_video(path, decoder=decoder) as source:
-            assert source.info.name == expected
-    with open_video(clips / "loom.avi", decoder=decoder) as source:
-        assert source.info.name == "loom"
 
 
 # Pictures

@@ -9,7 +9,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import HEIGHT, N_FRAMES, WIDTH, looming_frames, make_result, read_video
+from conftest import (
+    HEIGHT,
+    N_FRAMES,
+    WIDTH,
+    csv_rows,
+    looming_frames,
+    make_result,
+    read_video,
+    result_of_level,
+)
+
+from dlgmd_cli.pages.gather import gather
 
 pytest.importorskip("jinja2", reason="pages need Jinja2")
 pytest.importorskip("plotly", reason="pages need Plotly")
@@ -48,6 +59,18 @@ def test_page_of_a_run(dlgmd, clips, tmp_path):
     # Tinted where the square grows, near the end, and as the input was at the beginning.
     tints = [np.ptp(frame.astype(int), axis=2).max() for frame in frames]
     assert tints[1] < 20 and max(tints[-5:]) > 80
+
+
+def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd):
+    make_result(np.arange(9.0)).save("out/a")
+    Path("out/summary.csv").write_text("video,status,error\nb.mp4,failed,no frame\n")
+    assert dlgmd("view", "out/a", "--no-film", "--out", "pages").output.split() == [
+        os.path.join("pages", "view-flight.html")
+    ]
+    made = dlgmd("view", "out/a", "out/summary.csv", "--no-film", "--out", "x.html")
+    assert made.exit_code == 0 and "1 failed video is listed" in made.stderr
+    index = " ".join(Path("x.html").read_text("utf-8").split())
+    assert "<h1>1 video</h1>" in index and "no frame" in index
 
 
 def test_pictures_are_named_after_their_folder(dlgmd, tmp_path):
@@ -115,6 +138,13 @@ def test_a_moved_input_and_another_one(dlgmd, clips, tmp_path):
     assert made.exit_code == 0 and "are not those of the result" in made.stderr
 
 
+def rows_of(index: Path) -> dict:
+    """The attributes `data-…` of each row of an index, by the video's name."""
+    found = re.findall(r"<tr data-key=.*?>", index.read_text("utf-8"), re.S)
+    rows = [dict(re.findall(r'data-([a-z]+)="(.*?)"', one)) for one in found]
+    return {row["name"]: row for row in rows}
+
+
 def test_index_of_a_batch(dlgmd, clips, tmp_path):
     (tmp_path / "in").mkdir()
     for name in ("a.avi", "b%20#.avi"):
@@ -134,6 +164,86 @@ def test_index_of_a_batch(dlgmd, clips, tmp_path):
     assert data_of(tmp_path / "all-pages/b%20#.avi.html")["collisions"] == []
     again = dlgmd("view", "res", "--no-film", "--out", "all.html")
     assert again.exit_code == 2 and "--overwrite" in again.stderr
+
+
+def test_the_pages_of_an_index_share_their_library(dlgmd, clips, tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.avi").write_bytes((clips / "loom.avi").read_bytes())
+        dlgmd("run", f"{name}.avi", "--set", 9, "--no-plots")
+    folder = tmp_path / "all-pages"
+    folder.mkdir()
+    (folder / "plotly-1.0.0.min.js").write_text("// of pages that were made earlier")
+    for more in ((), ("--overwrite",)):
+        made = dlgmd("view", "dlgmd-out", "--no-film", "--out", "all.html", *more)
+        assert made.exit_code == 0, made.output
+        names = sorted(path.name for path in folder.iterdir())
+        assert names[:3] == ["a.avi.html", "b.avi.html", "plotly-1.0.0.min.js"]
+        assert len(names) == 4 and (folder / names[3]).stat().st_size > 1e6
+        page = (folder / "a.avi.html").read_text("utf-8")
+        assert len(page) < 100_000 and f'<script src="{names[3]}"></script>' in page
+        assert len((tmp_path / "all.html").read_text("utf-8")) < 100_000
+    made = dlgmd("view", "dlgmd-out/a", "--no-film", "--out", "one.html")
+    text = (tmp_path / "one.html").read_text("utf-8")
+    assert made.exit_code == 0 and len(text) > 1_000_000 and "<script src=" not in text
+
+
+def test_the_index_counts_hits_as_evaluate_does(dlgmd, tmp_path):
+    def save(name, *alarms):
+        level = np.full(200, 0.1)
+        for start in alarms:
+            level[start : start + 5] = 0.9
+        result = result_of_level(level)
+        result.record["input"] |= {"path": f"/videos/{name}.mp4", "width": 10, "height": 10}
+        result.save(tmp_path / "res" / name)
+
+    save("hit-and-false", 20, 110)  # raised at 21 and 111; 25 frames a second
+    save("early", 70)
+    save("after", 125)
+    save("none")
+    save("unknown", 50)
+    (tmp_path / "res/summary.csv").write_text("video,status\n")
+    labels = ["hit-and-false.mp4,120", "early.mp4,120", "after.mp4,120", "none.mp4,"]
+    (tmp_path / "labels.csv").write_text("\n".join(["video,collision_frame", *labels, ""]))
+    made = dlgmd("view", "res", "--collisions", "labels.csv", "--no-film", "--out", "all.html")
+    assert made.exit_code == 0, made.output
+    rows = rows_of(tmp_path / "all.html")
+    score = {
+        name: [row.get(key) for key in ("hits", "missed", "false")] for name, row in rows.items()
+    }
+    assert score == {
+        "hit-and-false.mp4": ["1", "0", "1"],
+        "early.mp4": ["0", "1", "1"],
+        "after.mp4": ["0", "1", "0"],
+        "none.mp4": ["0", "0", "0"],
+        "unknown.mp4": [None] * 3,
+    }
+    assert [rows["early.mp4"][key] for key in ("alarms", "first")] == ["1", "2.84"]
+    assert '<span class="alarm">2.84 s</span>, peak MP 0.90' in (tmp_path / "all.html").read_text()
+    dlgmd("evaluate", "labels.csv", "--results", "res", "--no-plots", "--out", "scores")
+    told = csv_rows(tmp_path / "scores/evaluate.csv")[0]
+    assert [told[key] for key in ("hits", "collisions", "false_alarms")] == ["1", "3", "2"]
+
+
+@pytest.mark.parametrize(
+    ("folders", "given", "paths", "root"),
+    [
+        (["a"], ["a"], ["a.mp4"], "in"),
+        (["a", "day1/b"], ["."], ["a.mp4", "day1/b.mp4"], "in"),
+        # The folder that the batch searched, though all videos are below another one.
+        (["day1/b", "day1/c"], ["."], ["day1/b.mp4", "day1/c.mp4"], "in"),
+        (["set3/day1/b", "set9/day1/b"], ["."], ["day1/b.mp4"], "in"),
+        (["day1/b", "day2/c"], ["day1/b", "day2/c"], ["day1/b.mp4", "day2/c.mp4"], "in"),
+    ],
+)
+def test_paths_for_labels_start_in_the_folder_of_the_videos(tmp_path, folders, given, paths, root):
+    for folder in folders:
+        result = make_result(np.linspace(1, 2, 8))
+        below = folder.removeprefix("set3/").removeprefix("set9/")
+        result.record["input"]["path"] = f"/far/in/{below}.mp4"
+        result.save(tmp_path / folder)
+    found = gather([tmp_path / one for one in given])
+    assert [one.in_labels for one in found.inputs] == paths
+    assert found.labels_folder == f"/far/{root}" and "far" not in found.inputs[0].key
 
 
 def test_without_the_packages(dlgmd, tmp_path, monkeypatch):

@@ -309,7 +309,7 @@ def _medians(columns: Series) -> Series:
     return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
-def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
+def score(tallies: Sequence[Tally]) -> Scores:
     """The measures over at least one video, tallied at one threshold.
 
     Returns
@@ -344,7 +344,7 @@ def score(tallies: Sequence[Tally], seed: int = 0) -> Scores:
     n_early = sum(int(one.n_early[0]) for one in tallies)
     counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
     found: Scores = dict(zip(COUNTS, counts, strict=True))
-    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
     weights = np.concatenate((np.ones((1, n), np.int64), draws))
     values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
     for name, drawn in values.items():
@@ -421,10 +421,7 @@ def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
 
 
 def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
-    """A percentile of increasing values for each row of `weights`: how often each value counts.
-
-    Interpolates linearly, as NumPy does.
-    """
+    """A percentile of increasing values, as NumPy's, for each row of `weights`, their counts."""
     if not ordered.size:
         return np.full(len(weights), np.nan)
     until = np.cumsum(weights, axis=1)

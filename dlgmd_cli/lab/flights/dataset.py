@@ -20,7 +20,10 @@ RENDERED = "rendered"
 
 @dataclass(frozen=True)
 class FlightSet:
-    """Flights like `like` in its folder; flight i has the seed `like.options.seed` + i."""
+    """Flights like `like` in its folder; flight i has the seed `like.options.seed` + i.
+
+    Their names are that of `like` with a number.
+    """
 
     like: Rendering
     count: int
@@ -37,7 +40,7 @@ class FlightSet:
     def clip(self, number: int) -> Rendering:
         """One of the flights."""
         options = replace(self.like.options, seed=self.like.options.seed + number)
-        name = f"{self.like.scene.name}-{number:0{n_digits(self.count)}d}"
+        name = f"{self.like.name}-{number:0{n_digits(self.count)}d}"
         return replace(self.like, options=options, name=name)
 
     def present(self) -> dict[int, Label]:

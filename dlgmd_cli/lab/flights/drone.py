@@ -189,10 +189,7 @@ def _simulated(
 
 
 def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
-    """Disturbances at each step: Ornstein-Uhlenbeck processes, stationary from the start.
-
-    A longer flight begins with the same disturbances as a shorter one.
-    """
+    """Disturbances at each step: Ornstein-Uhlenbeck processes, the same in longer flights."""
     if strength == 0.0:
         return [(0.0,) * len(_DISTURBANCES)] * n_steps
     normal = np.random.default_rng(seed).standard_normal((n_steps, len(_DISTURBANCES)))
@@ -210,11 +207,9 @@ def _gusts(n_steps: int, seed: int, strength: float) -> list[_Gust]:
 
 @dataclass(slots=True)
 class _Drone:
-    """Position and velocity in the world, attitude, and thrust per mass; m, rad and s.
+    """Position and velocity in the world, attitude, and thrust per mass; m, rad and s."""
 
-    Plain floats are fastest, since the simulation takes thousands of small steps.
-    """
-
+    # Plain floats are fastest, since the simulation takes thousands of small steps.
     x: float
     y: float
     z: float
@@ -316,10 +311,7 @@ def _after_contact(
 
 
 class _EasedAngle:
-    """An angle that follows its setpoint with limited rate and acceleration.
-
-    Near the setpoint the approach is exponential. Farther away, it is as fast as braking allows.
-    """
+    """An angle that follows its setpoint with limited rate and acceleration."""
 
     def __init__(self, angle: float) -> None:
         self._angle, self._rate = angle, 0.0
@@ -328,6 +320,7 @@ class _EasedAngle:
         """The angle after one time step, in rad."""
         to_go = goal - self._angle
         gap, near = abs(to_go), _LEAN_RAD_S2 * _EASE_S**2
+        # Near the setpoint exponential, farther away as fast as braking allows.
         fast = gap / _EASE_S if gap < near else math.sqrt(2.0 * _LEAN_RAD_S2 * (gap - near / 2.0))
         rate = math.copysign(min(fast, _LEAN_RAD_S), to_go)
         self._rate = _rate_limited(self._rate, rate, _LEAN_RAD_S2)
@@ -341,10 +334,7 @@ def _rate_limited(value: float, goal: float, rate: float) -> float:
 
 
 class _Pilot:
-    """The autopilot.
-
-    When holding a position, it holds the initially given one, (x, y), or else where it stopped.
-    """
+    """The autopilot; it holds the initially given position, (x, y), or else where it stopped."""
 
     def __init__(
         self, drone: _Drone, hold_m: tuple[float, float] | None = None, *, agile: bool

@@ -13,7 +13,7 @@ import yaml
 from dlgmd_cli.lab.flights import textures
 from dlgmd_cli.lab.flights.camera import FloatArray, rotation
 from dlgmd_cli.lab.flights.solids import Body, Capsule, Face, Motion, Solid, Texture, quad
-from dlgmd_cli.lab.flights.textures import Rng, Size
+from dlgmd_cli.lab.flights.textures import Rng
 
 # Visible faces of a box, by the values of `shows`.
 _SHOWN = {
@@ -30,18 +30,6 @@ _MIRRORED = {
 }
 _ABOVE, _BELOW, _LEVEL = 1.0, 0.45, 0.72  # share of the light on faces facing up, down, sideways
 _LAMP_SIDE = np.array([0.1, -0.15, 0.0])
-
-
-@dataclass(frozen=True)
-class Skin:
-    """The texture of a face.
-
-    A picture with a size (width and height, in m) is cut to the face, with its height along the
-    longer side. A picture without a size is stretched to fill the face.
-    """
-
-    texture: Texture
-    size_m: Size | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +65,7 @@ def placement(at_m: Sequence[float], yaw_deg: float = 0.0, scale: float = 1.0) -
 
 
 def block(
-    name: str, where: Placement, corners_m: FloatArray, skins: Mapping[str, Skin], motion: Any
+    name: str, where: Placement, corners_m: FloatArray, skins: Mapping[str, Texture], motion: Any
 ) -> Solid:
     """A box between two corners, (2, 3) in object coordinates, the lower one first.
 
@@ -99,8 +87,8 @@ def block(
     return Solid(name, faces, motion)
 
 
-def _face(where: Placement, covered: Skin, *lines: npt.ArrayLike) -> Face:
-    """A face with a skin, lit by lamps above; `lines` are its origin, right and down."""
+def _face(where: Placement, texture: Texture, *lines: npt.ArrayLike) -> Face:
+    """A face lit by lamps above; `lines` are its origin, right and down."""
     at = where.world(lines[0])
     across, along = (where.axes @ np.asarray(side, float) for side in lines[1:])
     width, height = float(np.linalg.norm(across)), float(np.linalg.norm(along))
@@ -108,15 +96,16 @@ def _face(where: Placement, covered: Skin, *lines: npt.ArrayLike) -> Face:
     up = normal[2] ** 2
     most = _ABOVE if normal[2] > 0 else _BELOW
     gain = min(1.0, float((1.0 - up) * _LEVEL + up * most + _LAMP_SIDE @ normal))
-    face = quad(at, across, along, covered.texture, gain)
-    if covered.size_m is None:
+    face = quad(at, across, along, texture, gain)
+    if texture.size_m is None:
         return face
+    # The picture is cut, with its height along the longer side.
     if width > height:
         at, across, along = at + along, -along, across
         width, height = height, width
-    across = across * max(1.0, covered.size_m[0] / width)
-    along = along * max(1.0, covered.size_m[1] / height)
-    return Face(face.corners_m, covered.texture, at, across, along, gain)
+    across = across * max(1.0, texture.size_m[0] / width)
+    along = along * max(1.0, texture.size_m[1] / height)
+    return Face(face.corners_m, texture, at, across, along, gain)
 
 
 @cache
@@ -125,24 +114,21 @@ def catalogue() -> dict[str, dict[str, Any]]:
     return yaml.safe_load(Path(__file__).with_name("furniture.yaml").read_text("utf-8"))
 
 
-def furniture(name: str, rng: Rng, where: Placement, *, motion: Motion | None = None) -> list[Body]:
-    """The bodies of one piece of the catalogue, which do not intersect.
-
-    Each has the name of its piece, and all share `motion`.
-    """
-    piece = catalogue()["pieces"][name]
-    return _parts(piece, piece.get("name", name), rng, where, motion)
-
-
-def furniture_at_wall(name: str, rng: Rng, where: Placement) -> list[Body]:
-    """The bodies of an `at_walls` entry; `where` is at the foot of the wall."""
-    return _parts(catalogue()["at_walls"][name], name, rng, where)
-
-
-def _parts(
-    entry: Mapping[str, Any], name: str, rng: Rng, where: Placement, motion: Motion | None = None
+def furniture(
+    name: str,
+    rng: Rng,
+    where: Placement,
+    *,
+    motion: Motion | None = None,
+    group: str = "pieces",
 ) -> list[Body]:
-    """The bodies of a catalogue entry, in its order."""
+    """The bodies of one entry of the catalogue, in its order, which do not intersect.
+
+    Each has the name of its piece, and all share `motion`. Of the group `at_walls`, `where` is at
+    the foot of the wall.
+    """
+    entry = catalogue()[group][name]
+    name = entry.get("name", name)
     tones = {name: _number(spec, {}, rng) for name, spec in entry.get("tones", {}).items()}
     # A skin without a size takes that of the panel it is on.
     sizes = {part["skin"]: part["panel"] for part in entry["parts"] if "panel" in part}
@@ -161,10 +147,9 @@ def _parts(
             bodies.append(Solid(name, [_face(at, skins[part["skin"]], *lines)], motion))
         elif "capsule" in part:
             *ends, radius = part["capsule"]
-            texture = skins[part["skin"]].texture
             middles = at.world(np.reshape(ends, (2, 3)))
             thick = float(np.linalg.norm(at.axes[:, 0])) * radius
-            bodies.append(Capsule(name, middles, thick, texture, 0.85, motion))
+            bodies.append(Capsule(name, middles, thick, skins[part["skin"]], 0.85, motion))
         else:
             shown = _SHOWN[part.get("shows", "all")]
             sides = {side: skins[part.get(side, part["skin"])] for side in shown}
@@ -177,15 +162,15 @@ def _parts(
     return bodies
 
 
-def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Skin:
+def _skin(spec: Mapping[str, Any], tones: Mapping[str, float], rng: Rng) -> Texture:
     """A skin of the catalogue with random details."""
     if "plain" in spec:
-        return Skin(Texture(_number(spec["plain"], tones, rng)))
+        return Texture(_number(spec["plain"], tones, rng))
     size = tuple(spec["size_m"])
     looks = {"tone": _number(spec["tone"], tones, rng)} if "tone" in spec else {}
     draw = getattr(textures, spec.get("cut") or spec["fill"])
-    texture = Texture(draw(rng, size, spec["px_per_m"], **looks))
-    return Skin(texture, size if "cut" in spec else None)
+    image = draw(rng, size, spec["px_per_m"], **looks)
+    return Texture(image, size if "cut" in spec else None)
 
 
 def _number(spec: Any, tones: Mapping[str, float], rng: Rng) -> float:

@@ -148,11 +148,7 @@ class Renderer:
 def _paint(
     bodies: Sequence[Sequence[Outline]], camera: Camera, rows: tuple[int, int]
 ) -> FloatImage:
-    """Paint some rows of a picture of bodies, given farthest first: (h, W) float32.
-
-    All outlines of a body are blended with the picture before that body, so that shared edges come
-    out right. Empty pixels are 0.
-    """
+    """Paint some rows of a picture of bodies, given farthest first: (h, W) float32."""
     height, width = camera.shape
     picture: FloatImage = np.zeros((height, width), np.float32)
     every = [outline for outlines in bodies for outline in outlines]
@@ -160,6 +156,7 @@ def _paint(
     first = 0
     for outlines in filter(None, bodies):
         left, top, right, bottom = _window(outlines, width, rows)
+        # All outlines of a body are blended with this, so that shared edges come out right.
         before = picture[top:bottom, left:right].copy()
         for index, outline in enumerate(outlines, first):
             for window in _bands(_window([outline], width, rows)):

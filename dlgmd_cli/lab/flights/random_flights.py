@@ -297,10 +297,7 @@ def _draw_things(rng: Rng, path: Path, manner: Manner, size_m: tuple[float, floa
 
 
 def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, float]) -> list[Body]:
-    """People who walk past, each in a straight line; they stop at x and |y| of `ends_m`.
-
-    Those who would come too near are left out.
-    """
+    """People who walk past in straight lines, not too near; they stop at x and |y| of `ends_m`."""
     found: list[Body] = []
     most = np.array(ends_m) - _OFF_WALL_M
     least = np.array([2.0 * _OFF_WALL_M, -most[1]])
@@ -317,21 +314,17 @@ def _draw_people(rng: Rng, path: Path, manner: Manner, ends_m: tuple[float, floa
         with np.errstate(divide="ignore"):
             times = np.sort([(least - at) / way, (most - at) / way], axis=0)
         first, last = float(times[0].max()), float(times[1].min())
-
-        def motion(
-            now_s: float,
-            way: Any = way,
-            span: tuple[float, float] = (time_s + first, time_s + last),
-            met_s: float = time_s,
-        ) -> tuple[float, float, float]:
-            walked_s = min(max(now_s, span[0]), span[1]) - met_s
-            return way[0] * walked_s, way[1] * walked_s, 0.0
-
+        motion = partial(_walked, (*way, 0.0), time_s, (time_s + first, time_s + last))
         scale = rng.uniform(0.9, 1.05)
         where = placement(at.tolist(), math.degrees(angle), scale)
         person = furniture("person", rng, where, motion=motion)
         found += person if _is_clear(path, person, manner) else []
     return found
+
+
+def _walked(way: Any, met_s: float, span: tuple[float, float], now_s: float) -> Any:
+    """Displacement, (3,) in m, of a person who walks only within a span of time."""
+    return np.array(way) * (min(max(now_s, span[0]), span[1]) - met_s)
 
 
 def _is_clear(path: Path, bodies: Sequence[Body], manner: Manner) -> bool:

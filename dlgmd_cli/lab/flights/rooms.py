@@ -14,7 +14,7 @@ import numpy as np
 
 from dlgmd_cli.lab.flights import textures
 from dlgmd_cli.lab.flights.camera import FloatArray, FloatImage
-from dlgmd_cli.lab.flights.furniture import catalogue, furniture_at_wall, placement
+from dlgmd_cli.lab.flights.furniture import catalogue, furniture, placement
 from dlgmd_cli.lab.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
 from dlgmd_cli.lab.flights.textures import Rng, reflectance
 
@@ -171,7 +171,7 @@ def shadow_on(wall: Face, texture: Shade, *, up: float, speed_m_s: float, phase:
         Phase of the sine, in rad.
     """
     lines, whole = np.array([wall.right_m, wall.down_m]), np.array(wall.size_m)
-    own = np.minimum(texture.size_m, whole)
+    own = np.minimum(texture.size_m or wall.size_m, whole)
     units, free = lines / whole[:, None], whole - own
     corner = wall.origin_m + up * free[1] * units[1] + _OFF_WALL_M * wall.normal
     right, down = own[:, None] * units
@@ -226,7 +226,7 @@ class Furnishing:
                 # Creating furniture is slow, since its textures are drawn: first check the space.
                 where = placement(*at_wall(self.size_m, side, middle, 0.0))
                 if self._is_free(self._ground(side, middle, half, deep / 2)) and self.add(
-                    furniture_at_wall(name, rng, where)
+                    furniture(name, rng, where, group="at_walls")
                 ):
                     at = middle + half + rng.uniform(*gap_m)
                     break

@@ -20,15 +20,7 @@ from dlgmd_cli.lab.flights.path import Stage
 from dlgmd_cli.lab.flights.random_flights import random_flight
 from dlgmd_cli.lab.flights.stages import named_flight
 from dlgmd_cli.lab.flights.truth import FlightTruth, ImageSpeed, truth_rows
-from dlgmd_cli.lab.stimuli.base import (
-    MAX_FRAMES,
-    ClipOptions,
-    GreyImage,
-    Scene,
-    invalid,
-    option,
-    switch,
-)
+from dlgmd_cli.lab.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
 from dlgmd_cli.lab.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
@@ -57,7 +49,7 @@ class FlightOptions(ClipOptions):
     shot_noise: float = option(0.01, "--shot-noise", 0, 1)
     gamma: float = option(2.2, "--gamma", 1, 4)
     rolling_shutter_ms: float = option(0.0, "--rolling-shutter", 0, 1000, unit="ms")
-    agile: bool | None = switch(None, "--agile")
+    agile: bool | None = option(None, "--agile", kind=bool)
 
     def __post_init__(self) -> None:
         super().__post_init__()

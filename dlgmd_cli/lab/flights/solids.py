@@ -38,11 +38,13 @@ _HALF_S = 1e-4
 class Texture:
     """Reflectance over a rectangle, (h, w) float32 in 0..1, linear in light.
 
-    A single number is a plain colour.
+    A single number is a plain colour. A picture with a size (width and height, in m) is cut to a
+    face, see `furniture`; one without is stretched to fill it.
     """
 
-    def __init__(self, image: npt.ArrayLike) -> None:
+    def __init__(self, image: npt.ArrayLike, size_m: tuple[float, float] | None = None) -> None:
         self.image: FloatImage = np.ascontiguousarray(np.atleast_2d(image), np.float32)
+        self.size_m = size_m
 
     @cached_property
     def mean(self) -> float:
@@ -66,14 +68,7 @@ class Texture:
 
 
 class Shade(Texture):
-    """A shadow: the share of the light that passes, (h, w) float32 in 0..1, over `size_m`.
-
-    What lies behind it is multiplied by it.
-    """
-
-    def __init__(self, image: npt.ArrayLike, size_m: tuple[float, float]) -> None:
-        super().__init__(image)
-        self.size_m = size_m
+    """A shadow: the share of the light that passes; what lies behind it is multiplied by it."""
 
 
 @dataclass(frozen=True)

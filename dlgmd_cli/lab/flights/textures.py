@@ -105,12 +105,12 @@ def reflectance(image: npt.ArrayLike) -> FloatImage:
     return np.clip(image, DARKEST, BRIGHTEST, dtype=np.float32)
 
 
-def grain(rng: Rng, shape: tuple[int, int], blur_px: float = 1.0) -> FloatImage:
+def grain(rng: Rng, shape: tuple[int, int]) -> FloatImage:
     """Fine noise of standard deviation 1, with an inconspicuous period of 256 px."""
     tile = rng.standard_normal((_GRAIN_PX, _GRAIN_PX), np.float32)
     rim = 16
     wide = cv2.copyMakeBorder(tile, rim, rim, rim, rim, cv2.BORDER_WRAP)
-    soft = np.asarray(cv2.GaussianBlur(wide, (0, 0), blur_px), np.float32)[rim:-rim, rim:-rim]
+    soft = np.asarray(cv2.GaussianBlur(wide, (0, 0), 1.0), np.float32)[rim:-rim, rim:-rim]
     tile = (soft - soft.mean()) / soft.std()
     times = tuple(-(-side // _GRAIN_PX) for side in shape)
     return np.tile(tile, times)[: shape[0], : shape[1]]

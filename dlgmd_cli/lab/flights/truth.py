@@ -1,7 +1,7 @@
 """The ground truth of a flight: distances, angular sizes, image speed, and the first contact."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,21 +132,18 @@ class Nearest:
         return np.maximum(lengths - self.surfaces.radii_m, 0.0)
 
 
-def surroundings(world: World, names: Collection[str] | None = None) -> Nearest:
-    """Distances to everything in a world, or only to the bodies and the room with certain names."""
-    bodies = [body for body in world.bodies if names is None or body.name in names]
-    return Nearest(bodies, world.room.faces if names is None or world.room.name in names else ())
+def surroundings(world: World) -> Nearest:
+    """Distances to everything in a world."""
+    return Nearest(world.bodies, world.room.faces)
 
 
-def first_contact(
-    path: Path, world: World, target_names: Collection[str] | None = None
-) -> float | None:
+def first_contact(path: Path, world: World) -> float | None:
     """Time, in s, when something first comes within `REACH_M` of the camera, or None.
 
     Whatever is that close at the start, such as the floor under the drone, counts only after it
-    has been farther away. For the names see `surroundings`.
+    has been farther away.
     """
-    nearest = surroundings(world, target_names)
+    nearest = surroundings(world)
 
     def distances(time_s: float) -> FloatArray:
         return nearest.distances(path.state(time_s).position_m, time_s)

@@ -84,10 +84,7 @@ def _clip_near(seen: FloatArray) -> FloatArray:
 
 
 def _outline_round(body: Capsule, camera: Camera, pose: Pose) -> Outline | None:
-    """The outline of a capsule: the convex hull of the outlines of its end balls.
-
-    The texture is aligned with the capsule and faces the camera.
-    """
+    """The outline of a capsule; its texture is aligned with it and faces the camera."""
     ends = camera.view(body.ends_m, pose)
     along = ends[1] - ends[0]
     square = float(along @ along)

@@ -100,10 +100,7 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
 def _draw(
     lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: Width
 ) -> tuple[Figure, dict[str, Any], Entries]:
-    """Draw steps in one panel, or, if there are many, in a panel each, with the others in grey.
-
-    Returns the figure, the line of each label, and the entries of the legend.
-    """
+    """Steps in one panel, or, if many, in a panel each: figure, line of each label, legend."""
     is_split = len(lines) > MAX_TOGETHER
     per_row = _PER_ROW[width] if is_split else 1
     n_rows = -(-len(lines) // per_row) if is_split else 1

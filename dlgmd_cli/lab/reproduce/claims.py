@@ -119,9 +119,9 @@ class Finding:
         return bool(_HOLDS[self.claim.holds][0](value, self.claim.threshold))
 
 
-def load_claims(path: Path = CLAIMS) -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
+def load_claims() -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
     """The exhibits by id, in the order of the file, and the lists of remarks on the whole."""
-    document = yaml.safe_load(path.read_text("utf-8"))
+    document = yaml.safe_load(CLAIMS.read_text("utf-8"))
     specs = {}
     for name, spec in document["exhibits"].items():
         claims = {key: Claim(key, **each) for key, each in spec.pop("claims").items()}

@@ -51,6 +51,8 @@ APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
 T_MP = 0.4
 # Phases in which a model must be silent.
 _BEFORE = ("pitch", "accelerate")
+# Measures a model, given by its label, in one flight.
+Measure = Callable[[ClipResults, str], float]
 # Group 2 is that of Fig. 14, with its brakes at the paper's frame.
 _SCENES = {1: "group1", 2: LATE, 3: "group3", 4: "group4", 5: "group5"}
 
@@ -60,13 +62,12 @@ def _clips(plan: Plan, group: int) -> list[Clip]:
     return [Clip.of(_SCENES[group], size=plan.flight_size, seed=seed) for seed in plan.seeds]
 
 
-def sustained(level: Series, first: int, last: int, n_frames: int = 2) -> float:
-    """The greatest level that `n_frames` successive frames reach, from `first` to `last`.
+def sustained(level: Series, first: int, last: int) -> float:
+    """The greatest level that two successive frames reach, from `first` to `last`.
 
     There is an alarm if this reaches the threshold: an alarm needs as many successive spikes.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(level[first : last + 1], n_frames)
-    return float(windows.min(axis=1).max())
+    return float(np.minimum(level[first:last], level[first + 1 : last + 1]).max())
 
 
 def phase(flight: ClipResults, name: str) -> tuple[int, int]:
@@ -84,8 +85,22 @@ def level_in(flight: ClipResults, label: str, *parts: str) -> float:
     return max(sustained(shown, *phase(flight, part)) for part in parts)
 
 
-def _of_set9(measure: Callable[[str], list[float]]) -> dict[str, list[float]]:
-    return by_version(lambda v: measure(f"set9/{v}"))
+def before(flight: ClipResults, label: str) -> float:
+    """The level in the phases before the approach."""
+    return level_in(flight, label, *_BEFORE)
+
+
+def contact(flight: ClipResults, label: str) -> float:
+    """The level in the window to contact."""
+    return level_in(flight, label, "contact")
+
+
+def _of_set9(flights: list[ClipResults], measure: Measure) -> dict[str, list[float]]:
+    return by_version(lambda v: [measure(flight, f"set9/{v}") for flight in flights])
+
+
+def _of_other(flights: list[ClipResults], measure: Measure, label: str) -> dict[str, list[float]]:
+    return {ANY: [measure(flight, label) for flight in flights]}
 
 
 def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
@@ -148,57 +163,39 @@ def fig13(plan: Plan) -> Steps:
     values, panels = {}, []
     for group in (1, 2):
         flights = [data[clip] for clip in _clips(plan, group)]
-
-        def before(label: str, flights: list[ClipResults] = flights) -> list[float]:
-            return [level_in(flight, label, *_BEFORE) for flight in flights]
-
-        values[f"fig13-silent-group{group}"] = _of_set9(before)
+        values[f"fig13-silent-group{group}"] = _of_set9(flights, before)
         others = {"lgmd": SIGMOID, "lgmd-raw": "lgmd", "emd": "emd-lgmd"}
         for name, label in others.items():
-            values[f"fig13-{name}-group{group}"] = {ANY: before(label)}
+            values[f"fig13-{name}-group{group}"] = _of_other(flights, before, label)
         labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
         panels.append(_levels(f"Group {group}", flights[0], labels))
     flights = [data[clip] for clip in _clips(plan, 1)]
 
-    def near(label: str) -> list[float]:
+    def near(flight: ClipResults, label: str) -> float:
         """The share of the sum of K up to contact that falls in the last frames before it."""
-        found = []
-        for flight in flights:
-            first, end = phase(flight, "contact")
-            mp = np.nan_to_num(flight.results[label].mp[: end + 1])
-            found.append(float(mp[first:].sum() / mp.sum()) if mp.any() else math.nan)
-        return found
+        first, end = phase(flight, "contact")
+        mp = np.nan_to_num(flight.results[label].mp[: end + 1])
+        return float(mp[first:].sum() / mp.sum()) if mp.any() else math.nan
 
-    def left(label: str) -> list[float]:
+    def left(flight: ClipResults, label: str) -> float:
         """The share that FFI-GD leaves of the frames before the approach with K above 0."""
-        found = []
-        for flight in flights:
-            kept, n = (
-                np.count_nonzero(
-                    flight.results[of].mp[: flight.collision_frame - APPROACH_FRAMES] > 0
-                )
-                for of in (label, f"{label}/raw")
-            )
-            found.append(kept / n if n else math.nan)
-        return found
+        end = flight.collision_frame - APPROACH_FRAMES
+        kept, n = (
+            np.count_nonzero(flight.results[of].mp[:end] > 0) for of in (label, f"{label}/raw")
+        )
+        return kept / n if n else math.nan
 
-    def smoother(label: str) -> list[float]:
-        found = []
-        for flight in flights:
-            kept, raw = (
-                roughness(flight.results[of], flight.collision_frame)
-                for of in (label, f"{label}/raw")
-            )
-            found.append(kept / raw if raw else math.nan)
-        return found
+    def smoother(flight: ClipResults, label: str) -> float:
+        kept, raw = (
+            roughness(flight.results[of], flight.collision_frame) for of in (label, f"{label}/raw")
+        )
+        return kept / raw if raw else math.nan
 
     values |= {
-        "fig13-rises": _of_set9(near),
-        "fig13-ffi-removes": _of_set9(left),
-        "fig13-ffi-smooths": _of_set9(smoother),
-        "fig13-ffi-without": _of_set9(
-            lambda label: [level_in(flight, f"{label}/raw", *_BEFORE) for flight in flights]
-        ),
+        "fig13-rises": _of_set9(flights, near),
+        "fig13-ffi-removes": _of_set9(flights, left),
+        "fig13-ffi-smooths": _of_set9(flights, smoother),
+        "fig13-ffi-without": _of_set9(flights, lambda one, label: before(one, f"{label}/raw")),
     }
     ffi = []
     for v in FEW:
@@ -304,15 +301,7 @@ def _approach(group: int, plan: Plan) -> Steps:
     def peaks(flight: ClipResults, label: str) -> float:
         return small_peaks(level(flight.results, label), flight.collision_frame - APPROACH_FRAMES)
 
-    def contact(flight: ClipResults, label: str) -> float:
-        return level_in(flight, label, "contact")
-
-    def of_set9(measure: Callable[[ClipResults, str], float]) -> dict[str, list[float]]:
-        return _of_set9(lambda label: [measure(flight, label) for flight in flights])
-
-    def of_lgmd(measure: Callable[[ClipResults, str], float], label: str) -> dict[str, list[float]]:
-        return {ANY: [measure(flight, label) for flight in flights]}
-
+    of_set9, of_other = partial(_of_set9, flights), partial(_of_other, flights)
     panels = [_levels(f"Group {group}", flights[0], _LABELS), _attenuation(flights[0])]
     values = {
         f"{name}-attenuates": of_set9(flying),
@@ -320,9 +309,9 @@ def _approach(group: int, plan: Plan) -> Steps:
         f"{name}-rising": of_set9(rise),
         f"{name}-detects": of_set9(contact),
         f"{name}-causal": of_set9(causal),
-        f"{name}-lgmd": of_lgmd(contact, "lgmd"),
-        f"{name}-lgmd-peaks": of_lgmd(peaks, SIGMOID),
-        f"{name}-lgmd-peaks-raw": of_lgmd(peaks, "lgmd"),
+        f"{name}-lgmd": of_other(contact, "lgmd"),
+        f"{name}-lgmd-peaks": of_other(peaks, SIGMOID),
+        f"{name}-lgmd-peaks-raw": of_other(peaks, "lgmd"),
     }
     return Evidence(values, {name: partial(plot_panels, panels, "Frame", "Level", share_y=False)})
 
@@ -332,18 +321,17 @@ def fig17(plan: Plan) -> Steps:
     data = yield dict.fromkeys(_clips(plan, 3), _SET9 | _LGMD)
     flights = [data[clip] for clip in _clips(plan, 3)]
 
-    def opened(label: str) -> list[float]:
+    def opened(flight: ClipResults, label: str) -> float:
         """The attenuation at contact minus that in the yaw."""
-        return [
-            mean_db(flight.results[label], *phase(flight, "contact"))
-            - mean_db(flight.results[label], *phase(flight, "yaw"))
-            for flight in flights
-        ]
+        at_contact, turning = (
+            mean_db(flight.results[label], *phase(flight, part)) for part in ("contact", "yaw")
+        )
+        return at_contact - turning
 
     values = {
-        "fig17-silent": _of_set9(lambda label: [level_in(s, label, "yaw") for s in flights]),
-        "fig17-answers": _of_set9(lambda label: [level_in(s, label, "contact") for s in flights]),
-        "fig17-db": _of_set9(opened),
+        "fig17-silent": _of_set9(flights, lambda one, label: level_in(one, label, "yaw")),
+        "fig17-answers": _of_set9(flights, contact),
+        "fig17-db": _of_set9(flights, opened),
     }
     panels = [_levels("Group 3", flights[0], _LABELS), _attenuation(flights[0])]
     draw = partial(plot_panels, panels, "Frame", "Level", share_y=False)
@@ -453,9 +441,7 @@ def table4_da(plan: Plan) -> Steps:
         "table4-da-rising": of(rising),
         "table4-da-smaller": of(smaller),
         "table4-da-turns": of(turning),
-        "table4-da-r2": of(
-            lambda table: math.nan if plan.quick else float(table[RADII.index(2), 0])
-        ),
+        "table4-da-r2": of(at_full_scale),
         "table4-da-apart": of(apart),
     }
     rows: list[tuple[Any, ...]] = [("r", "scale", "paper", *VERSIONS, "a = 0")]

@@ -21,15 +21,15 @@ MAX_SIDE_PX = 8190
 MAX_FRAMES = 100_000
 
 
-def option(default: Any, flag: str, low: float, high: float, **facts: Any) -> Any:
-    """A numeric field of `ClipOptions`: its default, its flag, and what `Spec` takes."""
+def option(
+    default: Any, flag: str, low: float = -math.inf, high: float = math.inf, **facts: Any
+) -> Any:
+    """A field of `ClipOptions`: its default, its flag, and what `Spec` takes.
+
+    The default None leaves the choice to the scene.
+    """
     spec = Spec(low=low, high=high, **facts)
     return field(default=default, metadata={"flag": flag, "spec": spec})
-
-
-def switch(default: bool | None, flag: str) -> Any:
-    """A boolean field of `ClipOptions`; None leaves the choice to the scene."""
-    return field(default=default, metadata={"flag": flag, "spec": Spec(bool)})
 
 
 def invalid(flag: str, why: str, mend: str = "") -> ParameterError:

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-import yaml
+from conftest import yaml_of
 from reference_data import reference_dir
 
 from dlgmd_cli import run
@@ -37,8 +37,7 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
 def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(dlgmd, scene):
     result = dlgmd("synth", scene, "--size", "480x270", "--out", "flights")
     assert result.exit_code == 0, result.output
-    with open(f"flights/{scene}.yaml", encoding="utf-8") as file:
-        contact = yaml.safe_load(file)["collision_frame"]
+    contact = yaml_of(f"flights/{scene}.yaml")["collision_frame"]
     found = run(f"flights/{scene}.mp4")
     onsets = found.frame[found.alarm_onsets]
     assert (contact is not None) == scene.startswith("group")

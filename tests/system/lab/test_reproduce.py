@@ -1,6 +1,5 @@
 """`dlgmd reproduce` as a program: flights, a sweep, Table IV and the timing, and Ctrl-C."""
 
-import csv
 import os
 import re
 import signal
@@ -10,6 +9,7 @@ import time
 
 import cv2
 import pytest
+from conftest import csv_rows
 
 from dlgmd_cli.lab.reproduce.claims import COLUMNS, NO, YES, load_claims, select
 from dlgmd_cli.lab.reproduce.clips import VERSIONS
@@ -25,8 +25,7 @@ def test_a_quick_report(tmp_path):
     out = tmp_path / "paper"
     subprocess.run([*COMMAND, "--only", only, "--out", out, "--jobs", "2"], check=True, timeout=600)
     specs = select(load_claims()[0], only.split(","))
-    with (out / "claims.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(out / "claims.csv")
     ids = [key for spec in specs.values() for key in spec.claims]
     assert list(dict.fromkeys(row["id"] for row in rows)) == ids
     verdict = {(row["id"], row["formulation"]): row["holds"] for row in rows}
@@ -66,8 +65,7 @@ def test_latency_without_models(dlgmd, tmp_path):
     assert result.exit_code == 0, result.output
     width_px = cv2.imread("paper/fig2.png").shape[1]
     assert width_px == pytest.approx(60 * width_in("two"), abs=2)
-    with open("paper/claims.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows("paper/claims.csv")
     assert tuple(rows[0]) == COLUMNS
     holds = {(row["id"], row["formulation"]): row["holds"] for row in rows}
     assert holds["fig2-size", ANY] == holds["fig5-rises", ANY] == YES

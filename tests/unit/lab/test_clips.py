@@ -11,8 +11,7 @@ import cv2
 import flightscenes
 import numpy as np
 import pytest
-import yaml
-from conftest import read_video
+from conftest import csv_rows, read_video, yaml_of
 from flightscenes import SHAPE, Quick, stage_of
 
 from dlgmd_cli import __version__
@@ -47,10 +46,6 @@ def write_clip(scene, options, folder, codec=None, *, name=None, **more):
     return Rendering(scene, options, folder, codec, name or scene.name).write(**more)
 
 
-def record_of(path):
-    return yaml.safe_load(path.read_text("utf-8"))
-
-
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
@@ -72,11 +67,10 @@ def test_a_clip_of_a_flight(scene, tmp_path):
     assert flightscenes.built == {3: 1} and told == list(range(1, 16))
     rate, frames = read_video(paths[0])
     assert (rate, len(frames), frames[0].shape[:2]) == (30.0, 15, SHAPE)
-    with paths[1].open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(paths[1])
     assert len(rows) == 15 and rows[8]["phase"] == "cruise" and rows[8]["frame"] == "8"
     assert paths[2].read_text().startswith("# Written by dlgmd.\nscene: quick\nseed: 3\n")
-    record = record_of(paths[2])
+    record = yaml_of(paths[2])
     assert record.pop("versions")["dlgmd"] == __version__
     assert record == {
         "scene": "quick",
@@ -95,8 +89,8 @@ def test_the_record_names_what_encoded_it(scene, tmp_path):
     options = scene.configure({"--frames": 3})
     coded_video, _, coded = write_clip(scene, options, tmp_path / "a")
     *_, exact = write_clip(scene, options, tmp_path / "b", LOSSLESS)
-    assert "av" in record_of(coded)["versions"] and record_of(coded)["codec"] == "h264"
-    assert "av" not in record_of(exact)["versions"] and record_of(exact)["codec"] == "ffv1"
+    assert "av" in yaml_of(coded)["versions"] and yaml_of(coded)["codec"] == "h264"
+    assert "av" not in yaml_of(exact)["versions"] and yaml_of(exact)["codec"] == "ffv1"
     # As exact as an encoder with fractions allows.
     broadcast = scene.configure({"--frames": 9, "--fps": 30000 / 1001})
     with pytest.importorskip("av").open(write_clip(scene, broadcast, tmp_path / "c")[0]) as video:
@@ -229,17 +223,6 @@ def test_a_stop_ends_rendering(scene, tmp_path, monkeypatch):
     with pytest.raises(cancel.Interrupted):
         write_clip(scene, scene.defaults, tmp_path)
     assert names(tmp_path) == []
-
-
-def test_earlier_files_are_kept_unless_told_otherwise(tmp_path):
-    options = CUBE.configure(SMALL)
-    (tmp_path / "looming-cube.csv").write_text("mine")
-    with pytest.raises(OutputExistsError, match=r"looming-cube\.csv"):
-        write_clip(CUBE, options, tmp_path)
-    assert names(tmp_path) == ["looming-cube.csv"]
-    write_clip(CUBE, options, tmp_path, overwrite=True)
-    assert names(tmp_path) == ["looming-cube.csv", "looming-cube.mp4"]
-    assert (tmp_path / "looming-cube.csv").read_text().startswith("frame,")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")

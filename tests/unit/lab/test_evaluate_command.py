@@ -1,13 +1,11 @@
 """`dlgmd evaluate` on tiny clips: tables, JSON, stored results, what goes wrong."""
 
-import csv
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
-from conftest import looming_frames, write_video
+from conftest import csv_rows, looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import read_result
@@ -33,14 +31,8 @@ def footage(tmp_path_factory):
     return folder
 
 
-def table(path):
-    with open(path, encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def recorded(path="ev/evaluate.yaml"):
-    with open(path, encoding="utf-8") as file:
-        return yaml.safe_load(file)
+def recorded():
+    return yaml_of("ev/evaluate.yaml")
 
 
 SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
@@ -54,7 +46,7 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     tables = {"evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"}
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
-    rows = table("ev/evaluate.csv")
+    rows = csv_rows("ev/evaluate.csv")
     assert {row["kind"] for row in rows} == {"all"} == {row["manner"] for row in rows}
     at = [(r["model"], r["at"]) for r in rows if r["target"] == "all"]
     both = [(label, kind) for label in ("set3", "set9") for kind in ("default", "best")]
@@ -68,12 +60,12 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     assert float(every["excitation"]) == pytest.approx(1e-4 * 0.4 / 0.6)
     assert float(every["minutes"]) == pytest.approx((20 + 52 + 12) / 25 / 60)
     assert int(every["false_alarms"]) == 1 == int(by_target["chair"]["false_alarms"])
-    alarms = [row for row in table("ev/alarms.csv") if row["model"] == "set3"]
+    alarms = [row for row in csv_rows("ev/alarms.csv") if row["model"] == "set3"]
     kinds = [row["kind"] for row in alarms]
     assert "early" in kinds and {row["video"] for row in alarms} <= {"near.avi", "twice.avi"}
     assert {row["frame"] for row in alarms if row["kind"] == "missed"} <= {"20", "52"}
     assert 2 - kinds.count("missed") == kinds.count("hit") == int(every["hits"]) > 0
-    curve = [r for r in table("ev/curves.csv") if r["model"] == "set9"]
+    curve = [r for r in csv_rows("ev/curves.csv") if r["model"] == "set9"]
     assert float(curve[-1]["recall"]) == float(curve[-1]["false_alarms_per_min"]) == 0
     assert recorded()["models"][1]["kappa"] == 1e-4 and recorded()["horizon_s"] == 1.0
     again = dlgmd(*command)
@@ -92,7 +84,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     facts = both[0]["set9"]
     assert {"recall", "false_alarms_per_min", "lead_s", "auc"} <= set(facts)
     assert facts["intervals"]["recall"][0] <= facts["recall"] <= facts["intervals"]["recall"][1]
-    for row, other in zip(table("ev0/evaluate.csv"), table("ev1/evaluate.csv"), strict=True):
+    for row, other in zip(csv_rows("ev0/evaluate.csv"), csv_rows("ev1/evaluate.csv"), strict=True):
         for key, text in row.items():
             if key in ("model", "at", "target", "kind", "manner"):
                 assert text == other[key]
@@ -122,7 +114,7 @@ def test_results_of_one_model_have_its_name(dlgmd, footage, options, label):
     assert dlgmd("batch", footage, *options, *common).exit_code == 0
     more = ("--results", "one", "--out", "ev", "--no-plots")
     assert dlgmd("evaluate", footage / "labels.csv", *more).exit_code == 0
-    assert {row["model"] for row in table("ev/evaluate.csv")} == {label, "ΣP alone"}
+    assert {row["model"] for row in csv_rows("ev/evaluate.csv")} == {label, "ΣP alone"}
     assert recorded()["models"][0]["label"] == label
     assert recorded()["options"] == {"repeats": "keep"}
 
@@ -209,12 +201,12 @@ def test_kinds_and_manners_have_rows_of_their_own(dlgmd, footage, tmp_path):
     more = ("--max-false-per-min", "0:rendered", "--no-baselines", "--format", "svg")
     result = dlgmd("evaluate", labels, *SETS[2:], *more, "--out", "ev")
     assert result.exit_code == 0, result.output
-    rows = table("ev/evaluate.csv")
+    rows = csv_rows("ev/evaluate.csv")
     by_kind = {(r["at"], r["kind"]): r for r in rows if r["manner"] == "all"}
     assert [by_kind["default", kind]["videos"] for kind in ("all", "real", "rendered")] == [*"312"]
     assert int(by_kind["best", "rendered"]["false_alarms"]) == 0
     assert {row["manner"] for row in rows} == {"all", "walk"}
-    assert {row["kind"] for row in table("ev/curves.csv")} == {"all", "real", "rendered"}
+    assert {row["kind"] for row in csv_rows("ev/curves.csv")} == {"all", "real", "rendered"}
     assert recorded()["max_false_per_min"] == 0 and recorded()["max_false_kind"] == "rendered"
     assert " rendered " in result.stdout and "by manner" in result.stdout
     assert ", rendered" in (tmp_path / "ev" / "evaluate-trade-off.svg").read_text("utf-8")

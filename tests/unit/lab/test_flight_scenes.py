@@ -33,11 +33,6 @@ def test_options_at_their_limits(scene):
     assert scene.n_frames(scene.configure({"--frames": 19})) == 19
 
 
-def test_an_agile_drone_is_another_flight_and_the_record_says_so(scene):
-    for agile in (True, False, None):
-        assert scene.record(scene.configure({"--agile": agile}))["agile"] is bool(agile)
-
-
 # Length and record
 
 
@@ -124,7 +119,7 @@ def test_only_the_piece_that_is_met_keeps_its_name():
 def test_an_obstacle_can_only_be_in_the_way_at_its_height():
     path = fly([cruise(2.0)], position_m=(0, 0, 0.8), speed_m_s=1.0, jitter=0.0)
     bodies = obstacle_in_path(path, 1.5, chair, "chair")
-    assert first_contact(path, World(Solid("room", []), bodies), ["chair"]) == pytest.approx(1.5)
+    assert first_contact(path, World(Solid("room", []), bodies)) == pytest.approx(1.5)
     high = fly([cruise(2.0)], position_m=(0, 0, 1.8), speed_m_s=1.0, jitter=0.0)
     with pytest.raises(MissedError):
         obstacle_in_path(high, 1.5, chair, "chair")

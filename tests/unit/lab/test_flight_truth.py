@@ -383,22 +383,6 @@ def test_contact_is_when_the_nearest_point_is_within_reach(body):
 
 
 @pytest.mark.parametrize(
-    ("names", "speed", "expected"),
-    [
-        (None, 2.0, 0.95),
-        (["board"], 2.0, 1.45),
-        (["room"], 2.0, None),
-        ([], 2.0, None),
-        (["room"], 10.0, 1.99),
-    ],
-)
-def test_only_the_names_that_are_asked_for_count(names, speed, expected):
-    world = World(ROOM, [board(2, 1, "poster"), board(3, 1)])
-    found = first_contact(straight(speed, 3.0), world, names)
-    assert found == (expected and pytest.approx(expected, abs=0.01))
-
-
-@pytest.mark.parametrize(
     ("body", "expected"),
     [
         (ball(0.1, (6, 0, 1), motion=lambda t: (-12.0 * max(t - 1, 0), 0, 0)), 1 + 5.8 / 12),

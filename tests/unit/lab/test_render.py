@@ -102,7 +102,7 @@ def test_known_points_are_found_in_the_picture(place, angles, tilt, n_texels):
 )
 def test_coverage_is_the_area_of_the_polygon_in_each_pixel(corners, window):
     """Against clipping the polygon at every pixel."""
-    hull = cv2.convexHull(np.array(corners, np.float32), clockwise=False)
+    hull = cv2.convexHull(np.round(corners, 3).astype(np.float32), clockwise=False)
     if hull is None or len(hull) < 3:
         return
     hull = hull[:, 0].astype(float)

@@ -10,11 +10,9 @@ import pytest
 
 from dlgmd_cli.lab.flights import rooms, textures
 from dlgmd_cli.lab.flights.furniture import (
-    Skin,
     block,
     catalogue,
     furniture,
-    furniture_at_wall,
     placement,
 )
 from dlgmd_cli.lab.flights.solids import Capsule, Solid, Texture
@@ -115,7 +113,7 @@ def check_convex(body):
 
 def test_a_block_shows_each_side_where_it_is():
     sides = ("front", "back", "left", "right", "top", "bottom")
-    skins = {side: Skin(Texture(0.1 * number)) for number, side in enumerate(sides)}
+    skins = {side: Texture(0.1 * number) for number, side in enumerate(sides)}
     corners = np.array([(-1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
     body = block("b", placement((0, 0)), corners, skins, None)
     looks = {round(float(face.texture.image[0, 0]), 1): face.normal for face in body.faces}
@@ -146,7 +144,7 @@ def test_furniture_is_convex_bodies_apart_from_each_other(name):
 def test_what_is_put_at_walls_takes_no_more_room_than_it_says(name):
     entry = catalogue()["at_walls"][name]
     for seed in range(2):
-        high, low = reach_m(furniture_at_wall(name, seeded(seed), placement((0, 0))))
+        high, low = reach_m(furniture(name, seeded(seed), placement((0, 0)), group="at_walls"))
         assert low[0] >= -1e-9 and high[0] <= entry["depth_m"] + 0.031
         assert max(high[1], -low[1]) <= entry["width_m"] / 2 + 0.01
 

@@ -32,6 +32,19 @@ def test_all_options_arrive(dlgmd):
     assert truth.read_text().splitlines()[-1].startswith("2,0.2,")
 
 
+def test_two_seeds_have_two_names(dlgmd, monkeypatch):
+    monkeypatch.setitem(SCENES, "quick", Quick())
+    for seed in (1, 2):
+        arguments = ["synth", "quick", "--frames", 3, "--seed", seed, "--name", f"quick-{seed}"]
+        result = dlgmd(*arguments, "--out", "all")
+        names = [f"quick-{seed}.{end}" for end in ("mp4", "csv", "yaml")]
+        assert result.stdout.split() == [str(Path("all", name)) for name in names], result.output
+    many = dlgmd("synth", "quick", "--count", 2, "--frames", 3, "--name", "third", "--out", "all")
+    assert many.exit_code == 0, many.output
+    listed = Path("all/labels.csv").read_text().splitlines()[1:]
+    assert [line.partition(",")[0] for line in listed] == ["third-0000.mp4", "third-0001.mp4"]
+
+
 def test_noise_in_mpeg4_is_pointed_out(dlgmd):
     arguments = ["synth", "looming-cube", "--noise", "0.02", "--overwrite", *SMALL]
     assert dlgmd(*arguments).stderr == (

@@ -1,0 +1,131 @@
+"""Own defaults of options: the file dlgmd.yaml in the working folder or in one above it.
+
+Only the command line reads it. Click takes the defaults from the context (`default_map`), so that
+an option that is given takes precedence, and the help shows what holds.
+"""
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from dlgmd_cli.checks import nearest
+from dlgmd_cli.errors import ParameterError
+
+NAME, NONE = "dlgmd.yaml", "none"
+# The file if --settings is not given, for scripts.
+VARIABLE = "DLGMD_SETTINGS"
+# Option -> what it stands for; those of `OwnDefault`.
+KEYS = {
+    "size": "size of the processed frames, such as 240x180",
+    "mask": "picture that is black where frames are ignored",
+    "decoder": "pyav or opencv",
+    "format": "formats of figures, such as [png, pdf]",
+    "out": "folder for the results",
+}
+# Paths in the file are relative to its folder.
+_PATHS = ("mask", "out")
+_HINT = "'dlgmd info --settings' lists what it may say."
+
+
+class OwnDefault(click.Option):
+    """An option whose default the user's own file may set, under the option's name."""
+
+    @property
+    def key(self) -> str:
+        """The key in the file."""
+        return max(self.opts, key=len).removeprefix("--")
+
+
+def find(given: str | None) -> Path | None:
+    """The file of defaults: the one given, that of DLGMD_SETTINGS, or the nearest dlgmd.yaml.
+
+    None if there is none, or ``none`` is given. The one given need not exist.
+    """
+    given = given or os.environ.get(VARIABLE)
+    if given is not None:
+        return None if given == NONE else Path(given)
+    here = Path(os.path.abspath(""))
+    for folder in (here, *here.parents):
+        with suppress(OSError):  # a folder that may not be searched
+            if (folder / NAME).is_file():
+                return Path(NAME) if folder == here else folder / NAME
+    return None
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The defaults in a file, by option: texts, and a list of texts for `format`.
+
+    Raises ParameterError if it is not plain YAML, or a key or the kind of a value is wrong.
+    """
+    from dlgmd_cli import plain_yaml
+
+    name = str(path)
+    try:
+        found = plain_yaml.parse(name, plain_yaml.read(path))
+    except ParameterError as error:
+        raise ParameterError(name, error.why, _HINT) from None
+    if not isinstance(found, dict | None):
+        raise ParameterError(name, "does not consist of 'option: value' lines", _HINT)
+    values: dict[str, Any] = {}
+    for key, value in (found or {}).items():
+        if key not in KEYS:
+            near = nearest(str(key)[:100], KEYS)
+            hint = f"Did you mean {near!r}?" if near else f"Choose from {', '.join(KEYS)}."
+            raise ParameterError(name, f"there is no setting {str(key)[:100]!r}", hint)
+        texts = value if key == "format" and isinstance(value, list) else [value]
+        if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
+            raise ParameterError(name, f"{key}: this is no text", f"It is the {KEYS[key]}.")
+        if key in _PATHS and "://" not in value:
+            value = str(path.parent / Path(value).expanduser())
+        values[key] = texts if key == "format" else value
+    return values
+
+
+def apply(ctx: click.Context, given: str | None) -> None:
+    """Set the defaults of the command's options to those of the file, if there is one.
+
+    Raises ParameterError if the file cannot be read, or a value is not one of the option's.
+    """
+    options = [param for param in ctx.command.params if isinstance(param, OwnDefault)]
+    path = find(given) if options else None
+    if path is None:
+        return
+    values, chosen = read(path), {}
+    for option in options:
+        if option.key in values:
+            chosen[str(option.name)] = values[option.key]
+            try:
+                option.process_value(ctx, values[option.key])
+            except click.UsageError as error:
+                why = f"{option.key}: {error.message.rstrip('.')}"
+                raise ParameterError(str(path), why) from None
+    ctx.default_map, ctx.meta[NAME] = chosen, path
+
+
+def in_help(ctx: click.Context, param: click.Option, text: str) -> str:
+    """The help of an option, with the user's own default instead of ours."""
+    chosen = (ctx.default_map or {}).get(str(param.name))
+    if not isinstance(param, OwnDefault) or chosen is None:
+        return text
+    shown = ", ".join(chosen) if isinstance(chosen, list) else chosen
+    return re.sub(r"\s*\[default: [^\]]*\]$", "", text) + f"  [{ctx.meta[NAME]}: {shown}]"
+
+
+def used(ctx: click.Context) -> dict[str, Any]:
+    """The file and its defaults that are in force, for the record; empty if there are none."""
+    chosen = {
+        param.key: ctx.default_map[str(param.name)]
+        for param in ctx.command.params
+        if isinstance(param, OwnDefault) and ctx.default_map and is_own(ctx, str(param.name))
+    }
+    return {"file": os.path.abspath(ctx.meta[NAME]), **chosen} if chosen else {}
+
+
+def is_own(ctx: click.Context, name: str) -> bool:
+    """Whether the value of a parameter comes from the file."""
+    return ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP

@@ -1,0 +1,143 @@
+"""Clips of a few seconds around alarms: copied from the video where it allows that, or encoded."""
+
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import MissingExtraError, OutputError, OutputExistsError
+from dlgmd_cli.files import staging
+from dlgmd_cli.video.base import openable
+from dlgmd_cli.video.luma import to_bgr
+from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
+
+BEFORE_S, AFTER_S = 2.0, 1.0
+# A copy begins at a key frame, so much too early at most.
+_MAX_EARLY_S = 1.0
+# What is copied: these codecs, out of these containers, fit into an MP4 as they are.
+_CODECS, _CONTAINERS = {"h264", "hevc", "av1", "vp9", "mpeg4"}, {"mp4", "matroska"}
+
+Spans = Mapping[str, tuple[float, float]]
+
+
+def clips_of(folder: Path, name: str) -> list[Path]:
+    """The clips of an input's alarms in a folder, which need not exist."""
+    ours = re.compile(rf"{re.escape(name)}-alarm\d+-\d+\.\d\ds\.mp4")
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in found if ours.fullmatch(path.name))
+
+
+def refuse_clips(folder: Path, name: str) -> None:
+    """Raise OutputExistsError if the folder has clips of an input of this name."""
+    if earlier := clips_of(folder, name):
+        mend = "Add --overwrite to replace the clips of this name, or choose another --clips."
+        raise OutputExistsError(str(earlier[0]), "already exists", mend)
+
+
+def write_clips(
+    source: str, name: str, onsets_s: Sequence[float], folder: Path, input_fps: float | None = None
+) -> list[Path]:
+    """Write a clip from 2 s before to 1 s after the onset of each alarm; earlier ones are removed.
+
+    `source` is what `open_video` takes, and `input_fps` the frame rate of pictures. Clips are named
+    after `name`, number and time: ``flight-alarm1-3.97s.mp4``. A copy has the codec of the video,
+    and begins up to 1 s earlier, at a key frame; all others are H.264, if PyAV is installed.
+
+    Returns the clips. Raises SourceError if the source cannot be decoded, and OutputError if the
+    folder cannot be written; earlier clips are unchanged then.
+    """
+    spans = {
+        f"{name}-alarm{number}-{max(onset_s, 0.0):.2f}s.mp4": (
+            onset_s - BEFORE_S,
+            onset_s + AFTER_S,
+        )
+        for number, onset_s in enumerate(onsets_s, 1)
+    }
+    earlier = clips_of(folder, name)
+    if not spans and not earlier:
+        return []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with staging(folder) as stage:
+            rest = {
+                clip: span for clip, span in spans.items() if not _copy(source, span, stage / clip)
+            }
+            if rest:
+                _encode(source, rest, stage, input_fps)
+            for path in earlier:
+                path.unlink(missing_ok=True)
+            return [(stage / clip).replace(folder / clip) for clip in spans]
+    except OSError as error:
+        why = f"cannot be written ({error.strerror or error})"
+        raise OutputError(str(folder), why, "Choose another --clips, or make room.") from None
+
+
+def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
+    """Copy the packets of a span; False, and no file, if that is not possible."""
+    try:
+        av = import_av()
+    except MissingExtraError:
+        return False
+    if not Path(source).is_file():
+        return False
+    start_s, end_s = max(span_s[0], 0.0), span_s[1]
+    try:
+        with openable(Path(source).absolute()) as name, av.open(f"file:{name}") as video:
+            stream: Any = video.streams.video[0]
+            is_fit = _CONTAINERS.intersection(video.format.name.split(","))
+            if not is_fit or stream.codec_context.name not in _CODECS:
+                return False
+            first, tick_s = stream.start_time or 0, float(stream.time_base)
+            video.seek(first + round(start_s / tick_s), stream=stream)
+            packets = video.demux(stream)
+            packet = next(packets)
+            if not packet.is_keyframe or packet.dts is None:
+                return False
+            early_s = start_s - (packet.pts - first) * tick_s
+            if not -tick_s <= early_s <= _MAX_EARLY_S:
+                return False
+            begin = packet.dts
+            with av.open(str(target), "w", options={"movflags": "+faststart"}) as clip:
+                track = clip.add_stream_from_template(stream)
+                while packet is not None and packet.dts is not None:
+                    # Later pictures in the order of decoding may be needed for earlier ones.
+                    if (packet.dts - first) * tick_s >= end_s:
+                        break
+                    packet.pts, packet.dts = packet.pts - begin, packet.dts - begin
+                    packet.stream = track
+                    clip.mux(packet)
+                    packet = next(packets, None)
+        return True
+    except (av.FFmpegError, StopIteration, ValueError):
+        target.unlink(missing_ok=True)
+        return False
+
+
+def _encode(source: str, spans: Spans, folder: Path, input_fps: float | None) -> None:
+    """Encode all spans in one pass through the source; OpenCV gives the colours."""
+    waiting = sorted(spans.items(), key=lambda one: one[1])
+    last_s = max(end_s for _, end_s in spans.values())
+    with (
+        ExitStack() as stack,
+        open_video(source, end_s=last_s, decoder="opencv", input_fps=input_fps) as video,
+    ):
+        width, height = (max(2, side - side % 2) for side in video.source_wh)
+        fps, running = playable_fps(video.info.fps), []
+        look: Any = {"codec": best_codec(), "is_colour": True, "option": "--clips"}
+        for picture in video.pictures():
+            cancel.check()
+            while waiting and waiting[0][1][0] <= picture.time_s:
+                name, (_, end_s) = waiting.pop(0)
+                clip = stack.enter_context(ExitStack())
+                writer = video_writer(folder / name, (height, width), fps, **look)
+                running.append((end_s, clip, clip.enter_context(writer)))
+            for end_s, clip, write in running[:]:
+                if picture.time_s >= end_s:
+                    clip.close()
+                    running.remove((end_s, clip, write))
+                else:
+                    write(to_bgr(picture.image, (width, height), picture.levels))

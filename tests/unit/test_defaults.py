@@ -1,0 +1,160 @@
+"""The user's own defaults: dlgmd.yaml sets them, options outdo it, and records tell of it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import csv_rows, yaml_of
+
+import dlgmd_cli
+
+
+@pytest.fixture
+def own(monkeypatch, dlgmd, tmp_path):
+    """Write dlgmd.yaml, which counts in these tests: `own("size: 16x12")`."""
+
+    def write(text, name="dlgmd.yaml"):
+        monkeypatch.delenv("DLGMD_SETTINGS", raising=False)
+        (tmp_path / name).write_text(text)
+
+    return write
+
+
+def settings_of(folder):
+    return yaml_of(Path(folder) / "run.yaml").get("settings")
+
+
+def test_defaults_are_used_recorded_and_outdone_by_options(dlgmd, own, clips, tmp_path):
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((24, 32), 255, np.uint8))
+    own("size: 16x12\nmask: mask.png\ndecoder: opencv\nformat: [svg, pdf]\nout: results\n")
+    assert dlgmd("run", clips / "loom.avi").stdout.splitlines()[-1] == "results/loom"
+    record = yaml_of("results/loom/run.yaml")
+    assert record["processed"]["width"] == 16 and record["input"]["decoder"] == "opencv"
+    assert record["options"]["mask"] == str(tmp_path / "mask.png")
+    assert record["settings"] == {
+        "file": str(tmp_path / "dlgmd.yaml"),
+        "size": "16x12",
+        "mask": "mask.png",
+        "decoder": "opencv",
+        "format": ["svg", "pdf"],
+        "out": "results",
+    }
+    assert sorted(path.name for path in Path("results/loom").glob("mp.*")) == [
+        *("mp.csv", "mp.pdf", "mp.svg"),
+    ]
+    again = ["--config", "results/loom/run.yaml", "--settings", "none", "--out", "again"]
+    assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+    assert csv_rows("again/loom/mp.csv") == csv_rows("results/loom/mp.csv")
+    options = ["--scale", 0.25, "--format", "png", "--decoder", "pyav", "--out", "b"]
+    assert dlgmd("run", clips / "loom.avi", *options).exit_code == 0
+    assert yaml_of("b/loom/run.yaml")["processed"]["width"] == 8
+    assert settings_of("b/loom").keys() == {"file", "mask"} and Path("b/loom/mp.png").exists()
+
+
+def test_the_file_is_found_above_and_its_paths_are_its_own(
+    dlgmd, own, clips, tmp_path, monkeypatch
+):
+    own("out: results")
+    (tmp_path / "day" / "one").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "day" / "one")
+    done = dlgmd("run", clips / "loom.avi", "--no-plots")
+    assert done.stdout.splitlines()[-1] == str(tmp_path / "results" / "loom")
+
+
+def test_a_recorded_run_is_repeated_whatever_the_defaults_are(dlgmd, own, clips):
+    assert dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "first").exit_code == 0
+    own("size: 9x7\ndecoder: opencv\n")
+    config = ["--config", "first/loom/run.yaml", "--no-plots"]
+    assert dlgmd("run", clips / "loom.avi", *config, "--out", "again").exit_code == 0
+    assert csv_rows("first/loom/mp.csv") == csv_rows("again/loom/mp.csv")
+    assert settings_of("again/loom") is None
+    # A file of parameters that says how the input is read outdoes only what it says.
+    Path("my.yaml").write_text("r: 3\noptions: {scale: 0.5}\n")
+    assert dlgmd("run", clips / "loom.avi", "--config", "my.yaml", "--no-plots").exit_code == 0
+    record = yaml_of("dlgmd-out/loom/run.yaml")
+    assert record["processed"]["width"] == 16 and record["input"]["decoder"] == "opencv"
+
+
+def test_a_batch_follows_them_and_knows_what_is_done(dlgmd, own, clips):
+    own("size: 16x12\nout: results\n")
+    batch = ["batch", clips, "--exclude", "short*", "--no-plots", "--jobs", 1]
+    assert dlgmd(*batch).exit_code == 0
+    assert settings_of("results/loom.avi")["size"] == "16x12"
+    own("size: 16x12\nout: results\n", "other.yaml")
+    assert "2 of 2 videos are done already" in dlgmd(*batch, "--settings", "other.yaml").stderr
+    refused = dlgmd(*batch, "--settings", "none", "--out", "results")
+    assert refused.exit_code == 2 and "has other settings (--size)" in refused.stderr
+
+
+def test_a_sweep_of_cubes_has_no_input_to_scale(dlgmd, own):
+    own("size: 16x12\ndecoder: opencv\n")
+    axes = ["--x", "sigma_e=1", "--y", "sigma_i=2", "--frames", 10, "--speed", 2, "--no-plots"]
+    assert dlgmd("sweep", *axes).exit_code == 0
+
+
+def test_python_does_not_read_them(own, clips, tmp_path):
+    own("size: 16x12")
+    assert dlgmd_cli.run(clips / "loom.avi").record["processed"]["width"] == 32
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sizes: 3x3", "there is no setting 'sizes'. Did you mean 'size'?"),
+        ("fps: 30", "there is no setting 'fps'. Choose from size, mask, decoder, format, out."),
+        ("size: 5", "size: this is no text. It is the size of the processed frames"),
+        ("size: wide", "size: 'wide' is not WIDTHxHEIGHT. Write 480x270."),
+        ("decoder: vlc", "decoder: 'vlc' is not one of"),
+        ("format: [gif]", "format: 'gif' is not one of"),
+        ("format: []", "format: this is no text."),
+        ("out: [a]", "out: this is no text."),
+        ("out: a.mp4", "out: 'a.mp4' is the name of a file."),
+        ("mask: none.png", "mask: File 'none.png' does not exist."),
+        ("- size", "does not consist of 'option: value' lines."),
+        ("size: [", "is not valid YAML"),
+        ("size: &a 3x3\nout: *a", "the reference 'a' is not allowed"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_line(dlgmd, own, clips, text, words):
+    own(text)
+    result = dlgmd("run", clips / "loom.avi", "--out", "x")
+    assert result.exit_code == 2 and f"Error: dlgmd.yaml: {words}" in result.stderr
+    assert "Usage: dlgmd run" in result.stderr and not Path("x").exists()
+    assert dlgmd("run", "--help").exit_code == 0
+    assert dlgmd("run", clips / "loom.avi", "--no-plots", "--settings", "none").exit_code == 0
+
+
+def test_a_file_that_is_not_there(dlgmd):
+    for arguments in (["run", "x", "--settings", "no.yaml"], ["--settings", "no.yaml", "run", "x"]):
+        result = dlgmd(*arguments)
+        assert result.exit_code == 2 and "no.yaml: there is no such file." in result.stderr
+
+
+def test_help_and_info_show_them(dlgmd, own):
+    nothing = dlgmd("info", "--settings").stdout
+    assert "There is no dlgmd.yaml here or in a folder above." in nothing
+    assert "formats of figures, such as [png, pdf]" in nothing
+    own("size: 16x12\nformat: [svg, pdf]\n")
+    text = " ".join(dlgmd("run", "--help").stdout.split())
+    assert "instead. [dlgmd.yaml: 16x12]" in text and "[dlgmd.yaml: svg, pdf]" in text
+    assert "[default: dlgmd-out]" in text and "[default: png]" not in text
+    assert "svg, pdf" in dlgmd("info", "--settings").stdout
+    facts = json.loads(dlgmd("info", "--settings", "--json").stdout)
+    assert facts == {"settings": "dlgmd.yaml", "size": "16x12", "format": ["svg", "pdf"]}
+    own("out: b", "other.yaml")
+    for words in (["info", "--settings", "other.yaml"], ["--settings", "other.yaml", "info"]):
+        shown = dlgmd(*words).stdout
+        assert "other.yaml" in shown and "16x12" not in shown
+    assert "Missing argument 'INPUT...'" in dlgmd("info").stderr
+
+
+def test_the_variable_names_the_file_for_other_programs(own, clips, tmp_path):
+    own("out: there", "my.yaml")
+    command = [sys.executable, "-m", "dlgmd_cli", "run", str(clips / "loom.avi"), "--no-plots"]
+    environment = {"PYTHONPATH": ":".join(sys.path), "DLGMD_SETTINGS": "my.yaml"}
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+    assert (tmp_path / "there" / "loom" / "run.yaml").exists()
