@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     MAX_SIDE,
@@ -245,12 +245,9 @@ def import_av() -> Any:
             raise MemoryError from None
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
-            why = "is not installed"
-        why, mend = (
-            f"the package 'av' {why}",
-            "Install it with: pip install av, or use --decoder opencv.",
-        )
-        raise MissingExtraError("--decoder pyav", why, mend) from None
+            why = NOT_INSTALLED
+        instead = "use --decoder opencv"
+        raise MissingExtraError.of("--decoder pyav", "av", why, instead) from None
     return av
 
 
