@@ -11,6 +11,12 @@ __version__ = "1.0.0"
 # Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from dlgmd_cli.api.batch import batch as batch
+    from dlgmd_cli.api.calibrate import calibrate as calibrate
+    from dlgmd_cli.api.evaluate import evaluate as evaluate
+    from dlgmd_cli.api.layers import layers as layers
+    from dlgmd_cli.api.sweep import sweep as sweep
+    from dlgmd_cli.api.synth import synth as synth
     from dlgmd_cli.errors import DlgmdError as DlgmdError
     from dlgmd_cli.keys import Parameters as Parameters
     from dlgmd_cli.keys import key as key
@@ -37,6 +43,12 @@ if TYPE_CHECKING:
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _NAMES = {
+    "api.batch": "batch",
+    "api.calibrate": "calibrate",
+    "api.evaluate": "evaluate",
+    "api.layers": "layers",
+    "api.sweep": "sweep",
+    "api.synth": "synth",
     "errors": "DlgmdError",
     "keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",

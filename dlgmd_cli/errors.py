@@ -41,8 +41,33 @@ class SourceError(DlgmdError):
     """An input from which no result can be computed."""
 
 
+# What installs a package, if that is not its own name.
+_EXTRAS = {
+    "distributed": "'dlgmd[cluster]'",
+    "jinja2": "'dlgmd[view]'",
+    "numba": "'dlgmd[fast]'",
+    "optuna": "'dlgmd[calibrate]'",
+    "plotly": "'dlgmd[view]'",
+    "pymavlink": "'dlgmd[live]'",
+    "starlette": "'dlgmd[live]'",
+    "uvicorn": "'dlgmd[live]'",
+}
+NOT_INSTALLED = "is not installed"
+
+
 class MissingExtraError(DlgmdError):
     """An optional package that is needed but not installed."""
+
+    @classmethod
+    def of(
+        cls, what: str, package: str | None, why: str = NOT_INSTALLED, instead: str = ""
+    ) -> "MissingExtraError":
+        """The error for what needs a package, or `instead` of it another option."""
+        name = str(package).partition(".")[0]
+        mend = (
+            f"Install it with: pip install {_EXTRAS.get(name, name)}{instead and ', or '}{instead}."
+        )
+        return cls(what, f"the package {name!r} {why}", mend)
 
 
 class WorkerError(DlgmdError):

@@ -121,7 +121,7 @@ class ContrastParameters(
 ):
     """Parameters of the contrast-relative D-LGMD.
 
-    By default, its last five keys do nothing: the preset `flight` sets them.
+    The keys from `w_fps` to `k_0` do nothing by default: the preset `flight` sets them.
     """
 
     model: ClassVar[str] = "dlgmd-contrast"
@@ -147,6 +147,8 @@ class ContrastParameters(
     balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
     c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
     tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
+    d_0: float = key(0.0, "D_0", "1/s", "rate of expansion from which K grows; 0: none", 0, 1000)
+    k_0: float = key(0.0003, "K_0", "–", "share of cells to which expansion adds", 0, 1)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
     kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)

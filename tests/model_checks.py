@@ -128,7 +128,7 @@ def check_contrast(frames, demand=insist, times=None, **changes):
             np.testing.assert_allclose(response.layers.g[clear], answer.g[clear], rtol=3e-3)
             if clear.all():
                 assert response.mp == pytest.approx(answer.mp, rel=3e-3, abs=1e-6)
-            if not (params["balance"] or params["c_m"]):
+            if not (params["balance"] or params["c_m"] or params["d_0"]):
                 assert response.mp == pytest.approx(response.layers.g.sum(dtype=float), rel=1e-5)
     return answers
 

@@ -1,10 +1,7 @@
 """`dlgmd batch`: run models over every video below folders. A failed video does not end it."""
 
-import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,14 +12,10 @@ from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import (
     Command,
     Failed,
-    detail,
-    note,
     print_json,
     print_path,
     print_table,
     say,
-    tell,
-    warn,
 )
 from dlgmd_cli.commands.options import (
     clips_option,
@@ -41,17 +34,14 @@ from dlgmd_cli.commands.options import (
     setup_options,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import ParameterError, SourceError, printable
-from dlgmd_cli.names import numbered
+from dlgmd_cli.errors import printable
 from dlgmd_cli.parameters import parse_overrides
 from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
-    from dlgmd_cli.pool import Outcome
-    from dlgmd_cli.runs.batch import Job, Plan, Row, Task
-    from dlgmd_cli.runs.find import Found
+    from dlgmd_cli.api.batch import Batch
+    from dlgmd_cli.runs.batch import Plan, Row
     from dlgmd_cli.runs.setup import Setup
-    from dlgmd_cli.video.options import InputOptions
 
 DONE = "done"
 # Longer tables show only the videos that failed.
@@ -66,7 +56,7 @@ def model_setups(
     formulation: str | None,
     engine: str | None,
 ) -> "list[Setup]":
-    """Every model that the options ask for, each once; its label is a valid name of a folder."""
+    """Every model that the options ask for, each once."""
     from dlgmd_cli.runs.setup import DLGMD, choose
 
     if set_names or configs:  # these already are D-LGMDs, unless a file names another model
@@ -74,58 +64,11 @@ def model_setups(
     chosen = partial(
         choose, overrides=parse_overrides(pairs), formulation=formulation, engine=engine
     )
-    setups = [
+    return [
         *(chosen(set=name) for name in dict.fromkeys(set_names)),
         *(chosen(config=path) for path in dict.fromkeys(configs)),
         *(chosen(model=name) for name in dict.fromkeys(models)),
     ] or [chosen()]
-    labels = [_as_folder(one.label) for one in setups]
-    if len({label.casefold() for label in labels}) < len(labels):
-        labels = numbered([label.lower() for label in labels])
-    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
-
-
-def _as_folder(label: str) -> str:
-    """A label as a valid name of a folder."""
-    name = label.replace("/", "_").replace("\\", "_")
-    return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
-
-
-def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float | None) -> None:
-    """Raise if a scheduler's address is not valid, or is given with options of local processes."""
-    if scheduler is None:
-        return
-    for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
-        if value is not None:
-            raise click.UsageError(f"{option} does not work with --scheduler. Leave it out.")
-    from dlgmd_cli.runs.dask import address_of
-
-    address_of(scheduler)
-
-
-def _outcomes(
-    job: "Job",
-    tasks: "list[Task]",
-    n_jobs: int | None,
-    timeout_s: float | None,
-    scheduler: str | None,
-) -> "Iterator[tuple[Task, Outcome]]":
-    """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
-    from dlgmd_cli import pool
-    from dlgmd_cli.results import store
-    from dlgmd_cli.runs import dask
-    from dlgmd_cli.runs.batch import run_video
-    from dlgmd_cli.threads import n_processors
-
-    if scheduler is None:
-        # With fewer videos than processors, each video uses several of them.
-        n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
-        return pool.run_tasks(partial(run_video, job), tasks, n_jobs, timeout_s=timeout_s)
-    places = [one if store.is_url(one) else os.path.abspath(one) for one in job.places]
-    function = partial(run_video, replace(job, places=tuple(places), scratch=None))
-    local = [Path(one) for one in places if not store.is_url(one)]
-    folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
-    return dask.run_tasks(function, tasks, scheduler, folders=folders)
 
 
 @click.command(
@@ -186,7 +129,8 @@ def batch(
     """Run models over every video in folders.
 
     A FOLDER may also be a video, or the URL of either, such as s3://bucket/flights. OUT may be a
-    URL, too. A folder that holds only pictures, eight or more of one size, counts as a video.
+    URL, too. A folder that holds only pictures, eight or more of one size, counts as a video. A
+    .npy array counts only if it is named itself.
 
     Writes into OUT what 'dlgmd run' writes, one folder per video, in a tree like that of the
     videos, and summary.csv, one row per video. Several models share one decoding; each has a tree
@@ -196,124 +140,33 @@ def batch(
     parameters are skipped: after an interruption, the same command continues. --clips writes those
     of the videos that are processed; --force processes all.
     """
-    from tempfile import TemporaryDirectory
+    from dlgmd_cli.api import batch as api
 
-    from dlgmd_cli.results import store
-    from dlgmd_cli.runs.batch import Job
-
-    _check_scheduler(scheduler, jobs, timeout_s)
-    options, labels = _options(setups, given), [one.label for one in setups]
-    places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
-    found = _find(folders, [out, *([] if clips is None else [str(clips)])], exclude)
-    formats = () if no_plots else tuple(dict.fromkeys(formats))
-    job = Job(tuple(setups), tuple(places), options, formats, dpi, overwrite or force)
-    job = replace(job, clips=None if clips is None else os.path.abspath(clips))
+    found = api.batch(
+        folders,
+        setups,
+        out=out,
+        formats=() if no_plots else formats,
+        dpi=dpi,
+        overwrite=overwrite,
+        force=force,
+        clips=clips,
+        exclude=exclude,
+        dry_run=dry_run,
+        jobs=jobs,
+        timeout=timeout_s,
+        scheduler=scheduler,
+        progress=progress,
+        **given,
+    )
     if dry_run:
-        _show_plan(found, _plan(found, job, force), job, labels, as_json=as_json)
+        _show_plan(found, as_json=as_json)
         return
-    with store.locked(store.place(out)), ExitStack() as stack:
-        if any(store.is_url(video.path) for video in found.videos):
-            scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
-            job = replace(job, scratch=scratch)
-        plan = _plan(found, job, force)
-        outcomes = _outcomes(job, plan.tasks, jobs, timeout_s, scheduler)
-        complete = _process(plan, outcomes, labels)
-        statuses = {video.name: _status(plan, video.name) for video in found.videos}
-        _show(plan, statuses, labels, complete=complete, as_json=as_json)
-    if not complete or cancel.requested():
+    statuses = found.statuses
+    _show(found.plan, statuses, found.labels, complete=found.complete, as_json=as_json)
+    if not found.complete or cancel.requested():
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    _raise_failures(found, plan, statuses, out)
-
-
-def _options(setups: "list[Setup]", given: dict[str, Any]) -> "InputOptions":
-    """How every video is read: by the options given, otherwise by those that configs record."""
-    from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.runs.setup import input_options as recorded
-
-    every = [recorded(one, given) for one in setups]
-    for one, options in zip(setups, every, strict=True):
-        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
-        if options != every[0]:
-            raise ParameterError(
-                one.origin,
-                "its recorded options differ from those of the other models",
-                "Give them on the command line, or run this model alone.",
-            )
-    return every[0]
-
-
-def _find(folders: tuple[str, ...], outs: list[str], exclude: tuple[str, ...]) -> "Found":
-    """Find the videos, but not below `outs`, and tell the user what is left out."""
-    from dlgmd_cli.results.store import is_url
-    from dlgmd_cli.runs.find import find_videos
-
-    found = find_videos(folders, [Path(out) for out in outs if not is_url(out)], exclude)
-    for remark in found.remarks:
-        note(remark)
-    for fault in found.faults:
-        warn(f"{fault}; its videos are left out")
-    if not found.videos:
-        mend = "Give folders with .mp4, .avi, .mkv and the like, or with pictures of one size."
-        raise SourceError(", ".join(folders), "there is no video", mend)
-    return found
-
-
-def _plan(found: "Found", job: "Job", force: bool) -> "Plan":
-    from dlgmd_cli.runs.batch import plan
-
-    made = plan(found.videos, job, force=force)
-    n_all = len(found.videos)
-    n_before = n_all - len(made.tasks)
-    if n_before:
-        are = "is" if n_all == 1 else "are"
-        tell(f"{n_before} of {counted(n_all, 'video')} {are} done already.")
-    if made.n_other_version:
-        kept = counted(made.n_other_version, "result")
-        warn(f"kept {kept} of another version of dlgmd; --force processes all videos again")
-    return made
-
-
-def _process(plan: "Plan", outcomes: "Iterator[Any]", labels: list[str]) -> bool:
-    """Run all tasks with a progress bar and warnings; False if the user interrupted it."""
-    from dlgmd_cli.runs.batch import record_outcomes
-
-    n_ended = n_failed = 0
-    try:
-        with progress("batch", len(plan.tasks), "video") as advance:
-            for task, rows in record_outcomes(plan, outcomes):
-                failures = _failures(rows, labels)
-                warnings = [
-                    text for row in rows.values() for text in row.record.get("warnings", [])
-                ]
-                for line in dict.fromkeys([*failures, *warnings]):
-                    warn(f"{task.video.name}: {line.rstrip('.')}")
-                for number, row in rows.items():
-                    detail(f"{task.video.name}, {labels[number]}: {row.status}, {row.wall_s} s")
-                n_ended, n_failed = n_ended + 1, n_failed + bool(failures)
-                advance(n_ended, f"batch, {n_failed} failed")
-    except (cancel.Interrupted, KeyboardInterrupt):
-        return False
-    return True
-
-
-def _failures(rows: "Mapping[int, Row]", labels: list[str]) -> list[str]:
-    """The reasons why a video failed, with the models' labels if they failed differently."""
-    reasons: dict[str, list[str]] = {}
-    for number, row in rows.items():
-        if row.status != DONE:
-            reasons.setdefault(f"{row.status}: {row.error}", []).append(labels[number])
-    return [
-        reason if len(failed) == len(rows) else f"{', '.join(failed)}: {reason}"
-        for reason, failed in reasons.items()
-    ]
-
-
-def _status(plan: "Plan", video: str) -> str:
-    """The status of a video over all models: the first that is not done; empty if one is open."""
-    rows = [summary.rows.get(video) for summary in plan.summaries]
-    if None in rows:
-        return ""
-    return next((row.status for row in rows if row and row.status != DONE), DONE)
+    _raise_failures(found, statuses, out)
 
 
 def _show(
@@ -375,19 +228,17 @@ def _counts(plan: "Plan", statuses: dict[str, str]) -> str:
     return f"{counted(len(statuses), 'video')}: {', '.join(parts)}."
 
 
-def _show_plan(
-    found: "Found", plan: "Plan", job: "Job", labels: list[str], *, as_json: bool
-) -> None:
+def _show_plan(found: "Batch", *, as_json: bool) -> None:
     """Print what a batch would do, for --dry-run."""
     from dlgmd_cli.results import store
 
-    wanted = {task.video.name: task.wanted for task in plan.tasks}
+    wanted = {task.video.name: task.wanted for task in found.plan.tasks}
     videos = {
         video.name: {
-            labels[number]: str(store.place(job.places[number]) / video.folder)
+            found.labels[number]: str(store.place(found.job.places[number]) / video.folder)
             for number in wanted.get(video.name, ())
         }
-        for video in found.videos
+        for video in found.found.videos
     }
     if as_json:
         print_json({"dry_run": True, "videos": len(videos), "to_do": videos})
@@ -425,7 +276,7 @@ def _cells(row: "Row") -> tuple[str, ...]:
     return (frames_text(row.record), peak, *counts, first)
 
 
-def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out: str) -> None:
+def _raise_failures(found: "Batch", statuses: dict[str, str], out: str) -> None:
     """Raise Failed, exit code 1, if a video, a folder or a figure failed."""
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
@@ -436,10 +287,10 @@ def _raise_failures(found: "Found", plan: "Plan", statuses: dict[str, str], out:
             f"{n_failed} of {counted(n_total, 'video')} failed{rest}. Fix or remove "
             f"{'that one' if n_failed == 1 < n_total else those}, then run again."
         )
-    if found.faults:
+    if found.found.faults:
         raise Failed(
             f"some folders could not be read; the results of the others are in {printable(out)}. "
             "Check their access rights, then run again."
         )
-    if any(row.lacks_figures for summary in plan.summaries for row in summary.rows.values()):
+    if any(row.lacks_figures for summary in found.plan.summaries for row in summary.rows.values()):
         raise Failed(f"some figures could not be drawn; all tables are in {printable(out)}.")

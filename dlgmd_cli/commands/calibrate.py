@@ -1,25 +1,13 @@
 """`dlgmd calibrate`: find the parameters that announce labelled collisions best, as a preset."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli import __version__, cancel
-from dlgmd_cli.commands.console import (
-    Command,
-    Failed,
-    print_json,
-    print_path,
-    print_table,
-    say,
-    tell,
-    warn,
-)
-from dlgmd_cli.commands.evaluate import labels_argument, rule_options, scored
+from dlgmd_cli.commands.console import Command, print_json, print_path, print_table
+from dlgmd_cli.commands.evaluate import labels_argument, raise_failures, rule_options
 from dlgmd_cli.commands.options import (
     complete_key,
     input_options,
@@ -31,19 +19,11 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import printable
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.calibration import Calibration, Experiment, Trial
-    from dlgmd_cli.lab.evaluation.cases import Case
+    from dlgmd_cli.lab.evaluation.calibration import Calibration
     from dlgmd_cli.lab.evaluation.scoring import Scores
-    from dlgmd_cli.lab.evaluation.search import Range, Search
     from dlgmd_cli.runs.setup import Setup
-
-_SHOWN = ("recall", "false_alarms_per_min", "lead_s", "auc")
-# Options that a preset keeps: how a frame is prepared, not which part of a video is read.
-_KEPT = ("scale", "size", "fps", "repeats")
 
 
 @click.command(
@@ -120,119 +100,34 @@ def calibrate(
 
     Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
     """
-    from dlgmd_cli.lab.evaluation import calibration
-    from dlgmd_cli.lab.evaluation.cases import of_kind, read_cases, run_cases
-    from dlgmd_cli.lab.evaluation.search import Search, parse_range
-    from dlgmd_cli.results import store
-    from dlgmd_cli.runs.setup import input_options as recorded
+    from dlgmd_cli.api import calibrate as api
 
-    if given.get("normalise") == "sequence":
-        raise click.UsageError("--normalise sequence leaves no threshold to calibrate.")
-    if not name.strip(". ") or Path(name).name != name:
-        raise click.UsageError(f"--name: {printable(name)!r} is not the name of a file.")
-    options = recorded(setup, given)
-    wanted = calibration.Rules(**rules, folds=folds)
-    ranges = dict(parse_range(text, setup.params) for text in searched)
+    found = api.calibrate(
+        labels_path,
+        model=setup,
+        **rules,
+        folds=folds,
+        search=searched,
+        trials=n_trials,
+        name=name,
+        jobs=jobs,
+        out=out,
+        overwrite=overwrite,
+        progress=progress,
+        **given,
+    )
     path = Path(out) / f"{name}.yaml"
-    store.refuse_existing(path, overwrite=overwrite)
-    cases = read_cases(labels_path)
-    of_kind(cases, wanted.max_false_kind)  # raises if there are none
-    with ExitStack() as opened:
-        opened.enter_context(store.locked(Path(out)))
-        search = None
-        if ranges:
-            asked = {
-                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-                "rules": asdict(wanted),
-                "ranges": {key: one.text() for key, one in ranges.items()},
-                "model": setup.settings(),
-                "options": options.to_record(),
-            }
-            search = Search(Path(out), ranges, asked, overwrite=overwrite)
-            opened.callback(search.close)
-        found = run_cases(cases, [setup], options, jobs)
-        evaluation = opened.enter_context(scored(labels_path, cases, found))
-        _require_collisions(evaluation.cases, labels_path)
-        experiment = calibration.Experiment(setup, options, wanted, tuple(evaluation.cases), jobs)
-        trials = [] if search is None else _trials(experiment, search, n_trials)
-        result = calibration.calibrate(experiment, evaluation.signals(setup.label), trials)
-        store.write_text(path, _preset(result, experiment, labels_path.name, ranges, n_trials))
-        if as_json:
-            choices = [{"n_sp": one.n_sp, "excitation": one.threshold} for one in result.choices]
-            found_out = {
-                "parameters": result.setup.settings(),
-                **{key: _json(one) for key, one in result.scores.items()},
-                "folds": choices,
-            }
-            print_json({"preset": str(path), **found_out, "failed": evaluation.failed})
-        else:
-            _show(result, experiment)
-            print_path(path)
-
-
-def _trials(experiment: "Experiment", search: "Search", n_trials: int) -> "list[Trial]":
-    n_done = len(search)
-    if n_done:
-        tell(f"{n_done} trials are done already.")
-    try:
-        with progress("calibrate", n_trials, "trial") as advance:
-            for n_done in search.run(n_trials, experiment.setup, experiment.choose):
-                advance(n_done)
-    except (cancel.Interrupted, KeyboardInterrupt):
-        say(f"{n_done} of {n_trials} trials are done; the same command continues from there.")
-        raise
-    trials = search.trials()
-    if not trials:
-        raise Failed("no trial had a valid combination of parameters.")
-    return trials
-
-
-def _require_collisions(cases: "Sequence[Case]", labels_path: Path) -> None:
-    """Raise Failed if fewer than two videos have a collision; warn if few have."""
-    n_with = sum(bool(case.collisions) for case in cases)
-    if n_with < 2:
-        raise Failed(
-            f"{labels_path}: {counted(n_with, 'video')} with a collision; "
-            "calibration needs at least 2."
-        )
-    if n_with < 20:
-        warn(f"only {n_with} videos have a collision; the calibration may not generalise")
-
-
-def _preset(
-    found: "Calibration",
-    experiment: "Experiment",
-    labels: str,
-    ranges: "Mapping[str, Range]",
-    n_trials: int,
-) -> str:
-    """The YAML of the preset; comments say on what it was calibrated, and how well it does."""
-    from dlgmd_cli.lab.evaluation.report import ALL
-    from dlgmd_cli.results.record import yaml_text
-
-    scores, rules = found.scores, experiment.rules
-    held = scores["held_out"][ALL]
-    searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
-    trials = f"; searched in {n_trials} trials: {searched}" if ranges else ""
-    n_folds = max(experiment.folds) + 1
-    kinds = [(kind, own) for kind, own in scores["held_out"].items() if kind != ALL]
-    limited = rules.max_false_kind
-    where = f" on videos of the kind {printable(limited)}" if limited else ""
-    lines = [
-        f"Calibrated by dlgmd {__version__} on {printable(labels)}: "
-        f"{counted(int(held['videos']), 'video')}, "
-        f"{counted(int(held['collisions']), 'collision')}, {held['minutes']:.2f} minutes.",
-        f"Highest recall with at most {rules.max_false_per_min:g} false alarms per minute{where}.",
-        f"Alarms up to {rules.horizon_s:g} s before a collision are hits.",
-        f"Calibrated: kappa (LGMD: t_mp) and n_sp{trials}.",
-        f"Held out ({n_folds} folds): {_sentence(held)}.",
-        *(f"Held out, {printable(kind)}: {_sentence(own)}." for kind, own in kinds),
-        f"On the same videos: {_sentence(scores['same_videos'][ALL])}.",
-    ]
-    settings = found.setup.settings()
-    kept = {k: v for k, v in experiment.options.to_record().items() if k in _KEPT}
-    document = {**settings, **({"options": kept} if kept else {})}
-    return yaml_text(document, "".join(f"# {line}\n" for line in lines))
+    if as_json:
+        facts = {
+            "parameters": found.setup.settings(),
+            **{key: _json(one) for key, one in found.scores.items()},
+            "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in found.choices],
+        }
+        print_json({"preset": str(path), **facts, "failed": found.failed})
+    else:
+        _show(found)
+        print_path(path)
+    raise_failures(found.failed, len(found.experiment.cases))
 
 
 def _json(scores: "Mapping[str, Scores]") -> dict[str, Any]:
@@ -243,28 +138,20 @@ def _json(scores: "Mapping[str, Scores]") -> dict[str, Any]:
     return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
 
 
-def _sentence(scores: "Scores") -> str:
-    """The measures with their 95 % intervals, in words."""
-    from dlgmd_cli.lab.evaluation.report import interval_text
-
-    recall, rate, lead, auc = (interval_text(scores, name) for name in _SHOWN)
-    return f"recall {recall}, {rate} false alarms per minute, median lead {lead} s, AUC {auc}"
-
-
-def _show(found: "Calibration", experiment: "Experiment") -> None:
+def _show(found: "Calibration") -> None:
+    from dlgmd_cli.api.calibrate import SHOWN
     from dlgmd_cli.lab.evaluation.report import ALL, interval_text
 
+    experiment = found.experiment
     names = {
         "held_out": f"held out ({max(experiment.folds) + 1} folds)",
         "same_videos": "on the same videos",
         "before": f"before ({experiment.setup.label})",
     }
     rows = [
-        (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in _SHOWN))
+        (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in SHOWN))
         for key, title in names.items()
         for kind, own in found.scores[key].items()
     ]
     print_table(("", "recall", "false/min", "lead s", "AUC"), rows)
-    own, before = found.setup.settings(), experiment.setup.settings()
-    changed = [f"{key} = {value}" for key, value in own.items() if value != before[key]]
-    click.echo(f"Found: {', '.join(changed) or 'the same parameters as before'}.")
+    click.echo(f"Found: {', '.join(found.changes()) or 'the same parameters as before'}.")

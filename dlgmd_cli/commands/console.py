@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
@@ -296,6 +296,15 @@ def warn_undrawn(folder: Path | str, undrawn: Mapping[str, str]) -> None:
     for name, why in undrawn.items():
         _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
         click.get_current_context().meta[_UNDRAWN] = True
+
+
+def written(paths: Iterable[Path]) -> list[Path]:
+    """The files that exist; if a figure could not be drawn, the command exits with code 1."""
+    paths = list(paths)
+    found = [path for path in paths if path.exists()]
+    if len(found) < len(paths):
+        click.get_current_context().meta[_UNDRAWN] = True
+    return found
 
 
 class _Lines(logging.Handler):

@@ -1,15 +1,11 @@
 """`dlgmd evaluate`: score how well alarms announce labelled collisions."""
 
-import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.checks import Spec
 from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.console import (
     Command,
@@ -17,12 +13,10 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    warn,
-    warn_undrawn,
+    written,
 )
 from dlgmd_cli.commands.options import (
     Output,
-    Parsed,
     engine_option,
     formulation_option,
     input_options,
@@ -37,14 +31,9 @@ from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.words import counted, threshold_text
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.cases import Candidate, Case, Evaluation, Results
     from dlgmd_cli.lab.evaluation.report import Report
-    from dlgmd_cli.results.store import Write
     from dlgmd_cli.runs.setup import Setup
 
-RECORD = "evaluate.yaml"
-FIGURES = ("trade-off", "leads")
-FALSE_PER_MIN = Spec(float, 0, math.inf)
 # Options that only matter when models are run.
 _NOT_WITH_RESULTS = {
     *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size", "fps"),
@@ -56,23 +45,11 @@ labels_argument = click.argument(
 )
 
 
-def _rate(text: str) -> tuple[float, str | None]:
-    """`1` -> (1.0, None), and `1:real` -> (1.0, "real")."""
-    rate, _, kind = text.partition(":")
-    return FALSE_PER_MIN.parse(rate, ""), kind.strip() or None
-
-
-def _rules(horizon_s: float, max_false_per_min: tuple[float, str | None]) -> dict[str, Any]:
-    rate, kind = max_false_per_min
-    return {"horizon_s": horizon_s, "max_false_per_min": rate, "max_false_kind": kind}
-
-
 rule_options = option_group(
     "rules",
-    _rules,
+    dict,
     click.option(
         "--horizon",
-        "horizon_s",
         type=numeric(low_open=True, high=3600),
         default=1.0,
         show_default=True,
@@ -81,7 +58,6 @@ rule_options = option_group(
     ),
     click.option(
         "--max-false-per-min",
-        type=Parsed("F[:KIND]", _rate),
         default="1",
         show_default=True,
         metavar="F[:KIND]",
@@ -145,67 +121,34 @@ def evaluate(
     and for each kind), alarms.csv (every alarm and every missed collision of all videos; not the
     columns of 'dlgmd run'), figures of the trade-off and of the leads, and evaluate.yaml.
     """
-    from dlgmd_cli.lab.evaluation.cases import of_kind, read_cases, stored_results
-    from dlgmd_cli.lab.evaluation.report import make_report
-    from dlgmd_cli.results import store
-    from dlgmd_cli.results.record import record_text
+    from dlgmd_cli.api import evaluate as api
 
     if results is not None:
         _refuse_models()
-    cases = read_cases(labels_path)
-    of_kind(cases, rules["max_false_kind"])  # raises if there are none
-    click.get_current_context().with_resource(store.locked(output.out))
-    names = [f"evaluate-{kind}.{form}" for kind in FIGURES for form in output.formats]
-    for name in ("evaluate.csv", "curves.csv", "alarms.csv", *names, RECORD):
-        store.refuse_existing(output.out / name, overwrite=output.overwrite)
-    found = (
-        _computed(cases, setups, given, jobs, baselines=baselines)
-        if results is None
-        else stored_results(results, cases)
+    report = api.evaluate(
+        labels_path,
+        setups if results is None else None,
+        results=results,
+        **rules,
+        baselines=baselines,
+        jobs=jobs if results is None else None,
+        out=output.out,
+        formats=output.formats,
+        dpi=output.dpi,
+        width=output.width,
+        overwrite=output.overwrite,
+        progress=progress,
+        **(given if results is None else {}),
     )
-    with scored(labels_path, cases, found, baselines=baselines) as evaluation:
-        report = make_report(evaluation, **rules)
-        candidates = evaluation.candidates.values()
-        record = {
-            "labels": str(labels_path.absolute()),
-            **report.counts(),
-            **rules,
-            "models": [_described(one) for one in candidates],
-            "options": next(iter(candidates)).record.get("options", {}),
-        }
-        files = report.tables()
-        if output.formats:
-            files |= _figures(report, rules, output)
-        files[RECORD] = store.file_of(record_text(record, []))
-        undrawn = store.write_files(output.out, files, record=RECORD)
-        warn_undrawn(output.out, undrawn)
-        if output.as_json:
-            facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
-            print_json(facts)
-        else:
-            _show(report)
-            for name in [name for name in files if name not in undrawn]:
-                print_path(output.out / name)
-
-
-def _computed(
-    cases: "list[Case]",
-    setups: "list[Setup]",
-    given: dict[str, Any],
-    jobs: int | None,
-    *,
-    baselines: bool,
-) -> "Iterator[tuple[Case, Results]]":
-    """Run the models over the videos, each model at the size that its file records."""
-    from dlgmd_cli.lab.evaluation.cases import run_cases, with_flow
-    from dlgmd_cli.models.base import create_model
-    from dlgmd_cli.runs.setup import input_options as recorded
-    from dlgmd_cli.video.options import InputOptions
-
-    for one in setups:
-        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
-    options = recorded(setups[0], given) if len(setups) == 1 else InputOptions(**given)
-    return run_cases(cases, with_flow(setups) if baselines else setups, options, jobs)
+    paths = written(output.out / name for name in api.file_names(output.formats))
+    if output.as_json:
+        facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
+        print_json(facts)
+    else:
+        _show(report)
+        for path in paths:
+            print_path(path)
+    raise_failures(report.evaluation.failed, len(report.evaluation.cases))
 
 
 def _refuse_models() -> None:
@@ -218,69 +161,13 @@ def _refuse_models() -> None:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")
 
 
-@contextmanager
-def scored(
-    labels_path: Path,
-    cases: "list[Case]",
-    found: "Iterator[tuple[Case, Results]]",
-    *,
-    baselines: bool = False,
-) -> "Iterator[Evaluation]":
-    """The models and the videos, which are computed with a progress bar; warns of those that fail.
-
-    Raises Failed at once if no video can be scored, and at the end if some cannot.
-    """
-    from dlgmd_cli.lab.evaluation.cases import Evaluation
-
-    by_name = {}
-    with progress("evaluate", len(cases), "video") as advance:
-        for number, (case, results) in enumerate(found, start=1):
-            by_name[case.name] = results
-            advance(number)
-    evaluation = Evaluation(baselines=baselines)
-    for case in cases:
-        evaluation.add(case, by_name[case.name])
-    for name, why in evaluation.failed.items():
-        warn(f"{name}: {why}")
-    if not evaluation.cases:
-        raise Failed(f"{labels_path}: no video could be scored.")
-    yield evaluation
-    if evaluation.failed:
+def raise_failures(failed: "Mapping[str, str]", n_scored: int) -> None:
+    """Raise Failed, exit code 1, if some videos could not be scored."""
+    if failed:
         raise Failed(
-            f"{len(evaluation.failed)} of {len(cases)} videos could not be scored and are left "
+            f"{len(failed)} of {len(failed) + n_scored} videos could not be scored and are left "
             "out. Fix or remove them, then run again."
         )
-
-
-def _described(one: "Candidate") -> dict[str, Any]:
-    processed = one.record["processed"]
-    size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
-    if one.params is None:
-        return {"label": one.label, "n_sp": one.n_sp, **size}
-    return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}
-
-
-def _figures(report: "Report", rules: dict[str, Any], output: Output) -> "Mapping[str, Write]":
-    from dlgmd_cli.lab.evaluation.report import ALL, DEFAULT
-    from dlgmd_cli.lab.plots.evaluation import leads, trade_off
-    from dlgmd_cli.plots.style import figure_files
-
-    curves, points = {}, {}
-    for label, own in report.curves.items():
-        for kind, one in own.items():
-            title = label if kind == ALL else f"{label}, {kind}"
-            if not report.main(label, kind=kind)["collisions"] and kind != ALL:
-                continue  # nothing to announce
-            curves[title] = one.false_alarms_per_min, one.recall
-            row = report.row(label, DEFAULT, kind=kind)
-            if row is not None:
-                points[title] = row["false_alarms_per_min"], row["recall"]
-    most, horizon_s, width = rules["max_false_per_min"], rules["horizon_s"], output.width
-    figures = {
-        "evaluate-trade-off": partial(trade_off, curves, points, most, width),
-        "evaluate-leads": partial(leads, report.leads_s, horizon_s, width),
-    }
-    return figure_files(figures, output.formats, output.dpi)
 
 
 def _show(report: "Report") -> None:

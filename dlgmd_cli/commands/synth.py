@@ -2,13 +2,12 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.cancel import EXIT_INTERRUPTED, Interrupted
-from dlgmd_cli.commands.console import Command, Failed, note, print_path, print_table, say, tell
+from dlgmd_cli.commands.console import Command, Failed, print_path, print_table
 from dlgmd_cli.commands.options import (
     SIZE,
     SectionOption,
@@ -20,11 +19,6 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.threads import n_processors
-
-if TYPE_CHECKING:
-    from dlgmd_cli.lab.flights.dataset import FlightSet
-    from dlgmd_cli.lab.stimuli.clip import DrawSheet, Rendering
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
@@ -177,44 +171,28 @@ def synth(
     (past things), low (over tiles and lines), people (who walk past), light (shadows and exposure)
     or walk (a camera in the hand).
     """
-    if count is None and jobs is not None:
-        raise click.UsageError("--jobs works only with --count. Add it.")
     if lists:
         _list()
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
-    from dlgmd_cli.lab.flights.scenes import find_scene
-    from dlgmd_cli.lab.stimuli.clip import Rendering, choose_codec
+    from dlgmd_cli.api import synth as api
 
-    scene = find_scene(scene_name)
-    options = scene.configure(_by_flag(given))
-    codec = choose_codec(lossless=lossless, png=png, playable=scene.is_flight)
-    draw: DrawSheet | None = None
-    if sheet:  # only now, as importing Matplotlib takes time
-        from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
-
-        draw = partial(save_contact_sheet, dpi=dpi)
-    clip = Rendering(scene, options, out, codec, name or scene.name, draw)
+    more: dict[str, Any] = {"lossless": lossless, "png": png, "sheet": sheet, "dpi": dpi, **given}
+    more |= {"name": name, "jobs": jobs, "overwrite": overwrite, "progress": progress}
     if count is None:
-        _render_one(clip, overwrite)
+        for path in api.synth(scene_name, out, **more).paths:
+            print_path(path)
         return
-    if not scene.is_flight:
-        raise click.UsageError(f"--count works only with flights, and {scene.name} is not one.")
-    from dlgmd_cli.lab.flights.dataset import FlightSet
-
-    _render_fleet(FlightSet(clip, count), jobs, overwrite)
-
-
-def _by_flag(given: dict[str, Any]) -> dict[str, Any]:
-    """The options that the user has set, by flag, as scenes take them; sizes are (H, W)."""
-    if given["size"]:
-        given["size"] = given["size"][::-1]
-    return {
-        f"--{name.replace('_', '-')}": value
-        for name, value in given.items()
-        if value not in (None, ())
-    }
+    flights = api.synth(scene_name, out, count=count, **more)
+    n_present = len(flights.labels)
+    if n_present:
+        print_path(flights.path)
+    if n_present < count:
+        raise Failed(
+            f"{count - n_present} of {count} flights failed; the other {n_present} are in {out}. "
+            "Fix what is named above, then run the same command again."
+        )
 
 
 def _list() -> None:
@@ -224,78 +202,3 @@ def _list() -> None:
     for kind, is_flight in (("flight", True), ("flat scene", False)):
         scenes = [s for s in SCENES.values() if s.is_flight == is_flight]
         print_table((kind, "shows"), [(s.name.ljust(width), s.description) for s in scenes])
-
-
-def _render_one(clip: "Rendering", overwrite: bool) -> None:
-    from dlgmd_cli.results.store import locked
-
-    scene, options = clip.scene, clip.options
-    # Flights have noise by default, and a camera's video would be compressed as well: no note.
-    is_smoothed = clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0
-    if is_smoothed:
-        note("MPEG-4 smooths the noise; --lossless keeps every pixel of it")
-    with locked(clip.folder), progress(scene.name, scene.n_frames(options)) as on_frame:
-        paths = clip.write(overwrite=overwrite, on_frame=on_frame)
-    for path in paths:
-        print_path(path)
-
-
-def _render_fleet(flights: "FlightSet", jobs: int | None, overwrite: bool) -> None:
-    """Render the missing flights, and write the labels of all that exist, even after an error."""
-    from dlgmd_cli.results.store import locked
-
-    is_interrupted = False
-    with locked(flights.like.folder):
-        present = flights.present()
-        missing = [number for number in range(flights.count) if number not in present]
-        flights.check(missing, overwrite=overwrite)
-        if present:
-            tell(f"{len(present)} of {flights.count} flights were already there.")
-        try:
-            _render_missing(flights, missing, jobs or n_processors(), overwrite)
-        except (Interrupted, KeyboardInterrupt):
-            is_interrupted = True
-        except Exception:
-            if len(flights.present()) > len(present):
-                say(_kept(flights, _label(flights, overwrite)))
-            raise
-        n_present = _label(flights, overwrite)
-    if is_interrupted:
-        say(f"Interrupted. {_kept(flights, n_present)}" if n_present else "Interrupted.")
-        raise click.exceptions.Exit(EXIT_INTERRUPTED)
-    if n_present < flights.count:
-        raise Failed(
-            f"{flights.count - n_present} of {flights.count} flights failed; the other {n_present} "
-            f"are in {flights.like.folder}. Fix what is named above, then run the same command "
-            "again."
-        )
-
-
-def _render_missing(flights: "FlightSet", missing: list[int], jobs: int, overwrite: bool) -> None:
-    """Render flights, and report those that fail."""
-    n_present = flights.count - len(missing)
-    n_jobs = min(jobs, max(1, len(missing)))
-    with progress(flights.like.name, flights.count, "flight") as on_flight:
-        on_flight(n_present)
-        done = flights.render(missing, n_jobs, overwrite=overwrite)
-        for n_done, (number, error) in enumerate(done, start=n_present + 1):
-            if error is not None:
-                name = flights.clip(number).name
-                say(str(error) if name in error.what else f"{name}: {error}")
-            on_flight(n_done)
-
-
-def _label(flights: "FlightSet", overwrite: bool) -> int:
-    """Write the labels of the existing flights, if there are any; returns their number."""
-    labels = flights.present()
-    if labels:
-        flights.write_labels(labels, overwrite=overwrite)
-        print_path(flights.labels_path)
-    return len(labels)
-
-
-def _kept(flights: "FlightSet", n_present: int) -> str:
-    return (
-        f"{flights.like.folder} holds {n_present} of {flights.count} flights; "
-        "run the same command again for the others."
-    )

@@ -12,13 +12,13 @@ from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
 from dlgmd_cli.export.sums import float_literal as f
 from dlgmd_cli.models.contrast import (
-    BLOCK,
     MAX_QUARTILE_CELLS,
     NOMINAL_FPS,
     centre_weights,
     quadrants,
 )
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
+from dlgmd_cli.models.engines import BLOCK
 from dlgmd_cli.models.kernels import Connections, connect
 from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters
 
@@ -29,7 +29,7 @@ MAX_GROWTH = 4096.0
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether the model is the
 # contrast-relative one and whether it is fixed: a constant, and per operation of a cell. The tests
 # measure both.
-STACK_BYTES = 512
+STACK_BYTES = 768
 CODE_BYTES = {
     (False, False): (1200, 10),
     (False, True): (1370, 7),
@@ -38,6 +38,8 @@ CODE_BYTES = {
 }
 # Bytes of code that follow the picture, compare quadrants and adapt.
 FOLLOWING_BYTES = 2250
+# Bytes of code that measure the expansion.
+EXPANDING_BYTES = 1700
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,11 @@ class Export:
         """Whether K is compared with its own past."""
         return self.is_contrast and self.params.c_m > 0.0
 
+    @property
+    def expands(self) -> bool:
+        """Whether K grows with the expansion of the picture."""
+        return self.shift > 0 and self.params.d_0 > 0.0
+
     @cached_property
     def connections(self) -> Connections:
         """The kernels."""
@@ -127,6 +134,7 @@ class Export:
             "DLGMD_SHIFT": self.shift,
             "DLGMD_BALANCE": int(self.is_contrast and self.params.balance),
             "DLGMD_ADAPTS": int(self.adapts),
+            "DLGMD_EXPANDS": int(self.expands),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
             "DLGMD_FFI_DELAY": self.ffi_delay,
@@ -146,7 +154,9 @@ class Export:
             work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks)
             work += number * 256 * delays
             scalars = (16 if self.is_fixed else 12) + 12
-            scalars += (8 if self.is_fixed else 4) * self.adapts + 8 * (self.shift > 0)
+            scalars += (
+                (8 if self.is_fixed else 4) * self.adapts + 8 * (self.shift > 0) + 4 * self.expands
+            )
         else:
             work = _whole(columns + number * 4 * (self.width + 3), number)
             scalars = 4 * (self.ffi_delay + 1) + 12
@@ -164,7 +174,7 @@ class Export:
         """
         multiplications, additions = self.code.operations
         base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
-        base += FOLLOWING_BYTES * (self.shift > 0)
+        base += FOLLOWING_BYTES * (self.shift > 0) + EXPANDING_BYTES * self.expands
         tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
         return {
             "ram_bytes": self.state_bytes,
@@ -208,13 +218,18 @@ class Export:
             "W_MEAN": -math.expm1(-interval_s / params.tau_m),
             "BOTH": self.n_cells / 2.0 / of_quadrant,
         }
+        quarter = math.prod(n // BLOCK // 3 for n in (self.width, self.height))
+        expansion = 1.0 / (quarter * interval_s * params.d_0) if self.expands else 0.0
         if self.is_fixed:
             constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
             constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
             constants["GROWTH"] = f"{round(min(params.growth, MAX_GROWTH) * 2**14)}u"
             constants["S_BITS"] = str(self.code.s_bits)
+            constants["EXPANSION"] = str(round(expansion * 2**14))
+            constants["K_0"] = f"UINT64_C({round(params.k_0 * 2**32)})"
         else:
             values |= {**shares, "GROWTH": params.growth}
+            values |= {"EXPANSION": expansion, "K_0": params.k_0 * self.n_cells}
             constants = {key: f(value) for key, value in values.items()}
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
 

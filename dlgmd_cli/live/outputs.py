@@ -247,9 +247,7 @@ class Mavlink:
         try:
             from pymavlink import mavutil
         except ImportError:
-            why = "the package 'pymavlink' is not installed"
-            mend = "Install it with: pip install 'dlgmd[live]'."
-            raise MissingExtraError("--mavlink", why, mend) from None
+            raise MissingExtraError.of("--mavlink", "pymavlink") from None
         self._names = names = mavutil.mavlink
         try:
             self._link = mavutil.mavlink_connection(

@@ -38,8 +38,7 @@ try:
     from starlette.types import Message, Receive, Scope, Send
     from uvicorn.protocols.http.h11_impl import H11Protocol
 except ImportError as error:
-    why, mend = f"the package {error.name!r} is not installed", "Run: pip install 'dlgmd[live]'."
-    raise MissingExtraError("--serve", why, mend) from None
+    raise MissingExtraError.of("--serve", error.name) from None
 
 _log = logging.getLogger(__name__)
 

@@ -347,13 +347,13 @@ class Photoreceptors:
         Number of the newest frame, from 0; -1 before the first frame.
     current, previous : ndarray, shape (H, W), uint8 or float32
         The newest frame and, from frame 1 on, the previous one.
-    stack : ndarray, shape (depth, H, W), of type `_stack_type`, by default that of the frames
+    stack : ndarray, shape (depth, H, W), of the frames' type
         Ring buffer of P, in levels of 0..255 or 0..1.
+    floors : ndarray, shape (depth,), float32
+        What the engines subtract from each P of the stack, in levels; what falls below is 0.
     hidden : ndarray, shape (H, W), bool, or None
         True for ignored cells, see `Model.ignore`.
     """
-
-    _stack_type: npt.DTypeLike | None = None
 
     current: Grey
     previous: Grey
@@ -370,6 +370,7 @@ class Photoreceptors:
         self.frame = -1
         self._newest = 0
         self._p_sums: deque[float] = deque(maxlen=self._depth)
+        self.floors = np.zeros(self._depth, np.float32)
 
     def hide(self, hidden: Flags | None) -> None:
         """Ignore the cells where `hidden` is True, see `Model.ignore`."""
@@ -392,7 +393,7 @@ class Photoreceptors:
         if self.frame < 0:
             shape, dtype = luminance.shape, luminance.dtype
             self.current, self.previous = aligned(shape, dtype), aligned(shape, dtype)
-            self.stack = aligned((self._depth, *shape), self._stack_type or dtype)
+            self.stack = aligned((self._depth, *shape), dtype)
         self.current, self.previous = self.previous, self.current
         np.copyto(self.current, luminance)
         self.clear(self.current)
@@ -416,7 +417,7 @@ class Photoreceptors:
         return (self._newest - delay) % self._depth
 
     def p(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), in levels; a view."""
+        """P(t - delay), shape (H, W), in levels; a view; see also `floors`."""
         return self.stack[self.position(delay)]
 
     def p_sum(self, delay: int) -> float:

@@ -15,11 +15,10 @@ from dlgmd_cli.models.base import (
     Grey,
     Photoreceptors,
     Response,
-    aligned,
     centroid,
 )
 from dlgmd_cli.models.distributed import Distributed, Images
-from dlgmd_cli.models.engines import Counting
+from dlgmd_cli.models.engines import BLOCK, Counting
 from dlgmd_cli.parameters import ContrastParameters
 
 # Rows and columns.
@@ -27,12 +26,12 @@ Shift = tuple[int, int]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
-# Side of the blocks whose means tell how the picture moves, in cells.
-BLOCK = 4
 # The picture is moved if less than this share of the change is left.
 MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
 NOMINAL_FPS = 30.0
+# The picture's expansion counts up to this multiple of `d_0`.
+MAX_EXPANSION = 8.0
 
 
 class ContrastDLGMD(Distributed):
@@ -62,7 +61,7 @@ class ContrastDLGMD(Distributed):
     `t_de` is the threshold of S. The layer P is P', but `p_sum` is the sum of ``|L(t) - L(t-1)|``,
     as in the other models.
 
-    Five parameters, off by default, keep it quiet on real footage:
+    Seven parameters, off by default, keep it quiet on real footage:
 
     - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells. Of means
       over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
@@ -77,6 +76,13 @@ class ContrastDLGMD(Distributed):
     - `c_m`: K(t) = max(κ(t) - c_m m(t-1), 0), where κ(t) is K as above, and m its mean so far,
       m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
       what goes on all the time.
+    - `d_0` and `k_0`, where `shift` is on: K(t) = e² (a + k_0 n_cell) - k_0 n_cell with a the K as
+      above and e = min(max(1, D(t) / d_0), 8). D is the rate of expansion of the middle two thirds
+      of the picture, in 1/s: each of their four quarters moves by its own shift in blocks, by
+      descent from that of the picture along y, then along x, refined as above. The rates at which
+      the upper two move apart, the lower two, the left two and the right two, relative to the
+      distance of their centres, are four expansions; D is the least. What is approached expands in
+      every direction, and faster the less time is left.
     - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
       n. Δt is one frame at `w_fps`, or at 30 frames/s, if times are unknown.
 
@@ -138,12 +144,12 @@ class ContrastDLGMD(Distributed):
         g_sum, (m_x, m_y) = passed * sums.g, sums.moments
         mp = passed * self._weakest(sums.quarters) if self.params.balance else g_sum
         g_x, g_y = centroid(g_sum, (passed * m_x, passed * m_y), shape)
-        mp = self._adapted(mp)
+        mp = self._expanding(self._adapted(mp))
         return Response(receptors.p_sum(0), sums.s, mp, ffi, threshold, g_x=g_x, g_y=g_y)
 
     def _prepare(self, luminance: Grey) -> None:
         super()._prepare(luminance)
-        self.receptors.subtract = self._engine.subtract
+        self.receptors.blocks = self._engine.blocks
         self._weights = None
 
     def _weakest(self, quarters: tuple[float, ...]) -> float:
@@ -163,6 +169,14 @@ class ContrastDLGMD(Distributed):
         newest = -math.expm1(-self.receptors.interval_s / tau_s)
         self._mean = before + newest * (mp - before)
         return max(mp - c_m * before, 0.0)
+
+    def _expanding(self, mp: float) -> float:
+        """K, the more the faster the picture expands, see `d_0`."""
+        d_0, extra = self.params.d_0, self.params.k_0 * self.n_cells
+        if d_0 == 0.0:
+            return mp
+        rate = self.receptors.expansion / self.receptors.interval_s
+        return min(max(rate / d_0, 1.0), MAX_EXPANSION) ** 2 * (mp + extra) - extra
 
     def _threshold(self) -> float:
         """Threshold of S for an active cell, in luminance."""
@@ -194,15 +208,6 @@ def quadrants(weights: tuple[FloatImage, FloatImage], hidden: Flags | None = Non
     return [float(image[rows, columns].sum()) for rows in sides[0] for columns in sides[1]]
 
 
-def coarse(frame: Grey) -> FloatImage:
-    """Means over whole blocks of `BLOCK` x `BLOCK` cells, in levels."""
-    height, width = (n // BLOCK for n in frame.shape)
-    if height == 0 or width == 0:
-        return np.zeros((0, 0), np.float32)
-    whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
-
-
 def overlap(n: int, shift: int) -> tuple[slice, slice]:
     """Where the cells of a side of n remain after a shift, and where they were."""
     return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
@@ -215,13 +220,28 @@ def mean_change(frame: Grey, before: Grey, shift: Shift) -> float:
     return cv2.norm(now, before[from_rows, from_columns], cv2.NORM_L1) / now.size
 
 
+def refined(less: float, here: float, more: float) -> float:
+    """How far the least change is from here, in blocks, by the changes one block less and more.
+
+    At most half a block; 0 if nothing changes here, or if a change beside is infinite.
+    """
+    rise = max(less, more) - here
+    part = (less - more) / (2.0 * rise) if here > 0.0 and 0.0 < rise < math.inf else 0.0
+    return min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
+
+
+def shift_limits(shape: tuple[int, ...], most: int) -> list[int]:
+    """The largest shift along each side, in blocks: at most a third of it."""
+    return [min(most, n // 3) for n in shape]
+
+
 def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tuple[Shift, Shift]:
     """By how much the picture has moved, see `ContrastDLGMD`.
 
     Parameters
     ----------
     now, before : ndarray
-        The two frames, `coarse`.
+        Means over blocks of the two frames, see `Engine.blocks`.
     start : (int, int)
         The shift in blocks, rows first, that was found one frame earlier.
     most : int
@@ -232,7 +252,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     blocks, cells : (int, int)
         The shift in whole blocks, and in cells.
     """
-    limits = [min(most, n // 3) for n in now.shape]
+    limits = shift_limits(now.shape, most)
     if 0 in limits:
         return (0, 0), (0, 0)
     change = cache(partial(mean_change, now, before))
@@ -245,35 +265,101 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
             break
         best = near
 
-    def cells(blocks: int, before: float, after: float) -> int:
-        """Cells of a shift in blocks, by the change at one block less and at one more."""
-        rise = max(before, after) - change(best)
-        part = (before - after) / (2.0 * rise) if rise > 0.0 else 0.0
-        part = min(max(part, -0.5), 0.5)  # beyond the limits the change may be less
+    def cells(blocks: int, less: Shift, more: Shift) -> int:
+        part = refined(change(less), change(best), change(more))
         return BLOCK * blocks + math.floor(
             BLOCK * part + 0.5 + 1e-9
         )  # halves up, also rounded ones
 
-    down = cells(y, change((y - 1, x)), change((y + 1, x)))
-    return best, (down, cells(x, change((y, x - 1)), change((y, x + 1))))
+    down = cells(y, (y - 1, x), (y + 1, x))
+    return best, (down, cells(x, (y, x - 1), (y, x + 1)))
 
 
-def lower_quartile(current: Grey, previous: Grey, hidden: Flags | None = None) -> float:
-    """Lower quartile of |L(t) - L(t-1)|, estimated from a subset if there are many cells.
+def expansion(now: FloatImage, before: FloatImage, start: Shift, most: int) -> float:
+    """By what share the picture has grown since the frame before, see `d_0` of `ContrastDLGMD`.
+
+    Parameters
+    ----------
+    now, before : ndarray, shape (H, W)
+        Means over blocks of the two frames, see `Engine.blocks`.
+    start : (int, int)
+        The shift of the whole picture in blocks, rows first, see `follow`.
+    most : int
+        Largest shift, in blocks; at most a third of a side.
+
+    Returns
+    -------
+    float
+        The least of the four expansions; 0 if a side has fewer than 4 blocks.
+    """
+    limits = shift_limits(now.shape, most)
+    if min(now.shape) < 4 or 0 in limits:
+        return 0.0
+    (y, x), (height, width) = (n // 2 for n in now.shape), (n // 3 for n in now.shape)
+    (top_left, top_right), (low_left, low_right) = (
+        [
+            displaced(now, before, start, limits, (rows, columns))
+            for columns in (slice(x - width, x), slice(x, x + width))
+        ]
+        for rows in (slice(y - height, y), slice(y, y + height))
+    )
+    return min(
+        (top_right[1] - top_left[1]) / width,
+        (low_right[1] - low_left[1]) / width,
+        (low_left[0] - top_left[0]) / height,
+        (low_right[0] - top_right[0]) / height,
+    )
+
+
+def displaced(
+    now: FloatImage,
+    before: FloatImage,
+    start: Shift,
+    limits: list[int],
+    window: tuple[slice, slice],
+) -> tuple[float, float]:
+    """The shift of a window in blocks, rows first: by descent along y, then along x, refined."""
+
+    @cache
+    def change(y: int, x: int) -> float:
+        """Mean change of the window where the frame before, moved, covers it; else infinite."""
+        (top, left), (end_y, end_x) = zip(*((s.start, s.stop) for s in window), strict=True)
+        top, end_y = max(top, y), min(end_y, now.shape[0] + y)
+        left, end_x = max(left, x), min(end_x, now.shape[1] + x)
+        if top >= end_y or left >= end_x:
+            return math.inf
+        there = before[top - y : end_y - y, left - x : end_x - x]
+        return cv2.norm(now[top:end_y, left:end_x], there, cv2.NORM_L1) / there.size
+
+    y, x = start
+    for step in (-1, 1):
+        while abs(y + step) <= limits[0] and change(y + step, x) < change(y, x):
+            y += step
+    for step in (-1, 1):
+        while abs(x + step) <= limits[1] and change(y, x + step) < change(y, x):
+            x += step
+    here = change(y, x)
+    return (
+        y + refined(change(y - 1, x), here, change(y + 1, x)),
+        x + refined(change(y, x - 1), here, change(y, x + 1)),
+    )
+
+
+def lower_quartile(change: Grey, hidden: Flags | None = None) -> float:
+    """Lower quartile of the cells of an image, (H, W), estimated from a subset if there are many.
 
     Cells where `hidden`, (H, W), is True are ignored.
     """
-    step = max(1, math.isqrt(current.size // MAX_QUARTILE_CELLS))
+    step = max(1, math.isqrt(change.size // MAX_QUARTILE_CELLS))
     if hidden is not None and hidden[::step, ::step].all():  # the subset has no visible cell
         step = 1
-    change = cv2.absdiff(current[::step, ::step], previous[::step, ::step])
-    if hidden is not None:
-        change = change[~hidden[::step, ::step]]
-    rank = change.size // 4
-    if change.dtype == np.uint8:  # faster than to sort
-        counts = cv2.calcHist([change], [0], None, [256], [0, 256])
+    some = change[::step, ::step]
+    some = some.ravel() if hidden is None else some[~hidden[::step, ::step]]
+    rank = some.size // 4
+    if some.dtype == np.uint8:  # faster than to sort
+        counts = cv2.calcHist([some], [0], None, [256], [0, 256])
         return float(np.searchsorted(counts.cumsum(dtype=float), rank, side="right"))
-    return float(np.partition(change.ravel(), rank)[rank])
+    return float(np.partition(some, rank)[rank])
 
 
 def smoothed(before: float, newest: float, weight: float) -> float:
@@ -287,7 +373,7 @@ def smoothed(before: float, newest: float, weight: float) -> float:
 
 
 class ContrastReceptors(Photoreceptors):
-    """P' of the last few frames, each with the threshold of its own frame.
+    """P' of the last few frames: |L(t) - L(t-1)| in `stack`, and each frame's floor in `floors`.
 
     `sigma` is the smoothed standard deviation of the luminance, σ(t), and `noise` the smoothed
     lower quartile of |L(t) - L(t-1)|, ν(t), in luminance; both from frame 1 on. `growth` is F(t),
@@ -296,12 +382,14 @@ class ContrastReceptors(Photoreceptors):
 
     `time_s` is the time of the next frame, NaN if unknown; `interval_s` is the time between the
     last two frames, and `n_usual` the same in frames at `w_fps`, 1 if times are ignored.
+    `expansion` is the share by which the picture has grown between them, see the function; 0
+    unless `shift` and `d_0` are on.
     """
 
     sigma: float
-    subtract: Callable[..., tuple[float, float]]  # of the model's engine
+    expansion = 0.0
+    blocks: Callable[[Grey], FloatImage]  # of the model's engine
     time_s = math.nan
-    _stack_type = np.float32  # P' is not a whole number of grey levels
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
         self._params = params
@@ -311,7 +399,8 @@ class ContrastReceptors(Photoreceptors):
         """Forget all earlier frames; the next one may have another size."""
         super().reset()
         self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
-        self._coarse, self._blocks = np.zeros((0, 0), np.float32), (0, 0)
+        self._blocks: FloatImage | None = None
+        self._shift_blocks = (0, 0)
 
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
@@ -322,46 +411,47 @@ class ContrastReceptors(Photoreceptors):
         self._last_s = self.time_s
 
     def _compute_p(self, out: Grey) -> float:
-        """Write P' of the newest frame to `out`; returns Σ|L(t) - L(t-1)|."""
+        """Write |L(t) - L(t-1)| to `out`, and set its floor; returns the sum, in levels."""
         weight = self._weight(self._params.w_sigma)
         if self.frame == 1:
             self.sigma = self._deviation(self.previous)
-        if self._params.shift > 0:
-            self._align()
+        self._subtract(out, self._shift() if self._params.shift > 0 else (0, 0))
         self.sigma = smoothed(self.sigma, self._deviation(self.current), weight)
-        quartile = lower_quartile(self.current, self.previous, self.hidden)
-        self.noise = smoothed(self.noise, quartile * self.unit, weight)
-        floor = self._floor() / self.unit
-        p_sum, change_sum = self.subtract(self.current, self.previous, floor, out)
+        self.noise = smoothed(self.noise, lower_quartile(out, self.hidden) * self.unit, weight)
+        floor = self.floors[self.position(0)] = np.float32(self._floor() / self.unit)
+        above = cv2.threshold(out, float(floor), 0.0, cv2.THRESH_TOZERO)[1]
+        p_sum = cv2.sumElems(above)[0] - float(floor) * cv2.countNonZero(above)
         p_sum /= self.n_usual
         self.growth = p_sum / self._usual if self._usual else math.inf if p_sum else 0.0
         self._usual = smoothed(self._usual, p_sum, self._weight(self._params.w_m))
-        return change_sum
+        return float(cv2.sumElems(out)[0])
 
-    def _align(self) -> None:
-        """Move the previous frame and the earlier P' along with the picture."""
-        before, self._coarse = self._coarse, coarse(self.current)
-        if self.frame == 1:
-            before = coarse(self.previous)
+    def _shift(self) -> Shift:
+        """By how many cells the frames move, see `ContrastDLGMD`."""
+        before = self.blocks(self.previous) if self._blocks is None else self._blocks
+        now = self._blocks = self.blocks(self.current)
         most = self._params.shift // BLOCK
-        self._blocks, shift = follow(self._coarse, before, self._blocks, most)
+        self._shift_blocks, shift = follow(now, before, self._shift_blocks, most)
+        if self._params.d_0 > 0.0:
+            self.expansion = expansion(now, before, self._shift_blocks, most)
         still = mean_change(self.current, self.previous, (0, 0))
-        if mean_change(self.current, self.previous, shift) < MAX_LEFT * still:
-            np.copyto(self.previous, self._moved(self.previous, self.current, shift))
-            for delay in range(1, self._depth):
-                p = self.p(delay)
-                np.copyto(p, self._moved(p, np.zeros_like(p), shift))
+        moved = mean_change(self.current, self.previous, shift)
+        return shift if moved < MAX_LEFT * still else (0, 0)
 
-    def _moved(self, image: Grey, entering: Grey, shift: Shift) -> Grey:
-        """An image moved by a shift, with `entering` in cells of which nothing is known."""
-        moved = aligned(image.shape, image.dtype)
-        np.copyto(moved, entering)
-        (rows, from_rows), (columns, from_columns) = map(overlap, image.shape, shift)
-        source = from_rows, from_columns
-        known = True if self.hidden is None else ~self.hidden[source]
-        np.copyto(moved[rows, columns], image[source], where=known)
-        self.clear(moved)
-        return moved
+    def _subtract(self, out: Grey, shift: Shift) -> None:
+        """Write the change to `out`, (H, W), after the previous frame and earlier P' are moved."""
+        (rows, from_rows), (columns, from_columns) = map(overlap, out.shape, shift)
+        inside, source = (rows, columns), (from_rows, from_columns)
+        cv2.absdiff(self.current[inside], self.previous[source], dst=out[inside])
+        if self.hidden is not None:
+            out[inside][self.hidden[source]] = 0
+        earlier = range(1, self._depth) if shift != (0, 0) else ()
+        for image in map(self.p, earlier):
+            image[inside] = image[source]  # NumPy sees that they overlap
+        for image in (out, *map(self.p, earlier)):
+            image[: rows.start], image[rows.stop :] = 0, 0
+            image[:, : columns.start], image[:, columns.stop :] = 0, 0
+            self.clear(image)
 
     def _weight(self, weight: float) -> float:
         """The weight of the newest frame after `n_usual` frames, if it is `weight` after one."""

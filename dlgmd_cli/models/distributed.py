@@ -82,5 +82,6 @@ class Distributed(Model):
         """A copy of P(t) in luminance; None at the first frame."""
         if self.receptors.frame == 0:
             return None
-        unit = np.float32(self.receptors.unit)
-        return np.multiply(self.receptors.p(0), unit, dtype=np.float32)
+        receptors = self.receptors
+        p = np.subtract(receptors.p(0), receptors.floors[receptors.position(0)], dtype=np.float32)
+        return np.maximum(p, 0.0, out=p) * np.float32(receptors.unit)

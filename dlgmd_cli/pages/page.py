@@ -82,10 +82,7 @@ def require_packages() -> None:
         import jinja2  # noqa: F401
         import plotly.offline  # noqa: F401
     except ImportError as error:
-        raise MissingExtraError(
-            "", f"pages need a package that is not installed ({error.name})",
-            "Run: pip install 'dlgmd[view]'.",
-        ) from None  # fmt: skip
+        raise MissingExtraError.of("pages", error.name) from None
 
 
 def thumbnail_row(result: Result) -> int:

@@ -18,6 +18,8 @@ from dlgmd_cli.errors import ResultError, printable
 from dlgmd_cli.files import open_regular
 
 Series = npt.NDArray[np.float64]
+# A table with named columns.
+Table = npt.NDArray[np.void]
 
 # The tables of a result. Attributes of `Result` have these names, but plural for flags.
 TABLES = {
@@ -76,6 +78,37 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]])
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(rows)
+
+
+def write_values(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write texts and numbers as CSV, None as an empty cell; OSError passes through."""
+    write_rows(path, header, (list(map(_any_cell, row)) for row in rows))
+
+
+def _any_cell(value: Any) -> str:
+    if isinstance(value, str):
+        return text_cell(value)
+    return "" if value is None else cell(value)
+
+
+def table_of(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Texts and numbers as a structured array, shape (n,), with the columns of a CSV.
+
+    None is an empty text or NaN. Select rows as ``table[table["alarms"] > 0]``;
+    ``pandas.DataFrame(table)`` takes it as it is.
+    """
+    columns: list[list[Any]] = [[] for _ in header]
+    for row in rows:
+        for column, value in zip(columns, row, strict=True):
+            column.append(value)
+    arrays = {}
+    for name, column in zip(header, columns, strict=True):
+        empty: Any = "" if any(isinstance(value, str) for value in column) else math.nan
+        arrays[name] = np.array([empty if value is None else value for value in column])
+    table = np.empty(len(columns[0]), [(name, one.dtype) for name, one in arrays.items()])
+    for name, one in arrays.items():
+        table[name] = one
+    return table
 
 
 def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:

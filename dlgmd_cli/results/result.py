@@ -4,9 +4,9 @@ import logging
 import math
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +39,7 @@ _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """The response of a model to a video.
 
@@ -73,7 +73,7 @@ class Result:
 
     rows: Rows
     params: Parameters
-    record: dict[str, Any] = field(repr=False)
+    record: dict[str, Any]
 
     def __getattr__(self, name: str) -> Any:
         """A column of the rows, shape (n,)."""
@@ -86,6 +86,15 @@ class Result:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __repr__(self) -> str:
+        record, onsets = self.record, self.time_s[self.alarm_onsets]
+        path = str(record.get("input", {}).get("path", ""))
+        model = f"set {record['set']}" if "set" in record else record.get("preset")
+        alarms = f"{len(onsets)} alarms, the first" if len(onsets) > 1 else "alarm"
+        says = f"{alarms} at {onsets[0]:.2f} s" if len(onsets) else "no alarm"
+        what = f"{PurePath(path).name or self.name}: {len(self)} frames"
+        return f"<Result {what}, {model or self.params.model}, {says}>"
 
     @property
     def name(self) -> str:
@@ -275,8 +284,9 @@ class Result:
                 "the membrane potential never changes by more than rounding, so it cannot be "
                 "normalised by its own sequence; there are no spikes"
             )
-        intervals_s = np.diff(self.time_s[~self.is_repeat])
-        rate_fps = 1.0 / np.median(intervals_s) if intervals_s.size else math.inf
+        # Not NumPy's median, which would import masked arrays.
+        intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
+        rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
         if getattr(self.params, "w_fps", 0.0) and rate_fps < MIN_FPS - 0.1:
             found.append(
                 f"{rate_fps:.3g} frames/s: alarms are unreliable below {MIN_FPS:g} frames/s, since "
@@ -318,9 +328,8 @@ class Result:
         OutputError
             If the folder cannot be written.
         """
-        undrawn = store.commit(store.place(folder), store.RUN, self.files(formats, dpi))
-        for name, why in undrawn.items():
-            _log.warning("%s cannot be drawn (%s)", name, why)
+        place = store.place(folder)
+        store.log_undrawn(place, store.commit(place, store.RUN, self.files(formats, dpi)))
 
     def plot(self, kind: str = "mp", **options: Any) -> "Figure":
         """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
@@ -333,8 +342,7 @@ class Result:
         try:
             import pandas as pd
         except ImportError:
-            why = "pandas is not installed"
-            raise MissingExtraError("to_dataframe", why, "Run: pip install pandas.") from None
+            raise MissingExtraError.of("to_dataframe", "pandas") from None
         names = dict.fromkeys(name for header in csv.TABLES.values() for name in header)
         return pd.DataFrame(self.columns(names))
 

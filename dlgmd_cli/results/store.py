@@ -6,6 +6,7 @@ that leaves the earlier result as it was. In a bucket, files are uploaded in the
 """
 
 import errno
+import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,6 +28,8 @@ from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
     from upath import UPath
+
+_log = logging.getLogger(__name__)
 
 Write = Callable[[Path], object]
 
@@ -362,6 +365,12 @@ def names_in(folder: "Path | UPath") -> set[str]:
         paths = bucket.fs.ls(bucket.path, detail=False)
         return {path.rstrip("/").rpartition("/")[2] for path in paths}
     return set()
+
+
+def log_undrawn(folder: "Path | UPath", undrawn: Mapping[str, str]) -> None:
+    """Log an error for each figure that `write_files` could not draw."""
+    for name, why in undrawn.items():
+        _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
 
 
 def write_text(path: "Path | UPath", text: str) -> None:

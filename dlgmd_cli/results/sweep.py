@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,11 @@ from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.files import open_regular
 from dlgmd_cli.parameters import Parameters
-from dlgmd_cli.results.csv import cell
+from dlgmd_cli.results.csv import Table, cell, table_of
 from dlgmd_cli.results.result import Flags, Series
+
+if TYPE_CHECKING:
+    from dlgmd_cli.plots.style import Figure, Width
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.
@@ -101,14 +104,15 @@ class Grid:
         return dict(zip((self.x.key, self.y.key), self.values(point), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweepResult:
     """Measures at every point of a grid, filled in as points are computed.
 
     `speeds_px` holds the speed of the cube in each clip, in px/frame; it is empty for a video.
     `columns` has the measures by name, (n_clips, n_y, n_x): NaN where undefined or not computed
     yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, tells where the values of x and y are a
-    valid combination. `done` has the numbers of the computed points.
+    valid combination. `done` has the numbers of the computed points. `name` is that of the video or
+    the clips, and `warnings` are doubts about it.
     """
 
     grid: Grid
@@ -116,16 +120,43 @@ class SweepResult:
     columns: dict[str, Series]
     is_possible: Flags
     done: set[int]
+    name: str = ""
+    warnings: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        axes = " x ".join(f"{axis.key} ({len(axis)})" for axis in (self.grid.x, self.grid.y))
+        return f"<SweepResult {self.name}: {axes}; {', '.join(self.columns)}>"
+
+    @property
+    def table(self) -> Table:
+        """The rows of sweep.csv, one per clip and point; NaN where undefined."""
+        rows = (
+            [*self._keys(clip, point), *(one[clip].flat[point] for one in self.columns.values())]
+            for clip in range(self.n_clips)
+            for point in range(len(self.grid))
+        )
+        return table_of(self.header, rows)
+
+    def plot(self, width: "Width" = "one") -> "Figure":
+        """Heat maps of the measures; `width` in columns of a paper."""
+        from dlgmd_cli.plots.sweeps import plot_sweep
+
+        return plot_sweep(self, width)
 
     @classmethod
     def empty(
-        cls, grid: Grid, speeds_px: tuple[float, ...], names: Iterable[str], possible: Iterable[int]
+        cls,
+        grid: Grid,
+        speeds_px: tuple[float, ...],
+        names: Iterable[str],
+        possible: Iterable[int],
+        name: str = "",
     ) -> "SweepResult":
         """A result without computed points; `possible` holds the numbers of the valid ones."""
         shape = (len(speeds_px) or 1, *grid.shape)
         is_possible = np.isin(np.arange(len(grid)), list(possible)).reshape(grid.shape)
         columns = {name: np.full(shape, np.nan) for name in names}
-        return cls(grid, speeds_px, columns, is_possible, set())
+        return cls(grid, speeds_px, columns, is_possible, set(), name)
 
     @property
     def n_clips(self) -> int:
@@ -201,8 +232,11 @@ class SweepResult:
 
     def _key(self, clip: int, point: int) -> tuple[str, ...]:
         """The cells that identify the point and clip of a row."""
-        speed = (_parameter(self.speeds_px[clip]),) if self.speeds_px else ()
-        return (*map(_parameter, self.grid.values(point)), *speed)
+        return tuple(map(_parameter, self._keys(clip, point)))
+
+    def _keys(self, clip: int, point: int) -> tuple[Any, ...]:
+        """The values of x and y, and the speed of the cube if there is one."""
+        return (*self.grid.values(point), *self.speeds_px[clip : clip + 1])
 
 
 def _parameter(value: Any) -> str:

@@ -103,8 +103,8 @@ class Summary:
         began = time.monotonic()
         if not at_once and began < self._next_write_s:
             return
-        cells = [_cells(name, self.rows[name]) for name in sorted(self.rows)]
-        write = partial(csv.write_rows, header=COLUMNS, rows=cells)
+        rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
+        write = partial(csv.write_values, header=COLUMNS, rows=rows)
         store.write_files(self.path.parent, {store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
@@ -285,12 +285,12 @@ def error_row(error: Exception, status: str = FAILED, began: float | None = None
     return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))
 
 
-def _cells(video: str, row: Row) -> list[str]:
-    warnings = "; ".join(row.record.get("warnings", []))
-    cells = [csv.text_cell(video), row.status, csv.text_cell(row.error), csv.text_cell(warnings)]
+def row_values(video: str, row: Row) -> list[Any]:
+    """The row of a video in summary.csv; None and an empty text are undefined."""
+    values: list[Any] = [video, row.status, row.error, "; ".join(row.record.get("warnings", []))]
     for part, keys in (("input", OF_INPUT), ("summary", OF_SUMMARY)):
         numbers = (row.record.get(part, {}).get(key) for key in keys)
-        cells += [csv.cell(one) if isinstance(one, int | float) else "" for one in numbers]
+        values += [one if isinstance(one, int | float) else None for one in numbers]
     side = row.record.get("summary", {}).get(SIDE)
-    cells.append(csv.text_cell(side) if isinstance(side, str) else "")
-    return [*cells, "" if row.wall_s is None else f"{row.wall_s:.3f}"]
+    wall_s = None if row.wall_s is None else round(row.wall_s, 3)
+    return [*values, side if isinstance(side, str) else "", wall_s]

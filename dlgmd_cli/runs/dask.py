@@ -138,8 +138,7 @@ def _connect(scheduler: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        why, mend = "Dask is not installed", "Run: pip install 'dlgmd[cluster]'."
-        raise MissingExtraError(_OPTION, why, mend) from None
+        raise MissingExtraError.of(_OPTION, "distributed") from None
     for name in _LOGGERS:  # errors that matter are raised
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     warnings.filterwarnings("ignore", module="distributed")

@@ -3,21 +3,20 @@
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, overload
 
 import numpy as np
 
 from dlgmd_cli import cancel
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import SourceError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import PRESETS, Parameters
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList, Rows
-from dlgmd_cli.runs.setup import Setup, choose, input_options
+from dlgmd_cli.runs.setup import ModelName, Setup, choose_all, common_options
 from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -25,12 +24,18 @@ from dlgmd_cli.video.source import Video
 from dlgmd_cli.words import counted
 
 OnFrame = Callable[[int], None]
-# A model by its name, its class, or its parameters.
-ModelName = str | type | Parameters
+# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
+# may be followed by another name.
+Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
 
 
 def silent(*_: Any) -> None:
     """The default callback."""
+
+
+def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
+    """The default `Progress`."""
+    return nullcontext(silent)
 
 
 @overload
@@ -61,16 +66,19 @@ def run(
     video : str, path, or iterable of ndarray
         A video file, a folder of pictures, a pattern such as ``frames/%04d.png``, a ``.npy`` file,
         or images: an array (n, H, W) or (n, H, W, 3), or any iterable of them, see `open_video`.
-        Of images, `fps` is the frame rate, 30 unless given; all of them are processed.
+        Of images in memory, `fps` alone is their rate, 30 unless given, and all are processed.
+        Everywhere else `fps` limits a rate: pictures and ``.npy`` files need `input_fps` for that.
     models : sequence, optional
-        The models: parameters, classes of models, or names of sets (``9``), models (``"lgmd"``) and
-        presets (``"flight"``). Without it, one model is run, given by `set`, `config` and `model`.
-    set, config, model, formulation : optional
+        Several models: parameters, classes of models, or names of sets (``9``), models (``"lgmd"``)
+        and presets (``"flight"``). They may not be given with `set`, `config` or `model`.
+    set, config, model : optional
         One of the paper's sets; a YAML file or the name of a preset; a model by its name
-        (``"package.module:Class"`` for one's own), class or parameters; how delays that are not
-        whole frames are rounded. The default is the preset `flight`.
+        (``"package.module:Class"`` for one's own), class or parameters. The default is the preset
+        `flight`.
     param : mapping, optional
-        Single parameters to override, such as ``{"r": 4}``.
+        Single parameters to override in all models, such as ``{"r": 4}``.
+    formulation : str, optional
+        Whose version of the D-LGMD, see `dlgmd run --help`.
     engine : str, optional
         `opencv` or `numba`; chosen by frame size unless given.
     on_frame : callable, optional
@@ -99,29 +107,18 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    for name in options.keys() - {one.name for one in fields(InputOptions)}:
-        known = ", ".join(one.name for one in fields(InputOptions))
-        raise ParameterError("run", f"there is no option {name!r}", f"Choose from {known}.")
-    if not isinstance(video, str | os.PathLike) and options.get("input_fps") is None:
-        options["input_fps"] = options.pop("fps", None)
-    named: dict[str, Any] = {"set": set, "config": config, "model": model}
-    named |= {"formulation": formulation, "param": param}
-    if models is None:
-        setup = choose(set, config, model, param, formulation, engine)
-        return run_input(video, [setup], input_options(setup, options), on_frame=on_frame)[0]
-    for name in (name for name, value in named.items() if value is not None):
-        raise ParameterError("run", f"{name} and models exclude each other", "Give one of them.")
-    setups = [_setup(one, engine) for one in models]
-    return run_input(video, setups, InputOptions(**options), on_frame=on_frame)
+    setups = choose_all(models, set, config, model, param, formulation, engine)
+    shared = common_options(setups, given_options(video, options))
+    results = run_input(video, setups, shared, on_frame=on_frame)
+    return results[0] if models is None else results
 
 
-def _setup(model: ModelName | int, engine: str | None) -> Setup:
-    if model in PRESETS:
-        return choose(config=str(model), engine=engine)
-    name = str(model).removeprefix("set")
-    if isinstance(model, int) or name.isdecimal():
-        return choose(set=name, engine=engine)
-    return choose(model=model, engine=engine)
+def given_options(video: Openable, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options as they are given, but `fps` is the rate of images in memory that have none."""
+    found = dict(options)
+    if not isinstance(video, str | os.PathLike) and found.get("input_fps") is None:
+        found["input_fps"] = found.pop("fps", None)
+    return found
 
 
 def run_input(

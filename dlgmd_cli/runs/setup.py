@@ -1,8 +1,8 @@
 """The models of a run: from a set, a file or a name to checked parameters and options."""
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +68,14 @@ class Setup:
         return {"model": self.params.model, **design, **self.params.to_dict()}
 
 
+# A model by its name, its class, its parameters, or as it was chosen before.
+ModelName = str | type | Parameters | Setup
+
+
 def choose(
     set: str | int | None = None,
     config: str | os.PathLike[str] | None = None,
-    model: str | type | Parameters | None = None,
+    model: ModelName | None = None,
     overrides: Mapping[str, Any] | None = None,
     formulation: str | None = None,
     engine: str | None = None,
@@ -79,12 +83,14 @@ def choose(
     """The model given by a set, a file or a name, with single parameters overridden.
 
     `overrides` and `formulation` take precedence over the set or file, and that over the defaults.
-    `model` is a name, see `find_model`, the class of a model, or its parameters. Without any name,
-    the preset `flight` is used; `dlgmd` alone means set 9.
+    `model` is a name, see `find_model`, the class of a model, or its parameters; a setup is
+    returned as it is. Without any name, the preset `flight` is used; `dlgmd` alone means set 9.
 
     Raises ParameterError if there is no such set, file, model or engine, or a parameter is not
     valid.
     """
+    if isinstance(model, Setup):
+        return model
     if set is not None and config is not None:
         raise ParameterError("", "--set and --config exclude each other", "Give one of them.")
     is_default = set is None and config is None and model is None
@@ -122,6 +128,38 @@ def choose(
     )
 
 
+def choose_all(
+    models: Sequence[ModelName | int] | None,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    formulation: str | None = None,
+    engine: str | None = None,
+) -> list[Setup]:
+    """The models of a list, or the one of `choose`; the last three arguments are for all of them.
+
+    A number is a set, and a name that of a set, a preset or a model. Raises ParameterError as
+    `choose` does, and if the list comes with `set`, `config` or `model`.
+    """
+    if models is None:
+        return [choose(set, config, model, overrides, formulation, engine)]
+    for name, value in {"set": set, "config": config, "model": model}.items():
+        if value is not None:
+            raise ParameterError("", f"{name} and models exclude each other", "Give one of them.")
+    if isinstance(models, str) or not models:
+        raise ParameterError("", "models is not a list of models", "Write models=[9, 'lgmd'].")
+    found = []
+    for one in models:
+        named: dict[str, Any] = {"model": one}
+        if one in PRESETS:
+            named = {"config": one}
+        elif isinstance(one, int) or str(one).removeprefix("set").isdecimal():
+            named = {"set": one}
+        found.append(choose(**named, overrides=overrides, formulation=formulation, engine=engine))
+    return found
+
+
 def label_of(kind: type[Parameters]) -> str:
     """The name of a model in messages and figures: without the module of one's own."""
     return kind.model.rpartition(":")[2]
@@ -152,10 +190,24 @@ def _named_config(
 def input_options(setup: Setup, given: Mapping[str, Any]) -> InputOptions:
     """The given options, supplemented by those in the file of the setup.
 
-    Raises ParameterError if options exclude each other or are not valid.
+    Raises ParameterError if there is no such option, or options exclude each other or are not
+    valid.
     """
-    explicit = {key: value for key, value in given.items() if value is not None}
+    explicit = _known(given)
     recorded = setup.options
     if explicit.keys() & {"scale", "size"}:
         recorded = replace(recorded, scale=None, size=None)
     return replace(recorded, **explicit)
+
+
+def common_options(setups: Sequence[Setup], given: Mapping[str, Any]) -> InputOptions:
+    """The given options; with one setup, supplemented as by `input_options`."""
+    return input_options(setups[0], given) if len(setups) == 1 else InputOptions(**_known(given))
+
+
+def _known(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are not None; raises ParameterError if one does not exist."""
+    names = [one.name for one in fields(InputOptions) if one.repr]
+    for name in given.keys() - {*names}:
+        raise ParameterError("", f"there is no option {name!r}", f"Choose from {', '.join(names)}.")
+    return {key: value for key, value in given.items() if value is not None}

@@ -7,8 +7,7 @@ appended as points are computed. Both are rewritten at the end, the record last.
 import csv
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,7 @@ from dlgmd_cli.results.record import SCHEMA, differences, read_record, versions,
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList, Rows, rows_of
 from dlgmd_cli.results.sweep import Grid, SweepResult
-from dlgmd_cli.runs.run import OnFrame, input_record, silent, too_short
+from dlgmd_cli.runs.run import OnFrame, Progress, input_record, no_progress, silent, too_short
 from dlgmd_cli.runs.setup import Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
@@ -57,8 +56,6 @@ Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
 # A temporary file of frames, and the data type of one frame.
 Clip = tuple[Path, np.dtype[np.void]]
-# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done.
-Progress = Callable[[str, int | None, str], AbstractContextManager[OnFrame]]
 
 
 def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
@@ -205,7 +202,7 @@ class Sweep:
     """A sweep of the model `setup` over a grid, stored in a folder.
 
     `points` holds the parameters of all valid points, and `fault` the error of the first invalid
-    one. `result` holds what is computed so far, `warnings` the doubts about the input. Raises
+    one. `result` holds what is computed so far, and the doubts about the input. Raises
     ParameterError if no point is valid.
     """
 
@@ -228,13 +225,12 @@ class Sweep:
         if self.fault and not self.points:
             raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
         columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
-        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points)
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
         self._identity: dict[str, Any] = {}
         if subject.video is not None:
             info = subject.video.info
             self._identity = {**info.identity, "decoder": info.decoder}
         self.facts: dict[str, Any] = {}
-        self.warnings: list[str] = []
 
     def resume(self, *, overwrite: bool = False) -> None:
         """Load the points of the same sweep that the folder, which must exist, already has.
@@ -262,12 +258,10 @@ class Sweep:
             mend = "Add --overwrite to replace it, or choose another --out."
             raise OutputExistsError(str(self.folder), why, mend)
         self.facts = {key: before[key] for key in ("input", "processed") if key in before}
-        self.warnings = list(before.get("warnings", []))
+        self.result.warnings[:] = before.get("warnings", [])
         self.result.read(self.folder / TABLE)
 
-    def compute(
-        self, jobs: int = 1, *, progress: Progress = lambda *_: nullcontext(silent)
-    ) -> None:
+    def compute(self, jobs: int = 1, *, progress: Progress = no_progress) -> None:
         """Compute the missing points and append them to the table.
 
         Computed points are kept after an error: SourceError or ParameterError if there are too few
@@ -329,7 +323,7 @@ class Sweep:
             first = _mapped(clips[0])
             rows = rows_of({name: first[name] for name in ("frame", "time_s")})
             self.facts = input_record(video, video.size_wh, rows)
-            self.warnings = list(video.progress.warnings)
+            self.result.warnings[:] = video.progress.warnings
         return clips
 
     def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
@@ -360,7 +354,7 @@ class Sweep:
                 **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
                 **self.subject.settings,
             },
-            "warnings": self.warnings,
+            "warnings": self.result.warnings,
             "complete": complete,
             "summary": {
                 "points": len(self.grid),

@@ -80,7 +80,8 @@ def open_video(
     start_s, end_s : float
         Time span to read, in seconds, the end excluded.
     max_fps : float, optional
-        Maximum frame rate: only every k-th frame is read, and frames keep their true times.
+        Maximum frame rate: only every k-th frame is read, and frames keep their true times. Of
+        pictures and arrays, `input_fps` must be given too: there is no rate to limit otherwise.
     model_fps : float, optional
         Default of `max_fps` for videos; a rate up to 10 % higher is accepted.
     repeats : {"keep", "skip"}, optional
@@ -128,6 +129,10 @@ def open_video(
     try:
         width, height, fps, n_frames, *_ = opened.stream_info
         fps = fps or input_fps or FALLBACK_FPS
+        is_limited = max_fps is not None and max_fps < math.inf
+        if is_limited and input_fps is None and not is_continuous:
+            why = f"--fps {max_fps:g} limits a frame rate, but pictures and arrays state none"
+            raise ParameterError("", why, "Give theirs with --input-fps (in Python: input_fps).")
         if max_fps is None:
             max_fps = RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
         every, min_interval_s = sampling_step(fps, max_fps)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     MAX_SIDE,
@@ -173,10 +173,15 @@ class PyAVDecoder:
         return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced, turned_deg)
 
     def close(self) -> None:
-        """Free the file; may be called twice."""
+        """Free the file and all decoded frames; may be called twice."""
         # The generator reads from the container and would crash if that were closed first.
         self._frames.close()
-        self._container.close()
+        container: InputContainer | None = vars(self).pop("_container", None)
+        if container is not None:
+            container.close()
+        # The codec and the last frame keep some 20 MB of a large picture's frames alive.
+        vars(self).pop("_stream", None)
+        vars(self).pop("_frame", None)
 
 
 def details_of(name: str) -> Details | None:
@@ -240,12 +245,9 @@ def import_av() -> Any:
             raise MemoryError from None
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
-            why = "is not installed"
-        why, mend = (
-            f"the package 'av' {why}",
-            "Install it with: pip install av, or use --decoder opencv.",
-        )
-        raise MissingExtraError("--decoder pyav", why, mend) from None
+            why = NOT_INSTALLED
+        instead = "use --decoder opencv"
+        raise MissingExtraError.of("--decoder pyav", "av", why, instead) from None
     return av
 
 

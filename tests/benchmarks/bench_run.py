@@ -60,6 +60,7 @@ def commands(clip: Path) -> dict[str, list[str]]:
     variants = {"run": ["--engine", "opencv"], "run, OpenCV's decoder": ["--decoder", "opencv"]}
     if importlib.util.find_spec("numba"):
         variants["run, Numba"] = []
+    found["run, --no-plots"] = [*dlgmd, "bare", *variants["run"], "--no-plots"]
     for name, options in variants.items():
         found[name] = [*dlgmd, "small", *options]
         found[f"{name}, --scale 1"] = [*dlgmd, "large", *options, "--scale", "1"]
@@ -70,7 +71,9 @@ def commands(clip: Path) -> dict[str, list[str]]:
 def timed(command: list[str], folder: Path) -> tuple[float, float]:
     """CPU and wall time of a process and its children, in seconds."""
     begin_s = time.perf_counter()
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, env=environment())
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.DEVNULL, env=environment(folder)
+    )
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
@@ -78,11 +81,15 @@ def timed(command: list[str], folder: Path) -> tuple[float, float]:
     return usage.ru_utime + usage.ru_stime, time.perf_counter() - begin_s
 
 
-def environment() -> dict[str, str]:
-    """The environment with this repository first on Python's path."""
+def environment(folder: Path) -> dict[str, str]:
+    """The environment with this repository first on Python's path, and its bytecode in `folder`.
+
+    An installed package has its bytecode, whatever the variables of this shell say.
+    """
     here = str(Path(__file__).parents[2])
     paths = filter(None, (here, os.environ.get("PYTHONPATH")))
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    kept = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
+    return {**os.environ, **kept, "PYTHONDONTWRITEBYTECODE": ""}
 
 
 def main(n_rounds: int) -> None:
@@ -103,10 +110,10 @@ def main(n_rounds: int) -> None:
         for label, times in taken.items()
     }
     cpu_base, wall_base = medians["ffmpeg -f null"]
-    print(f"{'median of ' + str(n_rounds):38}{'CPU s':>8}{'ratio':>7}{'wall s':>8}{'ratio':>7}")
+    print(f"{'median of ' + str(n_rounds):42}{'CPU s':>8}{'ratio':>7}{'wall s':>8}{'ratio':>7}")
     for label, (cpu_s, wall_s) in medians.items():
         ratios = cpu_s / cpu_base, wall_s / wall_base
-        print(f"{label:38}{cpu_s:8.2f}{ratios[0]:7.2f}{wall_s:8.2f}{ratios[1]:7.2f}")
+        print(f"{label:42}{cpu_s:8.2f}{ratios[0]:7.2f}{wall_s:8.2f}{ratios[1]:7.2f}")
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ DEFAULTS = {
     "balance": False,
     "c_m": 0.0,
     "tau_m": 1.5,
+    "d_0": 0.0,
+    "k_0": 0.001,
 }
 
 
@@ -50,6 +52,7 @@ class Answer:
     mp: float | None = None
     steady: float | None = None
     shift: tuple[int, int] = (0, 0)
+    rate: float = 0.0
     t_de: float | None = None
 
 
@@ -109,14 +112,62 @@ def shift_between(frame, before, last, most):
         if found == best:
             break
         best = found
-    i, j = best
+    fine = [4 * (place - b) for b, place in zip(best, between(change, *best), strict=True)]
+    cells = [4 * b + math.floor(part + 0.5 + 1e-9) for b, part in zip(best, fine, strict=True)]
+    return best, tuple(cells)
+
+
+def between(change, i, j):
+    """Where the least change is, at most half a block from (i, j)."""
     sides = ((change(i - 1, j), change(i + 1, j)), (change(i, j - 1), change(i, j + 1)))
-    fine = []
-    for blocks, (less, more) in zip(best, sides, strict=True):
+    places = []
+    for blocks, (less, more) in zip((i, j), sides, strict=True):
         rise = max(less, more) - change(i, j)
-        part = (less - more) / (2 * rise) if rise else 0.0
-        fine.append(4 * blocks + math.floor(4 * min(max(part, -0.5), 0.5) + 0.5 + 1e-9))
-    return best, tuple(fine)
+        part = (less - more) / (2 * rise) if change(i, j) > 0 and 0 < rise < math.inf else 0.0
+        places.append(blocks + min(max(part, -0.5), 0.5))
+    return places
+
+
+def expansion_between(frame, before, shift, most):
+    """The least of the expansions between the quarters of the middle two thirds."""
+    now, then = blocks_of(frame), blocks_of(before)
+    limits = [min(most // 4, side // 3) for side in now.shape]
+    if min(limits) == 0 or min(now.shape) < 4:
+        return 0.0
+    (y, x), (high, wide) = (side // 2 for side in now.shape), (side // 3 for side in now.shape)
+    places = {}
+    for top in (y - high, y):
+        for left in (x - wide, x):
+            places[top < y, left < x] = displacement(
+                now, then, shift, limits, [(top, top + high), (left, left + wide)]
+            )
+    across = [(places[up, False][1] - places[up, True][1]) / wide for up in (True, False)]
+    down = [(places[False, left][0] - places[True, left][0]) / high for left in (True, False)]
+    return min(across + down)
+
+
+def displacement(now, then, shift, limits, window):
+    """By how many blocks a window has moved, a fraction included."""
+
+    def change(dy, dx):
+        changes = [
+            abs(now[i, j] - then[i - dy, j - dx])
+            for i in range(*window[0])
+            for j in range(*window[1])
+            if 0 <= i - dy < then.shape[0] and 0 <= j - dx < then.shape[1]
+        ]
+        return sum(changes) / len(changes) if changes else math.inf
+
+    place = list(shift)
+    for axis in (0, 1):
+        for step in (-1, 1):
+            while True:
+                beside = list(place)
+                beside[axis] += step
+                if abs(beside[axis]) > limits[axis] or change(*beside) >= change(*place):
+                    break
+                place = beside
+    return between(change, *place)
 
 
 def moved(image, dy, dx, entering):
@@ -150,19 +201,20 @@ def weakest(g, weights):
     return g.size * (least + second) / 2
 
 
-def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
+def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, d_0, k_0, **rest):
     """One `Answer` for every frame; `times` are those of the frames, in seconds."""
     interval = 1 / w_fps if w_fps else 1 / 30
     times = [t * interval for t in range(len(frames))] if times is None else times
     weights, answers, history = weights_of(frames[0].shape, rest["sigma_c"]), [], []
     excite, inhibit, values = connections_of(**rest)
-    blocks = (0, 0)
+    blocks, grown = (0, 0), 0.0
     for t, frame in enumerate(frames):
         frame = frame.astype(float)
         before, d = frame, (0, 0)
         if t > 0:
             before = frames[t - 1].astype(float)
             blocks, d = shift_between(frame, before, blocks, shift)
+            grown = expansion_between(frame, before, blocks, shift) if d_0 else 0.0
             if mean_change(frame, before, *d) < 0.95 * mean_change(frame, before, 0, 0):
                 before = moved(before, *d, entering=frame)
                 history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
@@ -172,7 +224,7 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
         n = seconds * w_fps if w_fps else 1.0
         change = abs(frame - before) if t else None
         answer = see(frame, change, answers, n, **values)
-        answer.shift = d
+        answer.shift, answer.rate = d, grown / seconds
         history.append(answer.p)
         answers.append(answer)
         if t < 1 + max([1, *inhibit]):
@@ -186,6 +238,9 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, **rest):
         past = kappa if answers[-2].steady is None else answers[-2].steady
         answer.steady = past + (1 - math.exp(-seconds / tau_m)) * (kappa - past)
         answer.mp = max(kappa - c_m * past, 0.0)
+        if d_0:
+            ratio = min(max(1.0, answer.rate / d_0), 8.0)
+            answer.mp = ratio**2 * (answer.mp + k_0 * frame.size) - k_0 * frame.size
     return answers
 
 

@@ -1,14 +1,16 @@
-"""The notebook among the samples runs as it is, and holds what it makes."""
+"""The notebooks among the samples run as they are, and hold what they make."""
 
 import shutil
 from pathlib import Path
 
 import pytest
 
+from dlgmd_cli import load_config
+
 pytestmark = pytest.mark.slow
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
-NOTEBOOK = SAMPLES / "notebook.ipynb"
+MADE = {"notebook": "group2-overview.pdf", "own_clips": "my-drone.pdf"}
 
 
 def kinds(notebook):
@@ -21,18 +23,22 @@ def kinds(notebook):
 
 
 @pytest.mark.filterwarnings("default")  # of what Jupyter's packages deprecate
-def test_the_notebook_runs_and_shows_what_it_shows_here(tmp_path):
+@pytest.mark.parametrize(("name", "n_figures"), [("notebook", 4), ("own_clips", 2)])
+def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures):
     nbformat = pytest.importorskip("nbformat", reason="the notebook needs nbclient")
     nbclient = pytest.importorskip("nbclient", reason="the notebook needs nbclient")
     pytest.importorskip("ipykernel", reason="the notebook needs ipykernel")
     pytest.importorskip("pandas", reason="the notebook needs pandas")
     for clip in ("group2.mp4", "looming-cube.mp4"):
         shutil.copy(SAMPLES / clip, tmp_path)
-    kept, run = (nbformat.read(NOTEBOOK, as_version=4) for _ in range(2))
+    path = SAMPLES / f"{name}.ipynb"
+    kept, run = (nbformat.read(path, as_version=4) for _ in range(2))
     where = {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(run, timeout=300, resources=where).execute()  # raises a cell's error
     assert kinds(run) == kinds(kept)
     figures = [kind for cell in kinds(run) for kind in cell if "image/png" in kind]
-    assert len(figures) == 4
-    assert (tmp_path / "group2-overview.pdf").read_bytes().startswith(b"%PDF")
-    assert NOTEBOOK.stat().st_size < 300_000
+    assert len(figures) == n_figures
+    assert (tmp_path / MADE[name]).read_bytes().startswith(b"%PDF")
+    if name == "own_clips":
+        assert load_config(tmp_path / "my-drone.yaml").values["n_sp"] == 1
+    assert path.stat().st_size < 300_000

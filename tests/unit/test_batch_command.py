@@ -398,7 +398,8 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
         patch.setattr(cancel, "check", check)
         result = dlgmd("batch", flights, *QUICK)
     assert result.exit_code == 130
-    assert result.stderr.startswith("Interrupted. 2 of 4 videos are done")
+    said = " 2 of 4 videos are done" if kind is cancel.Interrupted else "\n"
+    assert result.stderr.startswith(f"Interrupted.{said}")
     assert list(statuses().values()) == ["done"] * 2
     result = dlgmd("batch", flights, *QUICK)
     assert "2 of 4 videos are done already." in result.stderr and len(statuses()) == 4

@@ -56,16 +56,36 @@ def test_counted_cells_are_summed_by_quarters(loops, engine, shape):
 
 @pytest.mark.parametrize("engine", engines.ENGINES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_change_above_a_floor_and_its_sums(loops, engine, dtype):
-    before, now = scene(31, 45, 2, dtype)
-    floor = 3.25 if dtype == np.uint8 else 0.02
+@pytest.mark.parametrize("shape", [(31, 45), (8, 4), (3, 90)])
+def test_means_over_blocks(loops, engine, dtype, shape):
+    frame = scene(*shape, 1, dtype)[0]
     model = create(engine, "dlgmd-contrast")
-    model.step(before)
-    p = np.empty(now.shape, np.float32)
-    p_sum, change_sum = model._engine.subtract(now, before, floor, p)
-    change = np.abs(now.astype(float) - before)
-    np.testing.assert_allclose(p, np.maximum(change - floor, 0.0), atol=1e-6)
-    assert (p_sum, change_sum) == pytest.approx((p.sum(dtype=float), change.sum()), rel=1e-6)
+    model.step(frame)
+    blocks = model._engine.blocks(frame)
+    height, width = (side // 4 for side in shape)
+    whole = frame[: 4 * height, : 4 * width].astype(float)
+    expected = whole.reshape(height, 4, width, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(blocks, expected, rtol=0.0 if dtype == np.uint8 else 1e-6)
+
+
+@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("name", ["dlgmd", "dlgmd-contrast"])  # the one takes differences of P
+def test_s_is_made_of_what_exceeds_the_floors(loops, engine, dtype, name):
+    model, plain = create(engine, name), create(engine, name)
+    for frame in scene(31, 45, 6, dtype):
+        model.step(frame)
+        plain.step(frame * np.float32(model.receptors.unit))
+    depth, receptors = len(model.receptors.stack), model.receptors
+    receptors.floors[:] = np.linspace(0.02, 0.3, depth) / receptors.unit
+    plain.receptors.floors[:] = 0.0
+    above = receptors.stack - receptors.floors[:, None, None]
+    plain.receptors.stack[:] = np.maximum(above, 0.0) * receptors.unit
+    s, expected, g = (np.empty((31, 45), np.float32) for _ in range(3))
+    model._engine.respond(receptors, Counting(0.01), (s, g))
+    plain._engine.respond(plain.receptors, Counting(0.01), (expected, g))
+    np.testing.assert_allclose(s, expected, rtol=0, atol=2e-6)
+    assert s.max() > 0.1
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
@@ -79,12 +99,12 @@ def test_the_lower_quartile_is_that_of_the_visible_cells(shape, dtype):
         if hidden is not None:
             some = some[~hidden[::step, ::step]]
         expected = np.sort(some, axis=None)[some.size // 4]
-        assert lower_quartile(*frames, hidden) == expected
+        assert lower_quartile(change.astype(dtype), hidden) == expected
     if step > 1:  # what is estimated from is hidden
         hidden = np.zeros(shape, bool)
         hidden[::step, ::step] = True
         expected = np.sort(change[~hidden])[np.count_nonzero(~hidden) // 4]
-        assert lower_quartile(*frames, hidden) == expected
+        assert lower_quartile(change.astype(dtype), hidden) == expected
 
 
 @pytest.mark.parametrize("engine", engines.ENGINES)

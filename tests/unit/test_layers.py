@@ -25,6 +25,7 @@ STEPS = [
     {"lab/benchmark", "lab/flights"},
     {"lab/plots"},
     {"lab/evaluation", "lab/reproduce"},
+    {"api"},
     {"commands"},
     {"__main__"},
 ]
@@ -48,8 +49,10 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
 }
-# `Result.plot` and `Result.save` draw: the one step up.
+# Results draw themselves: the one step up.
 EXCEPTIONS = {
+    ("results/sweep.py", "dlgmd_cli.plots.sweeps"),
+    ("results/sweep.py", "dlgmd_cli.plots.style"),
     ("results/result.py", "dlgmd_cli.plots.traces"),
     ("results/result.py", "dlgmd_cli.plots.style"),
     ("results/result.py", "dlgmd_cli.plots.pictures"),

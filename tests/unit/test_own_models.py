@@ -178,11 +178,18 @@ def test_in_python_the_class_or_its_parameters(clips, own):
         dlgmd_cli.run(video, model=own.FastParameters(), set=9)
 
 
-@pytest.mark.parametrize("named", [{"set": 9}, {"param": {"r": 3}}, {"model": "lgmd"}])
-@pytest.mark.parametrize("more", [{}, {"config": "flight"}, {"formulation": "released"}])
-def test_several_models_exclude_what_names_one(clips, named, more):
+@pytest.mark.parametrize("named", [{"set": 9}, {"config": "flight"}, {"model": "lgmd"}])
+def test_several_models_exclude_what_names_one(clips, named):
     with pytest.raises(ParameterError, match="and models exclude each other"):
-        dlgmd_cli.run(clips / "loom.avi", models=[9], **named, **more)
+        dlgmd_cli.run(clips / "loom.avi", models=[9], param={"r": 3}, **named)
+    with pytest.raises(ParameterError, match=r"Write models=\[9, 'lgmd'\]"):
+        dlgmd_cli.run(clips / "loom.avi", "lgmd")
+
+
+def test_single_parameters_are_for_all_models(clips):
+    many = dlgmd_cli.run(clips / "loom.avi", [9, "set3"], param={"r": 3}, formulation="equations")
+    assert [one.params.r for one in many] == [3, 3]
+    assert {one.params.formulation for one in many} == {"equations"}
 
 
 def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, clips, own):

@@ -3,10 +3,11 @@
 import math
 import os
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import make_result, result_of_level, yaml_of
+from conftest import looming_frames, make_result, result_of_level, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli import load_set, read_result
@@ -261,3 +262,15 @@ def test_labels(tmp_path):
         (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{line}\n")
         with pytest.raises(ResultError, match="line 2 is not a label"):
             read_labels(tmp_path / "labels.csv")
+
+
+def test_what_a_result_shows_is_one_line(clips, tmp_path):
+    one = dlgmd_cli.run(clips / "loom.avi", set=9)
+    assert repr(one) == "<Result loom.avi: 20 frames, set 9, no alarm>"
+    alarming = dlgmd_cli.run(looming_frames(), fps=25, model="lgmd", param={"t_mp": 1e-3})
+    assert repr(alarming) == "<Result array: 20 frames, lgmd, alarm at 0.12 s>"
+    one.save(tmp_path / "kept")
+    assert repr(dlgmd_cli.read_result(tmp_path / "kept")) == repr(one)
+    twice = replace(one, rows=np.concatenate([alarming.rows] * 2), params=alarming.params)
+    twice.rows["time_s"][20:] += 10
+    assert "40 frames, set 9, 2 alarms, the first at 0.12 s>" in repr(twice)

@@ -195,3 +195,17 @@ def test_a_collision_given_later_has_warnings_of_its_own(clips):
     result = dlgmd_cli.run(clips / "loom.avi")
     result.until(9).warnings.append("only there")
     assert "only there" not in result.warnings
+
+
+@pytest.mark.parametrize("name", ["x.npy", "x/%04d.png"])
+def test_fps_states_the_rate_of_images_in_memory_and_limits_a_stated_one(tmp_path, dlgmd, name):
+    np.save("x.npy", FRAMES)
+    (tmp_path / "x").mkdir()
+    pictures(tmp_path / "x").close()
+    assert dlgmd_cli.run(FRAMES, fps=15).record["input"]["fps"] == 15
+    with pytest.raises(ParameterError, match=r"--fps 15 limits .* state none\. Give theirs"):
+        dlgmd_cli.run(name, fps=15)
+    refused = dlgmd("run", name, "--fps", 15)
+    assert refused.exit_code == 2 and "Give theirs with --input-fps" in refused.stderr
+    assert len(dlgmd_cli.run(name, fps=15, input_fps=30)) == N_FRAMES // 2
+    assert len(dlgmd_cli.run(name, fps="all")) == N_FRAMES

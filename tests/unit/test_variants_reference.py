@@ -1,5 +1,6 @@
 """The contrast-relative and the ON/OFF D-LGMD against nested loops in float64."""
 
+import cv2
 import numpy as np
 import pytest
 from model_checks import check_contrast, check_dlgmd
@@ -69,7 +70,16 @@ QUIET = [
     {"balance": True},
     {"c_m": 0.7, "tau_m": 0.1},
     {"w_fps": 30.0},
-    {"shift": 16, "balance": True, "c_m": 0.4, "tau_m": 0.2, "w_fps": 24.0},
+    {"shift": 16, "d_0": 0.3},
+    {
+        "shift": 16,
+        "balance": True,
+        "c_m": 0.4,
+        "tau_m": 0.2,
+        "w_fps": 24.0,
+        "d_0": 0.5,
+        "k_0": 0.01,
+    },
 ]
 
 
@@ -93,6 +103,20 @@ def test_a_camera_that_turns_changes_nothing():
         moved, followed = still.step(frame), follows.step(frame)
         if t > 0:
             assert moved.p_sum > 200.0 and followed.p_sum == 0.0
+
+
+def test_the_faster_a_picture_expands_the_higher_is_the_potential_at_any_frame_rate():
+    ground = cv2.GaussianBlur(np.random.default_rng(8).random((120, 160), np.float32), (0, 0), 4)
+    params = ContrastParameters(shift=16, d_0=0.25, k_0=0.001, s_min=100.0)  # no cell is active
+    for rate in (0.0, 0.8, 1.6, -1.6):  # 1/s
+        for fps in (15, 30, 60):
+            model = ContrastDLGMD(params)
+            for t in range(4):
+                grows = cv2.getRotationMatrix2D((80, 60), 0.0, (1.0 + rate / fps) ** t)
+                frame = cv2.warpAffine(ground, grows, (160, 120), flags=cv2.INTER_CUBIC)
+                mp = model.step(frame, t / fps).mp
+            found = 0.25 * np.sqrt(mp / ground.size / 0.001 + 1.0)
+            assert found == pytest.approx(max(rate, 0.25), rel=0.35), (rate, fps)
 
 
 def test_one_side_alone_raises_no_potential_and_a_hidden_side_does_not_matter():

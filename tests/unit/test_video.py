@@ -70,9 +70,9 @@ def test_contract_selection(any_input, decoder):
         fps, every = source.info.fps, list(range(source.info.n_frames))
     assert indices(max_frames=5) == [0, 1, 2, 3, 4]
     assert indices(start_s=3 / fps - 0.001, end_s=7 / fps - 0.001) == [3, 4, 5, 6]
-    assert indices(max_frames=3, max_fps=fps / 2) == [0, 2, 4]
-    assert indices(max_fps=fps / 3) == every[::3]
-    assert indices(max_fps=fps * 2) == every
+    assert indices(max_frames=3, max_fps=fps / 2, input_fps=fps) == [0, 2, 4]
+    assert indices(max_fps=fps / 3, input_fps=fps) == every[::3]
+    assert indices(max_fps=fps * 2, input_fps=fps) == every
 
 
 def taken(times, rate, max_fps):

@@ -147,17 +147,105 @@ static fraction change_of_blocks(const dlgmd_state *state, int dy, int dx)
     return change;
 }
 
-/* Cells of a shift in blocks, by the change at one block less, there, and at one more. */
-static int cells_of(int blocks, fraction less, fraction here, fraction more)
+typedef struct {
+    int64_t run, rise;
+} slope;
+
+/* Twice the distance, in blocks, from here to the least change, by the changes beside: run / rise. */
+static slope slope_of(fraction less, fraction here, fraction more)
 {
     int64_t a = (int64_t)(less.sum * here.of * more.of), b = (int64_t)(here.sum * less.of * more.of);
     int64_t c = (int64_t)(more.sum * less.of * here.of), rise = (a > c ? a : c) - b;
-    if (rise <= 0) {
-        return 4 * blocks;
+    if (rise <= 0 || here.sum == 0 || less.of == 0 || more.of == 0) {
+        return (slope){0, 1};
     }
-    int64_t slope = a - c > rise ? rise : a - c < -rise ? -rise : a - c;
-    return 4 * blocks + (int)((4 * slope + 9 * rise) / (2 * rise)) - 4; /* halves go up */
+    return (slope){a - c > rise ? rise : a - c < -rise ? -rise : a - c, rise};
 }
+
+/* Cells of a shift in blocks, by the change at one block less, there, and at one more. */
+static int cells_of(int blocks, fraction less, fraction here, fraction more)
+{
+    slope part = slope_of(less, here, more);
+    return 4 * blocks + (int)((4 * part.run + 9 * part.rise) / (2 * part.rise)) - 4; /* halves go up */
+}
+
+#if DLGMD_EXPANDS
+
+/* Quarters of the middle two thirds of the picture. */
+enum { PART_Y = BLOCKS_Y / 3, PART_X = BLOCKS_X / 3 };
+
+/* Mean change of the blocks of the part from `top` and `left` on that the earlier frame covers. */
+static fraction change_of_part(const dlgmd_state *state, int top, int left, int dy, int dx)
+{
+    fraction change = {0, 0};
+    for (int y = top; y < top + PART_Y; y++) {
+        for (int x = left; x < left + PART_X; x++) {
+            if (y >= dy && y < BLOCKS_Y + dy && x >= dx && x < BLOCKS_X + dx) {
+                int now = state->work.blocks[0][y][x];
+                change.sum += (uint64_t)size_of(now - state->work.blocks[1][y - dy][x - dx]);
+                change.of++;
+            }
+        }
+    }
+    return change;
+}
+
+/* A shift by the change at one block less, there, and at one more: in blocks, or in 1/4096. */
+static dlgmd_place place_of(int blocks, fraction less, fraction here, fraction more)
+{
+    slope part = slope_of(less, here, more);
+#if DLGMD_FIXED
+    return 4096 * blocks + (dlgmd_place)(2048 * part.run / part.rise);
+#else
+    return (float)blocks + 0.5f * (float)part.run / (float)part.rise;
+#endif
+}
+
+/* The shift of a part, from that of the picture. */
+static void follow_part(const dlgmd_state *state, int top, int left, dlgmd_place *to_y,
+                        dlgmd_place *to_x)
+{
+    int most_y = limit_of(BLOCKS_Y), most_x = limit_of(BLOCKS_X);
+    int y = state->blocks_y, x = state->blocks_x;
+    fraction here = change_of_part(state, top, left, y, x), next;
+    for (int step = -1; step <= 1; step += 2) {
+        while (size_of(y + step) < most_y &&
+               is_less(next = change_of_part(state, top, left, y + step, x), here)) {
+            here = next;
+            y += step;
+        }
+    }
+    for (int step = -1; step <= 1; step += 2) {
+        while (size_of(x + step) < most_x &&
+               is_less(next = change_of_part(state, top, left, y, x + step), here)) {
+            here = next;
+            x += step;
+        }
+    }
+    *to_y = place_of(y, change_of_part(state, top, left, y - 1, x), here,
+                     change_of_part(state, top, left, y + 1, x));
+    *to_x = place_of(x, change_of_part(state, top, left, y, x - 1), here,
+                     change_of_part(state, top, left, y, x + 1));
+}
+
+/* The least of the picture's four expansions, times PART_X * PART_Y. */
+static dlgmd_place expansion(const dlgmd_state *state)
+{
+    dlgmd_place y[4], x[4];
+    for (int i = 0; i < 4; i++) {
+        int top = BLOCKS_Y / 2 - (i < 2 ? PART_Y : 0), left = BLOCKS_X / 2 - (i % 2 ? 0 : PART_X);
+        follow_part(state, top, left, &y[i], &x[i]);
+    }
+    dlgmd_place apart[4] = {(x[1] - x[0]) * PART_Y, (x[3] - x[2]) * PART_Y, (y[2] - y[0]) * PART_X,
+                            (y[3] - y[1]) * PART_X};
+    dlgmd_place least = apart[0];
+    for (int i = 1; i < 4; i++) {
+        least = apart[i] < least ? apart[i] : least;
+    }
+    return least;
+}
+
+#endif
 
 /* By how much the picture has moved. */
 static void follow(dlgmd_state *state, const uint8_t *frame, int *dy, int *dx)
@@ -194,6 +282,9 @@ static void follow(dlgmd_state *state, const uint8_t *frame, int *dy, int *dx)
     state->blocks_x = x;
     *dy = cells_of(y, change_of_blocks(state, y - 1, x), here, change_of_blocks(state, y + 1, x));
     *dx = cells_of(x, change_of_blocks(state, y, x - 1), here, change_of_blocks(state, y, x + 1));
+#if DLGMD_EXPANDS
+    state->expansion = expansion(state);
+#endif
 }
 
 /* Move a row by `dx`: `from` may be the row itself. */
@@ -344,6 +435,16 @@ static total above_mean(total mean)
 }
 #endif
 
+#if DLGMD_EXPANDS
+/* K, the more the faster the picture expands. The ratio to D_0 is in 1/1024, from 1 to 8. */
+static total expanding(total mp, dlgmd_place expansion)
+{
+    int64_t ratio = expansion > 0 ? (int64_t)expansion * EXPANSION >> 16 : 0;
+    ratio = ratio < 1024 ? 1024 : ratio < 8192 ? ratio : 8192;
+    return ((total)(ratio * ratio) * (mp + K_0) >> 20) - K_0;
+}
+#endif
+
 #else
 
 /* found / 2^shift / CELLS */
@@ -406,6 +507,16 @@ static total both_of(total value)
 static total above_mean(total mean)
 {
     return mean * C_M;
+}
+#endif
+
+#if DLGMD_EXPANDS
+/* K, the more the faster the picture expands. */
+static total expanding(total mp, dlgmd_place expansion)
+{
+    float ratio = expansion * EXPANSION;
+    ratio = ratio < 1.0f ? 1.0f : ratio < 8.0f ? ratio : 8.0f;
+    return ratio * ratio * (mp + K_0) - K_0;
 }
 #endif
 
@@ -579,6 +690,9 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
         sums->mp = adapted(state, sums->mp);
     }
 #endif
+#if DLGMD_EXPANDS
+    sums->mp = expanding(sums->mp, state->expansion);
+#endif
     sums->g = scaled(sums->g, share);
     sums->g_column = scaled(sums->g_column, share);
     sums->g_row = scaled(sums->g_row, share);
@@ -704,7 +818,8 @@ static int16_t centroid(total g_place, total g, int32_t side)
 static void finish(dlgmd_answer *answer, const totals *sums)
 {
 #if DLGMD_CONTRAST
-    answer->mp = (uint32_t)(sums->mp * CELLS >> 20);
+    total mp = sums->mp * CELLS >> 20;
+    answer->mp = mp < UINT32_MAX ? (uint32_t)mp : UINT32_MAX;
 #else
     answer->mp = (uint32_t)sums->mp;
 #endif

@@ -24,10 +24,12 @@ typedef int32_t dlgmd_sum;
 typedef uint16_t dlgmd_sum;
 #endif
 typedef uint16_t dlgmd_change;
+typedef int32_t dlgmd_place;
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
 typedef float dlgmd_change;
+typedef float dlgmd_place;
 #endif
 
 /* The state of the model. It is large: use a static variable, for example. */
@@ -56,6 +58,9 @@ typedef struct {
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_SHIFT > 0
     int32_t blocks_y, blocks_x; /* how far the picture moved last, in blocks of 4 x 4 cells */
+#if DLGMD_EXPANDS
+    dlgmd_place expansion; /* since the frame before */
+#endif
 #endif
     union { /* used only during a step */
         struct {

@@ -6,7 +6,7 @@ does best on the others. The preset has the choice that does best on all videos.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -109,7 +109,7 @@ class Experiment:
         return choose(self.signals(setup), self.folds, self.rules, self.counted)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """A calibrated model and its scores.
 
@@ -123,11 +123,36 @@ class Calibration:
         On `all` videos and on each kind. `held_out`: each fold with the choice made without it.
         `same_videos`: the final parameters on the videos that they were chosen on. `before`: the
         original parameters.
+    experiment : Experiment
+        What it was calibrated on.
+    preset : str
+        The YAML of a file for `config`; comments say how well it does.
+    failed : dict of str to str
+        Why videos are left out, by name.
     """
 
     setup: Setup
     choices: Choices
     scores: dict[str, dict[str, Scores]]
+    experiment: Experiment
+    preset: str = ""
+    failed: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        form = "held out recall {recall:.2f}, {false_alarms_per_min:.2f} false/min"
+        held = form.format(**self.scores["held_out"][ALL])
+        label = self.experiment.setup.label
+        return f"<Calibration of {label}: {', '.join(self.changes())}; {held}>"
+
+    @property
+    def params(self) -> Parameters:
+        """The parameters found, for `run` and `Alarm`."""
+        return self.setup.params
+
+    def changes(self) -> list[str]:
+        """Every setting that was changed, as ``kappa = 0.003``."""
+        before = self.experiment.setup.settings()
+        return [f"{k} = {v}" for k, v in self.setup.settings().items() if v != before[k]]
 
 
 def calibrate(
@@ -166,7 +191,8 @@ def calibrate(
         }
         for name, found in tallies.items()
     }
-    return Calibration(replace(final, params=with_choice(final.params, overall)), choices, scores)
+    setup = replace(final, params=with_choice(final.params, overall))
+    return Calibration(setup, choices, scores, experiment)
 
 
 def with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:

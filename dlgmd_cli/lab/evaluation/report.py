@@ -3,10 +3,12 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dlgmd_cli.checks import require_known
 from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, of_kind
 from dlgmd_cli.lab.evaluation.scoring import (
     COUNTS,
@@ -23,11 +25,15 @@ from dlgmd_cli.lab.evaluation.scoring import (
     thresholds,
 )
 from dlgmd_cli.models.detection import Flags, Series
-from dlgmd_cli.results.csv import cell, text_cell, write_rows
+from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.store import Write
+
+if TYPE_CHECKING:
+    from dlgmd_cli.plots.style import Figure, Width
 
 ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
 DEFAULT, BEST = "default", "best"
+FIGURES = ("trade-off", "leads")
 # By what the videos are grouped, and the words in a row of scores.
 GROUPED = ("target", "kind", "manner")
 _WORDS = ("model", "at", *GROUPED)
@@ -52,7 +58,7 @@ ALARM_COLUMNS = ("video", "model", "at", "frame", "time_s", "kind", "lead_s")
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Report:
     """All rows, those of all videos first, and the curves and the leads of each candidate.
 
@@ -66,6 +72,52 @@ class Report:
     rows: list[Row]
     curves: dict[str, dict[str, Curve]]
     leads_s: dict[str, Series]
+    max_false_per_min: float
+
+    def __repr__(self) -> str:
+        first, form = (
+            self.rows[0],
+            "{model} recall {recall:.2f}, {false_alarms_per_min:.2f} false/min",
+        )
+        said = "; ".join(form.format(**self.main(label)) for label in self.curves)
+        return f"<Report on {first['videos']} videos, {first['collisions']} collisions: {said}>"
+
+    @property
+    def table(self) -> Table:
+        """The rows as evaluate.csv has them: scores by model, threshold and group of videos."""
+        return table_of(list(self.rows[0]), ([*row.values()] for row in self.rows))
+
+    @property
+    def curve_table(self) -> Table:
+        """The rows of curves.csv: each model's recall and false alarms at every threshold."""
+        return table_of(CURVE_COLUMNS, self._curve_rows())
+
+    @property
+    def alarm_table(self) -> Table:
+        """The rows of alarms.csv: every alarm that counts, and every missed collision."""
+        return table_of(ALARM_COLUMNS, self._alarm_rows())
+
+    def plot(self, kind: str = "trade-off", width: "Width" = "one") -> "Figure":
+        """A figure: `trade-off` of recall and false alarms, or `leads`; `width` in columns.
+
+        Raises ParameterError if there is no such figure.
+        """
+        from dlgmd_cli.lab.plots.evaluation import leads, trade_off
+
+        require_known("figure", kind, FIGURES)
+        if kind == "leads":
+            return leads(self.leads_s, self.horizon_s, width)
+        curves, points = {}, {}
+        for label, own in self.curves.items():
+            for name, one in own.items():
+                title = label if name == ALL else f"{label}, {name}"
+                if not self.main(label, kind=name)["collisions"] and name != ALL:
+                    continue  # nothing to announce
+                curves[title] = one.false_alarms_per_min, one.recall
+                row = self.row(label, DEFAULT, kind=name)
+                if row is not None:
+                    points[title] = row["false_alarms_per_min"], row["recall"]
+        return trade_off(curves, points, self.max_false_per_min, width)
 
     def row(self, label: str, at: str, **group: str) -> Row | None:
         """The row of a candidate and threshold, of all videos or of a group, or None."""
@@ -94,17 +146,14 @@ class Report:
 
     def tables(self) -> dict[str, Write]:
         """The function that writes each table, by file name; OSError passes through."""
-        scores = [
-            [text_cell(v) if key in _WORDS else cell(v) for key, v in row.items()]
-            for row in self.rows
-        ]
+        rows = [[*row.values()] for row in self.rows]
         return {
-            "evaluate.csv": lambda path: write_rows(path, list(self.rows[0]), scores),
-            "curves.csv": lambda path: write_rows(path, CURVE_COLUMNS, self._curve_rows()),
-            "alarms.csv": lambda path: write_rows(path, ALARM_COLUMNS, self._alarm_rows()),
+            "evaluate.csv": partial(write_values, header=list(self.rows[0]), rows=rows),
+            "curves.csv": partial(write_values, header=CURVE_COLUMNS, rows=self._curve_rows()),
+            "alarms.csv": partial(write_values, header=ALARM_COLUMNS, rows=self._alarm_rows()),
         }
 
-    def _curve_rows(self) -> Iterator[list[str]]:
+    def _curve_rows(self) -> Iterator[list[Any]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""
         every = [(label, *one) for label, own in self.curves.items() for one in own.items()]
         for label, kind, found in every:
@@ -113,10 +162,9 @@ class Report:
             for i in np.flatnonzero(np.concatenate(([True], changes))):
                 strength = float(found.threshold[i])
                 level = self.evaluation.candidates[label].level(strength)
-                words = text_cell(label), text_cell(kind)
-                yield [*words, *map(cell, [level, strength, *columns[:, i]])]
+                yield [label, kind, level, strength, *columns[:, i].tolist()]
 
-    def _alarm_rows(self) -> Iterator[list[str]]:
+    def _alarm_rows(self) -> Iterator[list[Any]]:
         """The rows of alarms.csv: every alarm that is not ignored, and every missed collision."""
         for case in self.evaluation.cases:
             for label, candidate in self.evaluation.candidates.items():
@@ -138,8 +186,7 @@ class Report:
                     if contact_s not in announced:
                         found.append((frame, contact_s, "missed", math.nan))
                 for frame, time_s, word, lead_s in sorted(found):
-                    words = (text_cell(case.name), text_cell(label), row["at"])
-                    yield [*words, str(frame), cell(time_s), word, cell(lead_s)]
+                    yield [case.name, label, row["at"], frame, time_s, word, lead_s]
 
     def to_json(self) -> dict[str, Any]:
         """The measures of every candidate over all videos, by label; None where undefined."""
@@ -232,7 +279,7 @@ def make_report(
                 at_level = {"threshold": level, "excitation": strength, "n_sp": n_sp}
                 rows.append({**own, **at_level, **score(chosen)})
     rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
-    return Report(evaluation, horizon_s, rows, curves, leads_s)
+    return Report(evaluation, horizon_s, rows, curves, leads_s, max_false_per_min)
 
 
 def scores_json(scores: Scores) -> dict[str, Any]:

@@ -98,9 +98,7 @@ class Search:
         try:
             import optuna
         except ImportError:
-            raise MissingExtraError(
-                "--search", "Optuna is not installed", "Run: pip install 'dlgmd[calibrate]'."
-            ) from None
+            raise MissingExtraError.of("--search", "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
         text = json.dumps(asked, sort_keys=True)

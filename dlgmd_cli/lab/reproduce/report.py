@@ -44,8 +44,7 @@ def require_jinja() -> Any:
     try:
         import jinja2
     except ImportError:
-        why = "Jinja2 is not installed"
-        raise MissingExtraError("report", why, "Run: pip install 'dlgmd[view]'.") from None
+        raise MissingExtraError.of("report", "jinja2") from None
     return jinja2
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dlgmd_cli.checks import require_known
-from dlgmd_cli.errors import MissingExtraError
+from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
 from dlgmd_cli.models.base import AUTO, FloatImage, Grey, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters import ENGINES
@@ -17,7 +17,9 @@ _log = logging.getLogger(__name__)
 
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
-NOT_INSTALLED = "is not installed"
+# Side of the blocks whose means tell how the picture moves, in cells. As of MAX_TAPS in plan.py,
+# the cache of Numba does not notice a change.
+BLOCK = 4
 
 
 class Grouping(NamedTuple):
@@ -68,13 +70,8 @@ class Engine(Protocol):
         """
         ...
 
-    def subtract(
-        self, current: Grey, previous: Grey, floor: float, out: FloatImage
-    ) -> tuple[float, float]:
-        """Write max(|L(t) - L(t-1)| - `floor`, 0) to `out`, (H, W).
-
-        Returns its sum, and Σ|L(t) - L(t-1)|. Everything is in levels.
-        """
+    def blocks(self, frame: Grey) -> FloatImage:
+        """Means over whole blocks of `BLOCK` x `BLOCK` cells of a frame, in levels."""
         ...
 
 
@@ -91,9 +88,7 @@ def choose_engine(name: str, n_cells: int = 0) -> str:
     if fault is None:
         return "numba"
     if name == "numba":
-        why = f"the package 'numba' {fault}"
-        mend = "Install it with: pip install 'dlgmd[fast]', or use --engine opencv."
-        raise MissingExtraError("--engine numba", why, mend)
+        raise MissingExtraError.of("--engine numba", "numba", fault, "use --engine opencv")
     if fault != NOT_INSTALLED:
         _log.warning("the package 'numba' %s; the engine is opencv", fault)
     return "opencv"

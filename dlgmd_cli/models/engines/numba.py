@@ -20,7 +20,7 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
-from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
+from dlgmd_cli.models.engines import BLOCK, Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.threads import n_threads
@@ -70,30 +70,40 @@ _total = _unrolled(MAX_TAPS)
 
 
 @njit(**_OPTIONS)
-def _read_row(out, start, stack, newer, older, y):
-    """A row of one image as float32, minus that of another unless `older` is -1."""
-    a, b, row = np.uint64(newer), np.uint64(max(older, 0)), np.uint64(y)
-    if older < 0:
-        for i in range(stack.shape[2]):
-            x = np.uint64(i)
-            out[start + x] = np.float32(stack[a, row, x])
-    else:
-        for i in range(stack.shape[2]):
-            x = np.uint64(i)
-            out[start + x] = np.float32(stack[a, row, x]) - np.float32(stack[b, row, x])
+def _read_row(out, start, p, floor):
+    """What of a row exceeds a floor, as float32."""
+    for i in range(p.size):
+        x = np.uint64(i)
+        value = np.float32(p[x]) - floor
+        out[start + x] = np.float32(0.0) if value <= 0.0 else value  # NaN stays
 
 
 @njit(**_OPTIONS)
-def _read(memory, stack, newer, older, shape, top, first_new):
-    """Read the new rows of a block from every source."""
+def _read_difference(out, start, newer, newer_floor, older, older_floor):
+    """What of a row exceeds its floor, minus the same of another."""
+    for i in range(newer.size):
+        x = np.uint64(i)
+        a, b = np.float32(newer[x]) - newer_floor, np.float32(older[x]) - older_floor
+        a = np.float32(0.0) if a <= 0.0 else a
+        b = np.float32(0.0) if b <= 0.0 else b
+        out[start + x] = a - b
+
+
+@njit(**_OPTIONS)
+def _read(memory, stack, floors, newer, older, shape, top, first_new):
+    """Read the new rows of a block from every source: P, or the difference of two."""
     radius, n_rows, stride = shape
     depth = 2 * radius + n_rows
     for q in range(newer.size):
+        a, b = newer[q], older[q]
         for row in range(first_new, depth):
             y, at = top - radius + row, (q * depth + row) * stride
             if 0 <= y < stack.shape[1]:
                 start = np.uint64(at + 1 + radius)
-                _read_row(memory, start, stack, newer[q], older[q], y)
+                if b < 0:
+                    _read_row(memory, start, stack[a, y], floors[a])
+                else:
+                    _read_difference(memory, start, stack[a, y], floors[a], stack[b, y], floors[b])
             else:
                 memory[at : at + stride] = 0.0
 
@@ -165,33 +175,39 @@ def _moment(g):
     return total
 
 
-@njit(**_OPTIONS)
-def _subtract_row(current, previous, floor, out):
-    """P' of a row; returns its sum, and that of the change, which is exact for uint8."""
-    p_sum, change_sum = np.float32(0.0), np.float32(0.0)
-    for i in range(out.size):
-        x = np.uint64(i)
-        change = abs(np.float32(current[x]) - np.float32(previous[x]))
-        p = change - floor
-        p = np.float32(0.0) if p <= 0.0 else p  # NaN stays
-        out[x] = p
-        p_sum += p
-        change_sum += change
-    return p_sum, change_sum
-
-
-def _subtract(first, end, current, previous, floor, out):
-    """P' of the rows from `first` up to `end`, and the sums, see `Engine.subtract`."""
-    p_sum = change_sum = 0.0
-    for y in range(first, end):
-        sums = _subtract_row(current[y], previous[y], floor, out[y])
-        p_sum += sums[0]
-        change_sum += sums[1]
-    return p_sum, change_sum
+def _mean_blocks(frame, out):
+    """Means over blocks of cells."""
+    sums = np.empty(out.shape[1] * BLOCK, np.float32)
+    for y in range(out.shape[0]):
+        rows = frame[BLOCK * y : BLOCK * (y + 1)]
+        for i in range(sums.size):
+            x = np.uint64(i)
+            total = np.float32(rows[0, x])
+            for row in range(1, BLOCK):
+                total += np.float32(rows[row, x])
+            sums[x] = total
+        for i in range(out.shape[1]):
+            total = np.float32(0.0)
+            for x in range(BLOCK * i, BLOCK * (i + 1)):
+                total += sums[x]
+            out[y, i] = total / np.float32(BLOCK**2)
 
 
 def _sum_layers(
-    first, end, stack, newer, older, hidden, plan, shape, memory, row_memory, grouping, s_out, g_out
+    first,
+    end,
+    stack,
+    floors,
+    newer,
+    older,
+    hidden,
+    plan,
+    shape,
+    memory,
+    row_memory,
+    grouping,
+    s_out,
+    g_out,
 ):
     """ΣS, ΣG, its moments and quarters for the rows from `first` up to `end`, block by block.
 
@@ -212,7 +228,7 @@ def _sum_layers(
     quarters = np.zeros(4)
     top, first_new = first - 1, 0
     while top - 2 < end:
-        _read(memory, stack, newer, older, shape, top, first_new)
+        _read(memory, stack, floors, newer, older, shape, top, first_new)
         begin = 0
         for k in range(outs.size):
             _total(memory, np.uint64(outs[k]), block, places, weights, begin, last[k] - begin)
@@ -315,6 +331,7 @@ class NumbaEngine:
             return compute(
                 *self._bands[band : band + 2],
                 receptors.stack,
+                receptors.floors,
                 *places,
                 hidden,
                 self._plan,
@@ -327,28 +344,27 @@ class NumbaEngine:
         s_sum, g_sum, m_x, m_y, *quarters = self._in_bands(_sum_layers, work)
         return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters))
 
-    def subtract(
-        self, current: Grey, previous: Grey, floor: float, out: FloatImage
-    ) -> tuple[float, float]:
-        """P' and the sums, see `Engine`; bands of rows are computed in parallel."""
-
-        def work(band: int, compute: _Loops) -> tuple[float, ...]:
-            rows = self._bands[band : band + 2]
-            return compute(*rows, current, previous, np.float32(floor), out)
-
-        p_sum, change_sum = self._in_bands(_subtract, work)
-        return p_sum, change_sum
+    def blocks(self, frame: Grey) -> FloatImage:
+        """Means over blocks, see `Engine`."""
+        height, width = frame.shape
+        out = np.empty((height // BLOCK, width // BLOCK), np.float32)
+        self._ready(_mean_blocks, lambda compute: compute(frame, out))(frame, out)
+        return out
 
     def _in_bands(
         self, function: _Loops, work: Callable[[int, _Loops], tuple[float, ...]]
     ) -> list[float]:
         """The sums of what `work` returns for all bands; it is given `function`, compiled."""
-        if function not in self._loaded:
-            self._loaded[function] = self._load(function, partial(work, 0))
-        compute = self._loaded[function]
+        compute = self._ready(function, partial(work, 0))
         answers = self._map(lambda band: work(band, compute), range(len(self._memory)))
         sums: list[float] = np.array(list(answers)).sum(axis=0).tolist()
         return sums
+
+    def _ready(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
+        """The compiled `function`; `work` calls it, which compiles or loads it the first time."""
+        if function not in self._loaded:
+            self._loaded[function] = self._load(function, work)
+        return self._loaded[function]
 
     def _load(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
         """Compile or load loops, in this thread: others cannot be interrupted meanwhile."""

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned, first_moments
-from dlgmd_cli.models.engines import Counting, Grouping, Sums, just_below
+from dlgmd_cli.models.engines import BLOCK, Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
@@ -93,14 +93,14 @@ class OpencvEngine:
                 layers[1][tile.target] = g[tile.core]
         return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters.tolist()))
 
-    def subtract(
-        self, current: Grey, previous: Grey, floor: float, out: FloatImage
-    ) -> tuple[float, float]:
-        """P' and the sums, see `Engine`."""
-        change = cv2.absdiff(current, previous)
-        np.subtract(change, np.float32(floor), out=out)
-        cv2.threshold(out, 0.0, 0.0, cv2.THRESH_TOZERO, dst=out)
-        return cv2.sumElems(out)[0], cv2.sumElems(change)[0]
+    def blocks(self, frame: Grey) -> FloatImage:
+        """Means over blocks, see `Engine`."""
+        height, width = (n // BLOCK for n in frame.shape)
+        if height == 0 or width == 0:
+            return np.zeros((height, width), np.float32)
+        whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
+        size_wh = width, height
+        return np.asarray(cv2.resize(whole, size_wh, interpolation=cv2.INTER_AREA), np.float32)
 
     def _summate(
         self,
@@ -113,7 +113,7 @@ class OpencvEngine:
         """S in the window of a tile; valid where the kernels do not extend beyond the window."""
         is_first = True
         for source, filters in self._filters.items():
-            image = _floats(receptors, source, tile.window, spare)
+            image = _floats(receptors, source, tile.window, (spare, part))
             for one in filters:
                 apply(one, image, out=s if is_first else part)
                 if not is_first:
@@ -170,16 +170,31 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def _floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
-    """The window of a source as float32: a view of P, or `spare` filled with a copy."""
-    newer = receptors.p(source.delay)[window]
+def _floats(
+    receptors: Photoreceptors,
+    source: Source,
+    window: Window,
+    spares: tuple[FloatImage, FloatImage],
+) -> Grey:
+    """The window of a source as float32: a view of P, or the first of two spares, filled."""
+    newer = _above_floor(receptors, source.delay, window, spares[0])
     if source.difference:
-        older = receptors.p(source.delay + 1)[window]
-        cv2.subtract(newer, older, dst=spare, dtype=cv2.CV_32F)
+        older = _above_floor(receptors, source.delay + 1, window, spares[1])
+        cv2.subtract(newer, older, dst=spares[0], dtype=cv2.CV_32F)
     elif newer.dtype == np.float32:
         return newer
     else:
-        np.copyto(spare, newer)
+        np.copyto(spares[0], newer)
+    return spares[0]
+
+
+def _above_floor(receptors: Photoreceptors, delay: int, window: Window, spare: FloatImage) -> Grey:
+    """The window of P(t - delay): a view, or `spare` filled with what exceeds the floor."""
+    p, floor = receptors.p(delay)[window], receptors.floors[receptors.position(delay)]
+    if floor == 0.0:
+        return p
+    np.subtract(p, floor, out=spare)
+    cv2.threshold(spare, 0.0, 0.0, cv2.THRESH_TOZERO, dst=spare)
     return spare
 
 

@@ -17,6 +17,7 @@ column sum of the height there. Discs from the same Gaussian, on different frame
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +99,7 @@ def _scale(kernel: FloatKernel, gaussian: FloatKernel) -> float | None:
     used = (np.abs(kernel) > 0.0) & (gaussian > NEGLIGIBLE * gaussian.max())
     if not used.any():
         return None
-    scale = float(np.median(kernel[used] / gaussian[used]))
+    scale = median((kernel[used] / gaussian[used]).tolist())  # NumPy's would import masked arrays
     return None if abs(scale) * gaussian.max() > 2.0 * np.abs(kernel).max() else scale
 
 

@@ -28,8 +28,8 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
     assert {label: one["false_alarms_per_min"] for label, one in models.items()} == (
         dict.fromkeys(models, 0.0)
     )
-    # Since it is quiet on other footage, it misses one of the four.
-    assert models["flight"]["recall"] >= 0.75 and models["flight"]["auc"] > 0.85
+    # Since it is quiet on other footage, and waits for expansion, it misses two of the four.
+    assert models["flight"]["recall"] >= 0.5 and models["flight"]["auc"] > 0.85
     assert all(models[f"set{number}"]["recall"] >= 0.5 for number in range(1, 10))
 
 
@@ -41,8 +41,19 @@ def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(
     found = run(f"flights/{scene}.mp4")
     onsets = found.frame[found.alarm_onsets]
     assert (contact is not None) == scene.startswith("group")
-    if contact is None:  # a known limit: the frame of a door expands in all directions
-        assert onsets.size == (scene == "through-doorway")
+    if contact is None:
+        assert not onsets.size
     else:
         before = onsets[onsets < contact]
         assert before.size and (before >= contact - 30).all()
+
+
+@pytest.mark.parametrize("scene", ["group1", "group2", "group5"])
+def test_a_flight_raises_the_same_alarm_at_24_30_and_60_frames_a_second(dlgmd, scene):
+    """Less than 24 frames/s make a difference; at 60, every second frame is processed."""
+    first_s = []
+    for fps in (24, 30, 60):
+        result = dlgmd("synth", scene, "--size", "240x136", "--fps", fps, "--out", str(fps))
+        assert result.exit_code == 0, result.output
+        first_s.append(run(f"{fps}/{scene}.mp4").alarm_list[0].start_s)
+    assert max(first_s) - min(first_s) <= 0.1

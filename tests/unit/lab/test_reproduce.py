@@ -227,7 +227,7 @@ def test_numbers_for_readers():
         (["--reference", "."], 2, ("neither looming_ball nor ball_and_capsules",)),
         (["--reference", "nowhere"], 2, ("does not exist",)),
         (["--jobs", 0], 2, ("'--jobs'",)),
-        (["--only", "fig5"], 1, ("Jinja2", "pip install")),
+        (["--only", "fig5"], 1, ("jinja2", "pip install")),
     ],
 )
 def test_errors_in_one_line(dlgmd, monkeypatch, options, code, words):

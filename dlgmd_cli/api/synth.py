@@ -1,0 +1,239 @@
+"""Stimuli with their ground truth: flat scenes, flights, and many flights with labels."""
+
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli import cancel
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.lab.flights.dataset import FlightSet
+from dlgmd_cli.lab.flights.scenes import find_scene
+from dlgmd_cli.lab.stimuli.clip import DrawSheet, Rendering, choose_codec
+from dlgmd_cli.results import labels
+from dlgmd_cli.results.csv import Table, table_of
+from dlgmd_cli.results.store import locked
+from dlgmd_cli.runs.run import Progress, no_progress
+from dlgmd_cli.threads import n_processors
+from dlgmd_cli.video.base import parse_size
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clip:
+    """A rendered stimulus.
+
+    Attributes
+    ----------
+    name : str
+        The scene's name.
+    fps : float
+        Frames per second.
+    truth : structured ndarray, shape (n,)
+        The ground truth of each frame; its columns are those of the CSV.
+    record : dict
+        Of a flight: its phases, and the frame of the collision.
+    frames : ndarray, shape (n, H, W), uint8, or None
+        The pictures, for `run(clip.frames, fps=clip.fps)`; None if they were written to files.
+    paths : tuple of Path
+        The files, the video first.
+    """
+
+    name: str
+    fps: float
+    truth: Table
+    record: dict[str, Any]
+    frames: npt.NDArray[np.uint8] | None = None
+    paths: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        where = f" in {self.paths[0]}" if self.paths else ""
+        return f"<Clip {self.name}: {len(self.truth)} frames{where}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flights:
+    """Many flights in a folder.
+
+    `path` is the file of labels, and `labels` has its rows: a structured array with the columns
+    ``video``, ``collision_frame``, ``target``, ``kind`` and ``manner``. `failed` says which flights
+    could not be rendered, and why.
+    """
+
+    path: Path
+    labels: Table
+    failed: dict[str, str]
+
+    def __repr__(self) -> str:
+        n_hits = np.count_nonzero(~np.isnan(self.labels["collision_frame"].astype(float)))
+        return f"<Flights in {self.path}: {len(self.labels)} videos, {n_hits} with a collision>"
+
+
+@overload
+def synth(scene: str, out: None = None, *, count: None = None, **options: Any) -> Clip: ...
+
+
+@overload
+def synth(
+    scene: str, out: str | os.PathLike[str], *, count: None = None, **options: Any
+) -> Clip: ...
+
+
+@overload
+def synth(scene: str, out: str | os.PathLike[str], *, count: int, **options: Any) -> Flights: ...
+
+
+def synth(
+    scene: str,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    name: str | None = None,
+    count: int | None = None,
+    jobs: int | None = None,
+    lossless: bool = False,
+    png: bool = False,
+    sheet: bool = False,
+    dpi: int = 200,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Clip | Flights:
+    """Render a stimulus with its ground truth, as `dlgmd synth` does.
+
+    Parameters
+    ----------
+    scene : str
+        A scene, such as ``"looming-cube"`` or ``"random"``; `dlgmd synth --list` lists them.
+    out : str or path, optional
+        Folder for the files of `dlgmd synth`, with `lossless`, `png`, `sheet` (of `dpi`) and
+        `overwrite`. Without it, the pictures are kept in memory.
+    name : str, optional
+        Name of the files, so that two seeds do not collide; the scene's unless given.
+    count : int, optional
+        Render so many flights with consecutive seeds, and ``out/labels.csv``; those that exist
+        are kept. `jobs` is the number of processes, all processors unless given.
+    progress
+        As in `batch`.
+    options
+        Options of the scene: `size` (``"480x270"``), `fps`, `frames`, `seed`, `speed`, `noise` and
+        the others of `dlgmd synth --help`.
+
+    Returns
+    -------
+    Clip or Flights
+        `Flights` with `count`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such scene or option, or it cannot be rendered like that.
+    OutputError, OutputExistsError
+        If a file cannot be written, or may not be replaced.
+
+    Examples
+    --------
+    >>> cube = synth("looming-cube", speed=5)  # doctest: +SKIP
+    >>> run(cube.frames, fps=cube.fps, set=9)  # doctest: +SKIP
+    >>> synth("random", "flights", count=6, jobs=2).labels["video"]  # doctest: +SKIP
+    """
+    if count is None and jobs is not None:
+        raise ParameterError("", "--jobs works only with --count", "Add it.")
+    found = find_scene(scene)
+    chosen = found.configure(_by_flag(options))
+    if out is None:
+        if count is not None or sheet or png or lossless:
+            why = "count, sheet, png and lossless are for files"
+            raise ParameterError("", why, "Give their folder, out.")
+        with progress(scene, found.n_frames(chosen), "frame") as on_frame:
+            frames = np.stack(list(_counted(found.frames(chosen), on_frame)))
+        record = found.record(chosen)
+        return Clip(found.name, chosen.fps, _truth(found, chosen), record, frames)
+    codec = choose_codec(lossless=lossless, png=png, playable=found.is_flight)
+    draw: DrawSheet | None = None
+    if sheet:  # only now, as importing Matplotlib takes time
+        from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
+
+        draw = partial(save_contact_sheet, dpi=dpi)
+    clip = Rendering(found, chosen, Path(out), codec, name or found.name, draw)
+    if count is None:
+        return _one(clip, overwrite, progress)
+    if not found.is_flight:
+        why = f"--count works only with flights, and {found.name} is not one"
+        raise ParameterError("", why)
+    return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
+
+
+def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are set, by flag, as scenes take them; sizes are (H, W)."""
+    given = {name: value for name, value in options.items() if value not in (None, ())}
+    if "size" in given:
+        size_wh = given["size"]
+        given["size"] = (parse_size(size_wh) if isinstance(size_wh, str) else size_wh)[::-1]
+    return {f"--{name.replace('_', '-')}": value for name, value in given.items()}
+
+
+def _counted(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:
+    for number, frame in enumerate(frames, start=1):
+        cancel.check()
+        on_frame(number)
+        yield frame
+
+
+def _truth(scene: Any, options: Any) -> Table:
+    """The ground truth of each frame as a table."""
+    names = [one.name for one in fields(scene.truth_type)]
+    return table_of(names, ([getattr(r, one) for one in names] for r in scene.truth(options)))
+
+
+def _one(clip: Rendering, overwrite: bool, progress: Progress) -> Clip:
+    """Render one clip into its files."""
+    scene, options = clip.scene, clip.options
+    # Flights have noise by default, and a camera's video would be compressed as well: no note.
+    if clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0:
+        _log.info("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
+    with locked(clip.folder), progress(scene.name, scene.n_frames(options), "frame") as on_frame:
+        paths = clip.write(overwrite=overwrite, on_frame=on_frame)
+    record = scene.record(options)
+    return Clip(scene.name, options.fps, _truth(scene, options), record, paths=paths)
+
+
+def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) -> Flights:
+    """Render the missing flights, and write the labels of all that exist, even after an error."""
+    folder, failed = flights.like.folder, {}
+    with locked(folder):
+        present = flights.present()
+        missing = [number for number in range(flights.count) if number not in present]
+        flights.check(missing, overwrite=overwrite)
+        if present:
+            _log.info("%d of %d flights were already there.", len(present), flights.count)
+        try:
+            with progress(flights.like.name, flights.count, "flight") as advance:
+                advance(len(present))
+                n_jobs = min(jobs, max(1, len(missing)))
+                done = flights.render(missing, n_jobs, overwrite=overwrite)
+                for n_done, (number, error) in enumerate(done, start=len(present) + 1):
+                    if error is not None:
+                        name = flights.clip(number).name
+                        failed[name] = str(error).removeprefix(f"{name}: ").rstrip(".")
+                        _log.warning("%s: %s", name, failed[name])
+                    advance(n_done)
+        except BaseException:  # an interruption, too
+            if len(found := flights.present()) > len(present):
+                flights.write_labels(found, overwrite=overwrite)
+                _log.info(
+                    "%s holds %d of %d flights; run the same command again for the others.",
+                    *(folder, len(found), flights.count),
+                )
+            raise
+        found = flights.present()
+        if found:
+            flights.write_labels(found, overwrite=overwrite)
+    rows = [[getattr(found[number], one) for one in labels.COLUMNS] for number in sorted(found)]
+    return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed)
