@@ -213,7 +213,7 @@ def test_decoders_that_crash_hang_and_run_out_of_memory(short, monkeypatch):
     for name in faults:
         shutil.copy(short.videos / "0.avi", short.videos / name)
     with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.runs.batch.run_video", faulty)
+        patch.setattr("dlgmd_cli.api.batch.run_video", faulty)
         result = short.run("--timeout", 2)
     assert result.exit_code == 1
     assert short.judge() == dict.fromkeys(short.names, "done") | faults
@@ -268,7 +268,7 @@ def test_videos_that_change_after_they_were_found(short, monkeypatch):
             return videos
 
         with monkeypatch.context() as patch:
-            patch.setattr(find, "find_videos", found)
+            patch.setattr("dlgmd_cli.api.batch.find_videos", found)
             assert short.run().exit_code == 1
         statuses = short.judge()
         n_failed = sum(status == "failed" for status in statuses.values())

@@ -274,8 +274,8 @@ def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, m
     assert result.exit_code == 1
     said = sorted(result.stderr.splitlines())
     assert said[0].startswith("Error: 2 of 6 flights failed; the other 4 are in")
-    assert said[1].startswith("quick-0003: its process was killed")
-    assert said[2] == "quick-0004: here: it cannot be. Mend it."
+    assert said[1].startswith("Warning: quick-0003: its process was killed")
+    assert said[2] == "Warning: quick-0004: here: it cannot be. Mend it."
     listed = [label.video for label in read_labels(Path("f", "labels.csv"))]
     assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
     assert len(list(Path("f").iterdir())) == 3 * 4 + 1  # nothing half made
@@ -312,6 +312,6 @@ def test_ctrl_c_from_outside(tmp_path, jobs):
     assert listed == sorted(path.name for path in tmp_path.glob("f/*.mp4")) and len(listed) >= 6
     assert len(list((tmp_path / "f").iterdir())) == 3 * len(listed) + 1
     assert said == (
-        f"Interrupted. f holds {len(listed)} of 9999 flights; "
-        "run the same command again for the others.\n"
+        f"f holds {len(listed)} of 9999 flights; run the same command again for the others.\n"
+        "Interrupted.\n"
     )
