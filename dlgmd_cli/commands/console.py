@@ -19,6 +19,7 @@ import click
 from dlgmd_cli import __version__, cancel
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
+from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 
@@ -220,7 +221,7 @@ def _too_many(extra: list[str]) -> str:
         )
     more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
     listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
-    return f"unexpected argument{'s' * (n_extra > 1)}: {listed}{more}."
+    return f"unexpected {'argument' if n_extra == 1 else 'arguments'}: {listed}{more}."
 
 
 @contextmanager
@@ -285,6 +286,14 @@ def say(message: str) -> None:
 def warn(message: str) -> None:
     """Print a warning on stderr, unless --quiet is given."""
     _log.warning("%s", message)
+
+
+def warn_outside(label: str, result: Any, collisions: Iterable[int]) -> None:
+    """Warn of collisions outside the frames of a result."""
+    first, last = int(result.frame[0]), int(result.frame[-1])
+    for frame in collisions:
+        if not first <= frame <= last:
+            warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
 
 
 def _show_line(message: str) -> None:
@@ -369,7 +378,7 @@ def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> 
     """If the user asked to stop, say what `target` holds and exit with code 130."""
     if not cancel.requested():
         return
-    kept = f"the {n_frames} frames processed before the interruption"
+    kept = f"the {counted(n_frames, 'frame')} processed before the interruption"
     say(f"Interrupted. {target} holds {'the whole result' if complete else kept}.")
     raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 

@@ -1,6 +1,5 @@
 """What commands share: open the input, check and lock the folder, run, warn, write, end."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -33,10 +32,9 @@ class Job:
     record: str | None
     is_new_input: bool
 
-    def progress(self, n_wanted: float = math.inf) -> AbstractContextManager[Any]:
-        """A progress bar over the frames of the input, or the first that are wanted."""
-        n_frames = min(self.options.n_expected(self.video.info) or math.inf, n_wanted)
-        return progress(self.video.info.name, None if math.isinf(n_frames) else int(n_frames))
+    def progress(self) -> AbstractContextManager[Any]:
+        """A progress bar over the frames of the input."""
+        return progress(self.video.info.name, self.options.n_expected(self.video.info))
 
     def warn(self, warnings: Sequence[str]) -> None:
         """Print warnings about the input, and note which of its frames were processed."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, note, print_path, warn
+from dlgmd_cli.commands.console import Command, note, print_path, warn, warn_outside
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
@@ -272,19 +272,16 @@ def _read(
 
 def _collisions(path: Path, results: dict[str, "Result"]) -> dict[str, list[int]]:
     """The labelled collision frames of each result; warns of those that cannot be shown."""
-    from dlgmd_cli.results.labels import labelled_frames, read_collisions
+    from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video
 
-    known, found = read_collisions(path), {}
+    known, found = read_by_video(path), {}
     for label, result in results.items():
-        frames = labelled_frames(known, str(result.record["input"].get("path")))
-        if frames is None:
+        listed = labels_of(known, str(result.record["input"].get("path")))
+        if listed is None:
             warn(f"{path} does not list the video of {label}")
             continue
-        first, last = int(result.frame[0]), int(result.frame[-1])
-        for frame in frames:
-            if not first <= frame <= last:
-                warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
-        found[label] = frames
+        found[label] = collision_frames(listed)
+        warn_outside(label, result, found[label])
     return found
 
 
