@@ -13,7 +13,6 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    written,
 )
 from dlgmd_cli.commands.options import (
     Output,
@@ -140,14 +139,14 @@ def evaluate(
         progress=progress,
         **(given if results is None else {}),
     )
-    paths = written(output.out / name for name in api.file_names(output.formats))
     if output.as_json:
         facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
         print_json(facts)
     else:
         _show(report)
-        for path in paths:
-            print_path(path)
+        for name in api.file_names(output.formats):
+            if (output.out / name).exists():  # a figure that cannot be drawn does not
+                print_path(output.out / name)
     raise_failures(report.evaluation.failed, len(report.evaluation.cases))
 
 

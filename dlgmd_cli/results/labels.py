@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.csv import read_rows, text_cell, write_rows
+from dlgmd_cli.results.csv import read_rows, write_values
 
 LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
@@ -38,15 +38,7 @@ ByVideo = dict[str, list[Label]]
 
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV; OSError passes through."""
-    rows = (
-        [
-            text_cell(one.video),
-            "" if one.collision_frame is None else str(one.collision_frame),
-            *(text_cell(getattr(one, word)) for word in WORDS),
-        ]
-        for one in labels
-    )
-    write_rows(path, COLUMNS, rows)
+    write_values(path, COLUMNS, ([getattr(one, name) for name in COLUMNS] for one in labels))
 
 
 def read_labels(path: Path) -> list[Label]:
