@@ -19,18 +19,19 @@ from dlgmd_cli.commands.options import (
     FRAME,
     Parsed,
     collisions_option,
+    distinct,
     dpi_option,
     format_option,
     is_file_name,
     option_group,
     overwrite_option,
+    require_one_each,
     width_option,
 )
 from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.kinds import KINDS
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
@@ -110,6 +111,7 @@ annotation_options = option_group(
     "labels",
     multiple=True,
     metavar="TEXT",
+    callback=distinct,
     help="Name of a result in the legend; give one per result.  [default: the folders' names]",
 )
 @click.option(
@@ -167,10 +169,6 @@ def plot(
     """
     if normalise and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
-    if not all(label.strip() for label in labels):
-        raise click.UsageError("--label: a label may not be empty.")
-    if len(set(labels)) < len(labels):
-        raise click.UsageError("--label: two results may not have the same label.")
     if ylim and kind == "overview":
         raise click.UsageError("--ylim is for one scale, and an overview has two.")
     if labels_path and annotations.collision_frame is not None:
@@ -186,10 +184,7 @@ def plot(
     names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in given)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     found, are_compared = _read(paths, folders)
-    if labels and len(labels) != len(found):
-        raise click.UsageError(
-            f"--label is given {counted(len(labels), 'time')}, for {counted(len(found), 'result')}."
-        )
+    require_one_each(labels, len(found), "result")
     shown = labels or numbered([name for name, _ in found])
     results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
     if emphasise and emphasise not in results:
