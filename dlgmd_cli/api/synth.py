@@ -79,12 +79,8 @@ class Flights:
 
 
 @overload
-def synth(scene: str, out: None = None, *, count: None = None, **options: Any) -> Clip: ...
-
-
-@overload
 def synth(
-    scene: str, out: str | os.PathLike[str], *, count: None = None, **options: Any
+    scene: str, out: str | os.PathLike[str] | None = None, *, count: None = None, **options: Any
 ) -> Clip: ...
 
 
