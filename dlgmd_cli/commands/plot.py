@@ -203,6 +203,9 @@ def plot(
     from dlgmd_cli.plots.traces import plot as draw
 
     timeline = replace(Timeline.of(results.values()), limits=xlim)
+    if xlim and not (xlim[0] < timeline.end_s and timeline.start_s < xlim[1]):
+        times = f"{timeline.start_s:.6g} to {timeline.end_s:.6g} s"
+        raise click.UsageError(f"--xlim shows no frame: the results are from {times}.")
     for line in annotations.outside(*timeline.frames):
         warn(line)
     look: Any = {"column": column, "width": width, "emphasise": emphasise}
