@@ -148,10 +148,10 @@ class ContrastParameters(
     c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
     tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
     d_0: float = key(0.0, "D_0", "1/s", "rate of expansion from which K grows; 0: none", 0, 1000)
-    k_0: float = key(0.0003, "K_0", "–", "share of cells to which expansion adds", 0, 1)
+    k_0: float = key(0.0003, "K_0", "–", "share of cells that expansion counts as active", 0, 1)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
-    kappa: float = key(0.0138, "κ", "–", "share of active cells at which mp_abs is 1/2", 1e-9, 100)
+    kappa: float = key(0.0138, "κ", "–", "K / n_cell at which mp_abs is 1/2", 1e-9, 100)
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,10 @@ def run_tasks(
                 n_broken += 1
                 if n_broken > _MAX_BROKEN:
                     why = "worker processes end before they start working"
-                    mend = "If memory or threads run short, end other programs or lower --jobs."
+                    mend = (
+                        "If memory or threads run short, end other programs or lower --jobs. A "
+                        "Python script needs if __name__ == '__main__' around the call."
+                    )
                     raise WorkerError("", why, mend)
                 _end(pool)
                 waiting = chain(running.values(), chosen, waiting)

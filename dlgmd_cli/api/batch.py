@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,6 +26,7 @@ from dlgmd_cli.runs.batch import (
     Plan,
     Row,
     Task,
+    clips_place,
     plan,
     record_outcomes,
     row_values,
@@ -34,6 +36,7 @@ from dlgmd_cli.runs.find import Found, find_videos
 from dlgmd_cli.runs.run import Progress, no_progress
 from dlgmd_cli.runs.setup import ModelName, Setup, choose_all, input_options
 from dlgmd_cli.threads import n_processors
+from dlgmd_cli.video.clips import refuse_clips
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.words import counted
 
@@ -69,7 +72,8 @@ class Batch:
     def __repr__(self) -> str:
         counts = Counter(status or "not processed" for status in self.statuses.values())
         said = ", ".join(f"{n} {status}" for status, n in counts.items())
-        return f"<Batch of {len(self.statuses)} videos with {', '.join(self.labels)}: {said}>"
+        n_videos = counted(len(self.statuses), "video")
+        return f"<Batch of {n_videos} with {', '.join(self.labels)}: {said}>"
 
     @property
     def table(self) -> Table:
@@ -194,6 +198,9 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             job = replace(job, scratch=scratch)
         made = _plan(found, job, force)
+        if clips is not None and not job.overwrite:
+            for place in (clips_place(job, n, one.video) for one in made.tasks for n in one.wanted):
+                refuse_clips(place.parent, place.name)
         outcomes = _outcomes(job, made.tasks, jobs, timeout, scheduler)
         complete = _process(made, outcomes, labels, progress)
     return Batch(labels, found, made, job, complete)
@@ -256,7 +263,7 @@ def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
     for remark in found.remarks:
         _log.info("Note: %s.", remark)
     for fault in found.faults:
-        _log.warning("%s; its videos are left out", fault)
+        _log.error("%s; its videos are left out", fault)
     if not found.videos:
         mend = "Give folders with .mp4, .avi, .mkv and the like, or with pictures of one size."
         raise SourceError(", ".join(folders), "there is no video", mend)
@@ -306,10 +313,10 @@ def _process(
         with progress("batch", len(made.tasks), "video") as advance:
             for task, rows in record_outcomes(made, outcomes):
                 failed = failures(rows, labels)
-                warnings = [
-                    text for row in rows.values() for text in row.record.get("warnings", [])
-                ]
-                for line in dict.fromkeys([*failed, *warnings]):
+                for line in failed:
+                    _log.error("%s: %s", task.video.name, line.rstrip("."))
+                warnings = (row.record.get("warnings", []) for row in rows.values())
+                for line in dict.fromkeys(chain.from_iterable(warnings)):
                     _log.warning("%s: %s", task.video.name, line.rstrip("."))
                 for number, row in rows.items():
                     said = task.video.name, labels[number], row.status, row.wall_s

@@ -22,7 +22,8 @@ from dlgmd_cli.lab.evaluation.search import Search, parse_range
 from dlgmd_cli.results import store
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.runs.run import Progress, no_progress
-from dlgmd_cli.runs.setup import ModelName, choose, input_options
+from dlgmd_cli.runs.setup import ModelName, Setup, choose, input_options
+from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
@@ -117,13 +118,7 @@ def calibrate(
         opened.enter_context(store.locked(folder))
         made = None
         if ranges:
-            asked = {
-                "cases": [[case.name, case.kind, *case.collisions] for case in cases],
-                "rules": asdict(rules),
-                "ranges": {key: one.text() for key, one in ranges.items()},
-                "model": setup.settings(),
-                "options": shared.to_record(),
-            }
+            asked = _asked(cases, setup, shared, rules)
             made = Search(folder, ranges, asked, overwrite=overwrite)
             opened.callback(made.close)
         evaluation = scored(labels, cases, run_cases(cases, [setup], shared, jobs), progress)
@@ -132,13 +127,25 @@ def calibrate(
         tried = [] if made is None else _trials(experiment, made, n_trials, progress)
         found = calibration.calibrate(experiment, evaluation.signals(setup.label), tried)
         searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
-        about = f"; searched in {n_trials} trials: {searched}" if ranges else ""
+        about = f"; searched in {counted(n_trials, 'trial')}: {searched}" if ranges else ""
         preset = _preset(found, experiment, labels.name, about)
         named = replace(found.setup, label=name)
         found = replace(found, setup=named, preset=preset, failed=evaluation.failed)
         if out is not None:
             store.write_text(folder / f"{name}.yaml", preset)
     return found
+
+
+def _asked(
+    cases: Sequence[Case], setup: Setup, options: InputOptions, rules: calibration.Rules
+) -> dict[str, Any]:
+    """What trials depend on beside the ranges."""
+    return {
+        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+        "rules": asdict(rules),
+        "model": setup.settings(),
+        "options": options.to_record(),
+    }
 
 
 def _trials(

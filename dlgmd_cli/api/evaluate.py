@@ -181,7 +181,7 @@ def scored(
     for case in cases:
         evaluation.add(case, by_name[case.name])
     for name, why in evaluation.failed.items():
-        _log.warning("%s: %s", name, why)
+        _log.error("%s: %s", name, why)
     if not evaluation.cases:
         raise SourceError(str(labels), "no video could be scored")
     return evaluation

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import labelled_frames, read_collisions
+from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video
 from dlgmd_cli.results.layers import LayerSheet, write_npz
 from dlgmd_cli.results.record import read_record, record_text
 from dlgmd_cli.results.result import Result
@@ -253,13 +253,19 @@ def layers(
     """
     setup = choose(set, config, model, param, formulation, engine)
     shared = input_options(setup, given_options(video, options))
-    wanted = None if frames is None else tuple(sorted({*frames}))
-    if wanted and len(wanted) > MAX_FRAMES:
-        why = f"{len(wanted)} frames are too many for one sheet"
-        raise ParameterError("", why, f"Choose up to {MAX_FRAMES}.")
+    wanted = None if frames is None else chosen_frames(frames)
     contact = contact_of(video, collision_frame, collisions)
     with open_input(video, [setup], shared) as opened:
         return layers_of(opened, setup, shared, wanted, wanted == (), progress, contact=contact)
+
+
+def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
+    """The frames of a sheet in order, each once; raises ParameterError if they are too many."""
+    chosen = tuple(sorted({*frames}))
+    if len(chosen) > MAX_FRAMES:
+        why = f"{len(chosen)} frames are too many for one sheet"
+        raise ParameterError("Invalid value for '--frames'", why, f"Choose up to {MAX_FRAMES}.")
+    return chosen
 
 
 def contact_of(
@@ -269,11 +275,10 @@ def contact_of(
     if frame is not None or not isinstance(video, str | os.PathLike):
         return frame
     if labels_path:
-        labels = read_collisions(Path(labels_path))
-        frames = labelled_frames(labels, os.path.abspath(video))
-        if frames is None:
+        listed = labels_of(read_by_video(Path(labels_path)), os.path.abspath(video))
+        if listed is None:
             _log.warning("%s does not list %s", labels_path, video)
-        return min(frames or (), default=None)
+        return min(collision_frames(listed or ()), default=None)
     truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
     found = truth.get("collision_frame") if "scene" in truth else None
     return found if isinstance(found, int) else None

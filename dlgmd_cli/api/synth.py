@@ -22,6 +22,7 @@ from dlgmd_cli.results.store import locked
 from dlgmd_cli.runs.run import Progress, no_progress
 from dlgmd_cli.threads import n_processors
 from dlgmd_cli.video.base import parse_size
+from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ class Clip:
 
     def __repr__(self) -> str:
         where = f" in {self.paths[0]}" if self.paths else ""
-        return f"<Clip {self.name}: {len(self.truth)} frames{where}>"
+        return f"<Clip {self.name}: {counted(len(self.truth), 'frame')}{where}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,16 +74,13 @@ class Flights:
 
     def __repr__(self) -> str:
         n_hits = np.count_nonzero(~np.isnan(self.labels["collision_frame"].astype(float)))
-        return f"<Flights in {self.path}: {len(self.labels)} videos, {n_hits} with a collision>"
-
-
-@overload
-def synth(scene: str, out: None = None, *, count: None = None, **options: Any) -> Clip: ...
+        n_videos = counted(len(self.labels), "video")
+        return f"<Flights in {self.path}: {n_videos}, {n_hits} with a collision>"
 
 
 @overload
 def synth(
-    scene: str, out: str | os.PathLike[str], *, count: None = None, **options: Any
+    scene: str, out: str | os.PathLike[str] | None = None, *, count: None = None, **options: Any
 ) -> Clip: ...
 
 
@@ -152,7 +150,7 @@ def synth(
             why = "count, sheet, png and lossless are for files"
             raise ParameterError("", why, "Give their folder, out.")
         with progress(scene, found.n_frames(chosen), "frame") as on_frame:
-            frames = np.stack(list(_counted(found.frames(chosen), on_frame)))
+            frames = np.stack(list(_watched(found.frames(chosen), on_frame)))
         record = found.record(chosen)
         return Clip(found.name, chosen.fps, _truth(found, chosen), record, frames)
     codec = choose_codec(lossless=lossless, png=png, playable=found.is_flight)
@@ -179,7 +177,7 @@ def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
     return {f"--{name.replace('_', '-')}": value for name, value in given.items()}
 
 
-def _counted(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:
+def _watched(frames: Iterator[Any], on_frame: Any) -> Iterator[Any]:
     for number, frame in enumerate(frames, start=1):
         cancel.check()
         on_frame(number)
@@ -222,7 +220,7 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                     if error is not None:
                         name = flights.clip(number).name
                         failed[name] = str(error).removeprefix(f"{name}: ").rstrip(".")
-                        _log.warning("%s: %s", name, failed[name])
+                        _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too
             if len(found := flights.present()) > len(present):

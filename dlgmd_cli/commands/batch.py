@@ -281,7 +281,7 @@ def _raise_failures(found: "Batch", statuses: dict[str, str], out: str) -> None:
     n_total, n_failed = len(statuses), sum(status != DONE for status in statuses.values())
     if n_failed:
         n_done, those = n_total - n_failed, "it" if n_total == 1 else f"those {n_failed}"
-        kept = f"{counted(n_done, 'result')} {'is' if n_done == 1 else 'are'}"
+        kept = "result is" if n_done == 1 else f"{n_done} results are"
         rest = f"; the other {kept} in {printable(out)}" if n_done else ""
         raise Failed(
             f"{n_failed} of {counted(n_total, 'video')} failed{rest}. Fix or remove "

@@ -1,6 +1,5 @@
 """`dlgmd bench`: the computing times of the paper's Table IV, measured on this machine."""
 
-import math
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -103,6 +102,7 @@ def bench(
     grey and scaling), and of the whole pipeline, in which both run in parallel.
     """
     from dlgmd_cli.lab import benchmark as paper
+    from dlgmd_cli.results.csv import write_values
     from dlgmd_cli.results.store import refuse_existing, replacing
     from dlgmd_cli.video.base import DEFAULT_DECODER
     from dlgmd_cli.video.opening import open_video
@@ -133,20 +133,11 @@ def bench(
             print_json({k: v for k, v in measured.items() if k not in ("input_wh", "warnings")})
         else:
             _show(measured)
+        rows = measured["rows"]
         if csv_path is not None:
-            _write_csv(stage / csv_path.name, measured["rows"])
+            write_values(stage / csv_path.name, [*rows[0]], ([*row.values()] for row in rows))
     if csv_path is not None and not as_json:
         print_path(csv_path)
-
-
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Write the rows; an unknown value is an empty cell."""
-    from dlgmd_cli.results.csv import cell, write_rows
-
-    def text(value: Any) -> str:
-        return value if isinstance(value, str) else cell(math.nan if value is None else value)
-
-    write_rows(path, list(rows[0]), (list(map(text, row.values())) for row in rows))
 
 
 def _show(measured: dict[str, Any]) -> None:

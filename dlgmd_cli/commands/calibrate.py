@@ -14,7 +14,6 @@ from dlgmd_cli.commands.options import (
     jobs_option,
     json_option,
     model_options,
-    numeric,
     out_option,
     overwrite_option,
 )
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 @rule_options
 @click.option(
     "--folds",
-    type=numeric(int, 2, 1000),
+    type=int,
     default=5,
     show_default=True,
     metavar="K",
@@ -53,7 +52,7 @@ if TYPE_CHECKING:
 @click.option(
     "--trials",
     "n_trials",
-    type=numeric(int, 1, 1_000_000),
+    type=int,
     default=50,
     show_default=True,
     metavar="N",

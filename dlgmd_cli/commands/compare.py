@@ -21,10 +21,12 @@ from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
     Output,
     Parsed,
+    distinct,
     engine_option,
     input_argument,
     input_options,
     report_options,
+    require_one_each,
     setup_options,
 )
 from dlgmd_cli.commands.plot import annotation_options
@@ -37,7 +39,6 @@ from dlgmd_cli.parameters import (
     parse_overrides,
     reformulated,
 )
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.annotations import Annotations
@@ -91,11 +92,9 @@ def _setups(
             size = each.width_px, each.options.scale, each.options.size
             every.setdefault((each.params, size, each.label), each)
     own = numbered([one.label for one in every.values()])
-    if labels and len(labels) != len(own):
-        raise click.UsageError(
-            f"--label is given {counted(len(labels), 'time')}, for {counted(len(own), 'model')}. "
-            f"Give one for each, in this order: {', '.join(own)}."
-        )
+    require_one_each(
+        labels, len(own), "model", f"Give one for each, in this order: {', '.join(own)}."
+    )
     shown = [text_cell(label) for label in labels] or own
     return [replace(one, label=name) for one, name in zip(every.values(), shown, strict=True)]
 
@@ -117,17 +116,6 @@ def _variants(one: "Setup", variants: Sequence[tuple[str, dict[str, Any]]]) -> "
         with blame(f"Invalid value for '--variant': {name[:40]}"):
             values = {**one.params.to_dict(), **reformulated(changes)}
             yield replace(one, label=text_cell(name), params=type(one.params).from_mapping(values))
-
-
-def _distinct(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
-    """The values of an option whose names must be distinct and not empty."""
-    names = [value if isinstance(value, str) else value[0] for value in values]
-    if not all(name.strip() for name in names):
-        raise click.BadParameter("must not be empty.", ctx, param)
-    for name in names:
-        if names.count(name) > 1:
-            raise click.BadParameter(f"{name[:40]!r} is given twice.", ctx, param)
-    return values
 
 
 def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Iterator[Setup]":
@@ -172,7 +160,7 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         "variants",
         multiple=True,
         type=Parsed("NAME:KEY=VALUE,…", _variant),
-        callback=_distinct,
+        callback=distinct,
         help="Also run the model with these parameters, such as weak:a=1,r=4; repeatable.",
     ),
     click.option(
@@ -180,7 +168,7 @@ def _derived(one: "Setup", formulations: Sequence[str], no_ffi_gd: bool) -> "Ite
         "labels",
         multiple=True,
         metavar="NAME",
-        callback=_distinct,
+        callback=distinct,
         help="Name of a model in files, tables and figures; give one for each model, in the order "
         "of the table: sets, configs, models, each followed by what is derived from it.",
     ),

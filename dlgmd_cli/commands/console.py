@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
@@ -19,12 +19,11 @@ import click
 from dlgmd_cli import __version__, cancel
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
+from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
-# Entry in the context of a command: figures could not be drawn.
-_UNDRAWN = "dlgmd_cli.undrawn"
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."
 )
@@ -196,14 +195,14 @@ class Command(_WithSections):
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command."""
-        with logged(), errors_as_one_line(), warnings.catch_warnings():
+        """Run the command; an error that was only logged gives the exit code 1, too."""
+        with logged() as lines, errors_as_one_line(), warnings.catch_warnings():
             # Warnings of the library, such as letters missing from a figure's font, each once.
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
             warnings.showwarning = lambda message, *_, **__: once(str(message))
             returned = super().invoke(ctx)
-            if _UNDRAWN in ctx.meta:
+            if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
 
@@ -220,7 +219,7 @@ def _too_many(extra: list[str]) -> str:
         )
     more = f" and {n_extra - _MAX_LISTED} more" if n_extra > _MAX_LISTED else ""
     listed = ", ".join(repr(name) for name in extra[:_MAX_LISTED])
-    return f"unexpected argument{'s' * (n_extra > 1)}: {listed}{more}."
+    return f"unexpected {'argument' if n_extra == 1 else 'arguments'}: {listed}{more}."
 
 
 @contextmanager
@@ -287,33 +286,28 @@ def warn(message: str) -> None:
     _log.warning("%s", message)
 
 
+def warn_outside(label: str, result: Any, collisions: Iterable[int]) -> None:
+    """Warn of collisions outside the frames of a result."""
+    first, last = int(result.frame[0]), int(result.frame[-1])
+    for frame in collisions:
+        if not first <= frame <= last:
+            warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
+
+
 def _show_line(message: str) -> None:
     click.echo(printable(message), err=True)
 
 
-def warn_undrawn(folder: Path | str, undrawn: Mapping[str, str]) -> None:
-    """Tell of figures that `store.commit` could not draw; the command then exits with code 1."""
-    for name, why in undrawn.items():
-        _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
-        click.get_current_context().meta[_UNDRAWN] = True
-
-
-def written(paths: Iterable[Path]) -> list[Path]:
-    """The files that exist; if a figure could not be drawn, the command exits with code 1."""
-    paths = list(paths)
-    found = [path for path in paths if path.exists()]
-    if len(found) < len(paths):
-        click.get_current_context().meta[_UNDRAWN] = True
-    return found
-
-
 class _Lines(logging.Handler):
-    """Shows messages on stderr."""
+    """Shows messages on stderr, and knows whether one was of an error."""
+
+    has_error = False
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a message, unless `say` or click has printed it; warnings and errors as such."""
         if hasattr(record, "is_shown"):
             return
+        self.has_error |= record.levelno >= logging.ERROR
         is_serious = record.levelno >= logging.WARNING
         form = f"{record.levelname.capitalize()}: {{}}." if is_serious else "{}"
         _show_line(form.format(record.getMessage()))
@@ -328,11 +322,12 @@ class _FileLines(logging.Formatter):
 
 
 @contextmanager
-def logged() -> Iterator[None]:
+def logged() -> Iterator[_Lines]:
     """Show what the loggers below dlgmd_cli say while a command runs, as -q, -v and --log ask."""
     log, asked = logging.getLogger("dlgmd_cli"), settings()
     shown = logging.ERROR if asked.quiet else logging.DEBUG if asked.verbose else logging.INFO
-    handlers: list[logging.Handler] = [_Lines(shown)]
+    lines = _Lines(shown)
+    handlers: list[logging.Handler] = [lines]
     if asked.log is not None:
         try:
             handlers.append(logging.FileHandler(asked.log, encoding="utf-8", errors="replace"))
@@ -344,7 +339,7 @@ def logged() -> Iterator[None]:
         log.addHandler(handler)
     log.setLevel(min(shown, logging.DEBUG if asked.log else logging.INFO))
     try:
-        yield
+        yield lines
     except click.ClickException as error:
         _log.error("%s", error.format_message(), extra={"is_shown": True})
         raise
@@ -369,7 +364,7 @@ def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> 
     """If the user asked to stop, say what `target` holds and exit with code 130."""
     if not cancel.requested():
         return
-    kept = f"the {n_frames} frames processed before the interruption"
+    kept = f"the {counted(n_frames, 'frame')} processed before the interruption"
     say(f"Interrupted. {target} holds {'the whole result' if complete else kept}.")
     raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 

@@ -13,7 +13,6 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    written,
 )
 from dlgmd_cli.commands.options import (
     Output,
@@ -21,7 +20,6 @@ from dlgmd_cli.commands.options import (
     formulation_option,
     input_options,
     jobs_option,
-    numeric,
     option_group,
     param_option,
     report_options,
@@ -34,11 +32,8 @@ if TYPE_CHECKING:
     from dlgmd_cli.lab.evaluation.report import Report
     from dlgmd_cli.runs.setup import Setup
 
-# Options that only matter when models are run.
-_NOT_WITH_RESULTS = {
-    *("set_names", "configs", "models", "pairs", "formulation", "engine", "scale", "size", "fps"),
-    *("repeats", "input_fps", "decoder", "start", "end", "crop", "mask", "normalise", "jobs"),
-}
+# Options that only matter when models are run, beside those of the input.
+_OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
 
 labels_argument = click.argument(
     "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
@@ -50,7 +45,7 @@ rule_options = option_group(
     dict,
     click.option(
         "--horizon",
-        type=numeric(low_open=True, high=3600),
+        type=float,
         default=1.0,
         show_default=True,
         metavar="S",
@@ -124,7 +119,7 @@ def evaluate(
     from dlgmd_cli.api import evaluate as api
 
     if results is not None:
-        _refuse_models()
+        _refuse(_OF_MODELS | given.keys())
     report = api.evaluate(
         labels_path,
         setups if results is None else None,
@@ -140,24 +135,24 @@ def evaluate(
         progress=progress,
         **(given if results is None else {}),
     )
-    paths = written(output.out / name for name in api.file_names(output.formats))
     if output.as_json:
         facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
         print_json(facts)
     else:
         _show(report)
-        for path in paths:
-            print_path(path)
+        for name in api.file_names(output.formats):
+            if (output.out / name).exists():  # a figure that cannot be drawn does not
+                print_path(output.out / name)
     raise_failures(report.evaluation.failed, len(report.evaluation.cases))
 
 
-def _refuse_models() -> None:
-    """Raise UsageError if an option is given that only matters when models are run."""
+def _refuse(names: set[str]) -> None:
+    """Raise UsageError if one of these options is given."""
     context = click.get_current_context()
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
         is_given = source is click.core.ParameterSource.COMMANDLINE
-        if parameter.name in _NOT_WITH_RESULTS and is_given:
+        if parameter.name in names and is_given:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")
 
 

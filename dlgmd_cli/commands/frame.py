@@ -1,13 +1,12 @@
 """What commands share: open the input, check and lock the folder, run, warn, write, end."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.commands.console import end_if_interrupted, note, warn, warn_undrawn
+from dlgmd_cli.commands.console import end_if_interrupted, note, warn
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import SourceError
 
@@ -33,10 +32,9 @@ class Job:
     record: str | None
     is_new_input: bool
 
-    def progress(self, n_wanted: float = math.inf) -> AbstractContextManager[Any]:
-        """A progress bar over the frames of the input, or the first that are wanted."""
-        n_frames = min(self.options.n_expected(self.video.info) or math.inf, n_wanted)
-        return progress(self.video.info.name, None if math.isinf(n_frames) else int(n_frames))
+    def progress(self) -> AbstractContextManager[Any]:
+        """A progress bar over the frames of the input."""
+        return progress(self.video.info.name, self.options.n_expected(self.video.info))
 
     def warn(self, warnings: Sequence[str]) -> None:
         """Print warnings about the input, and note which of its frames were processed."""
@@ -51,7 +49,7 @@ class Job:
 
         assert self.record is not None
         undrawn = store.commit(self.folder, self.record, files, is_new_input=self.is_new_input)
-        warn_undrawn(self.folder, undrawn)
+        store.log_undrawn(self.folder, undrawn)
 
     def end(self, n_frames: int, *, complete: bool) -> None:
         """End with code 130 if the user asked to stop; raise SourceError if nothing was seen."""
@@ -95,7 +93,7 @@ def write_files(
     """Write files of one folder that are no result, all or none; `option` names the place.
 
     With `locks`, the folder is locked against other commands. Returns the files but for figures
-    that could not be drawn, of which it warns. Raises OutputExistsError if one exists and may not
+    that could not be drawn, which are errors. Raises OutputExistsError if one exists and may not
     be overwritten, and OutputError.
     """
     from dlgmd_cli.results import store
@@ -106,5 +104,5 @@ def write_files(
             store.refuse_existing(path, overwrite=overwrite, option=option)
         writes = {path.name: write for path, write in files.items()}
         undrawn = store.write_files(folder, writes, option=option)
-    warn_undrawn(folder, undrawn)
+    store.log_undrawn(folder, undrawn)
     return [path for path in files if path.name not in undrawn]

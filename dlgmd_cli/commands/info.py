@@ -1,5 +1,6 @@
 """`dlgmd info`: describe videos, and suggest options for a run."""
 
+import logging
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,12 +10,11 @@ from click.core import ParameterSource
 
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.console import (
-    EXIT_FAILED,
     Command,
+    Failed,
     print_json,
     print_path,
     print_table,
-    say,
     settings,
     settings_option,
     warn,
@@ -34,6 +34,8 @@ from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, PRESETS, load_config
 
 if TYPE_CHECKING:
     from dlgmd_cli.video.survey import Survey
+
+_log = logging.getLogger(__name__)
 
 # Pictures a second below which an approach looks too fast to the model.
 _SLOW_FPS = 20.0
@@ -91,7 +93,6 @@ def info(
     if mask_path is not None:
         refuse_existing(mask_path, overwrite=overwrite, option="--write-mask")
     found: list[dict[str, Any]] = []
-    failures = []
     for path in input_paths:
         try:
             with progress(path, None) as on_frame:
@@ -101,8 +102,7 @@ def info(
         except DlgmdError as error:
             if len(input_paths) == 1:
                 raise
-            say(f"Error: {error}")
-            failures.append(path)
+            _log.error("%s", str(error).rstrip("."))
             found.append({"path": path, "error": printable(str(error))})
             continue
         found.append(_facts(facts))
@@ -118,9 +118,8 @@ def info(
         print_json({"inputs": found})
     elif mask_path is not None:
         print_path(mask_path)
-    if failures:
-        say(f"Error: {len(failures)} of {len(input_paths)} inputs failed.")
-        raise click.exceptions.Exit(EXIT_FAILED)
+    if n_failed := sum("error" in one for one in found):
+        raise Failed(f"{n_failed} of {len(input_paths)} inputs failed.")
 
 
 def _show_settings(*, as_json: bool) -> None:

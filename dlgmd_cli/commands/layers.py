@@ -24,22 +24,14 @@ from dlgmd_cli.commands.progress import progress
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
 
-# More frames are not readable at the width of two columns of a paper.
-MAX_FRAMES = 12
-
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
-    """`65, 1,50` -> (1, 50, 65)."""
+    """`65, 1,50` -> (65, 1, 50)."""
     parts = [part.strip() for part in value.split(",")]
     for part in parts:
         if re.fullmatch(r"\d{1,9}", part, re.ASCII) is None:
             raise click.BadParameter(f"{part[:40]!r} is not a frame number. Write 1,50,65.")
-    frames = tuple(sorted({int(part) for part in parts}))
-    if len(frames) > MAX_FRAMES:
-        raise click.BadParameter(
-            f"{len(frames)} frames are too many for one sheet. Choose up to {MAX_FRAMES}."
-        )
-    return frames
+    return tuple(map(int, parts))
 
 
 @click.command(
@@ -116,7 +108,7 @@ def layers(
 
     options = recorded(setup, given)
     makes_sheet = bool(wanted) or film_path is None
-    frames = wanted or (None if makes_sheet else ())
+    frames = api.chosen_frames(wanted) if wanted else None if makes_sheet else ()
     with job(input_path, [setup], options, output, store.LAYERS if makes_sheet else None) as one:
         if film_path is not None:
             if makes_sheet and film_path.resolve().parent == one.folder.resolve():

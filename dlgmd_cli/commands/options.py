@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, wraps
@@ -30,6 +30,7 @@ from dlgmd_cli.parameters import (
     preset_names,
 )
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.runs.setup import Setup
@@ -134,6 +135,24 @@ def folder_name(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
         why = f"{shown!r} is the name of a file. Give a folder for the files, such as {stem!r}."
         raise click.BadParameter(why, ctx, param)
     return value
+
+
+def distinct(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """The values of an option whose names must be distinct and not empty."""
+    names = [value if isinstance(value, str) else value[0] for value in values]
+    if not all(name.strip() for name in names):
+        raise click.BadParameter("must not be empty.", ctx, param)
+    for name in names:
+        if names.count(name) > 1:
+            raise click.BadParameter(f"{name[:40]!r} is given twice.", ctx, param)
+    return values
+
+
+def require_one_each(labels: Sequence[str], n: int, noun: str, mend: str = "") -> None:
+    """Raise UsageError unless there is a --label for each of n things, or none."""
+    if labels and len(labels) != n:
+        given = f"--label is given {counted(len(labels), 'time')}, for {counted(n, noun)}."
+        raise click.UsageError(f"{given} {mend}".rstrip())
 
 
 def file_ending(example: str) -> Callable[[str], Path]:

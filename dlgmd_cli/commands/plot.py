@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, note, print_path, warn
+from dlgmd_cli.commands.console import Command, note, print_path, warn, warn_outside
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
@@ -19,18 +19,19 @@ from dlgmd_cli.commands.options import (
     FRAME,
     Parsed,
     collisions_option,
+    distinct,
     dpi_option,
     format_option,
     is_file_name,
     option_group,
     overwrite_option,
+    require_one_each,
     width_option,
 )
 from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.kinds import KINDS
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
@@ -110,6 +111,7 @@ annotation_options = option_group(
     "labels",
     multiple=True,
     metavar="TEXT",
+    callback=distinct,
     help="Name of a result in the legend; give one per result.  [default: the folders' names]",
 )
 @click.option(
@@ -167,10 +169,6 @@ def plot(
     """
     if normalise and kind not in ("mp", "overview"):
         raise click.UsageError(f"--normalise is for mp and overview, not for {kind}.")
-    if not all(label.strip() for label in labels):
-        raise click.UsageError("--label: a label may not be empty.")
-    if len(set(labels)) < len(labels):
-        raise click.UsageError("--label: two results may not have the same label.")
     if ylim and kind == "overview":
         raise click.UsageError("--ylim is for one scale, and an overview has two.")
     if labels_path and annotations.collision_frame is not None:
@@ -186,10 +184,7 @@ def plot(
     names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in given)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
     found, are_compared = _read(paths, folders)
-    if labels and len(labels) != len(found):
-        raise click.UsageError(
-            f"--label is given {counted(len(labels), 'time')}, for {counted(len(found), 'result')}."
-        )
+    require_one_each(labels, len(found), "result")
     shown = labels or numbered([name for name, _ in found])
     results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
     if emphasise and emphasise not in results:
@@ -208,6 +203,9 @@ def plot(
     from dlgmd_cli.plots.traces import plot as draw
 
     timeline = replace(Timeline.of(results.values()), limits=xlim)
+    if xlim and not (xlim[0] < timeline.end_s and timeline.start_s < xlim[1]):
+        times = f"{timeline.start_s:.6g} to {timeline.end_s:.6g} s"
+        raise click.UsageError(f"--xlim shows no frame: the results are from {times}.")
     for line in annotations.outside(*timeline.frames):
         warn(line)
     look: Any = {"column": column, "width": width, "emphasise": emphasise}
@@ -272,19 +270,16 @@ def _read(
 
 def _collisions(path: Path, results: dict[str, "Result"]) -> dict[str, list[int]]:
     """The labelled collision frames of each result; warns of those that cannot be shown."""
-    from dlgmd_cli.results.labels import labelled_frames, read_collisions
+    from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video
 
-    known, found = read_collisions(path), {}
+    known, found = read_by_video(path), {}
     for label, result in results.items():
-        frames = labelled_frames(known, str(result.record["input"].get("path")))
-        if frames is None:
+        listed = labels_of(known, str(result.record["input"].get("path")))
+        if listed is None:
             warn(f"{path} does not list the video of {label}")
             continue
-        first, last = int(result.frame[0]), int(result.frame[-1])
-        for frame in frames:
-            if not first <= frame <= last:
-                warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
-        found[label] = frames
+        found[label] = collision_frames(listed)
+        warn_outside(label, result, found[label])
     return found
 
 

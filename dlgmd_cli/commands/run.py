@@ -11,7 +11,7 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    say,
+    tell,
 )
 from dlgmd_cli.commands.frame import job
 from dlgmd_cli.commands.options import (
@@ -77,7 +77,7 @@ def run(
             onsets_s = [alarm.start_s for alarm in result.alarm_list]
             name = one.video.info.name
             made = write_clips(input_path, name, onsets_s, clips, options.input_fps)
-            say(f"{counted(len(made), 'clip')} in {clips}.")
+            tell(f"{counted(len(made), 'clip')} in {clips}.")
     _show(result, one.folder, output.as_json)
     one.end(len(result), complete=result.record["complete"])
 

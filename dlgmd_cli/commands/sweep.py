@@ -11,7 +11,6 @@ from dlgmd_cli.commands.console import (
     print_json,
     print_path,
     print_table,
-    written,
 )
 from dlgmd_cli.commands.options import (
     FRAME,
@@ -132,7 +131,6 @@ def sweep(
         **given,
     )
     folder, n_points = output.out / f"sweep-{fitting(result.name)}", len(result.done)
-    written(folder / f"sweep.{form}" for form in output.formats)
     if output.as_json:
         facts = {"result": str(folder), "complete": True, "points": n_points}
         print_json({**facts, "warnings": result.warnings, "measures": result.facts()})

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_path, tell, warn
+from dlgmd_cli.commands.console import Command, print_path, tell, warn, warn_outside
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.options import (
     FRAME,
@@ -22,6 +22,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.pages.gather import Gathered, Input
@@ -108,18 +109,11 @@ def view(
     """
     from dlgmd_cli.pages.gather import gather
     from dlgmd_cli.pages.page import require_packages
-    from dlgmd_cli.results.labels import read_collisions, read_labels
+    from dlgmd_cli.results.labels import read_by_video
     from dlgmd_cli.results.store import fitting, refuse_existing
 
     require_packages()
-    labels = read_collisions(labels_path) if labels_path else {}
-    gathered = gather(paths)
-    if labels_path:  # their words are handed on to labels.csv
-        of_video: dict[str, list[Any]] = {}
-        for label in read_labels(labels_path):
-            of_video.setdefault(os.path.abspath(labels_path.parent / label.video), []).append(label)
-        inputs = [replace(i, labels=tuple(of_video.get(i.path, ()))) for i in gathered.inputs]
-        gathered = replace(gathered, inputs=inputs)
+    gathered = gather(paths, read_by_video(labels_path) if labels_path else {})
     is_one = len(gathered.inputs) == 1 and not gathered.is_batch
     if frames and len(gathered.inputs) > 1:
         raise click.UsageError(
@@ -132,7 +126,7 @@ def view(
     stem = fitting(name[:_MAX_NAME]) or "results"
     out = out if is_file_name(out) else out / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
-    request = _Request(frames, labels, input_path, width_px, no_film)
+    request = _Request(frames, input_path, width_px, no_film)
     if is_one:
         _write_page(gathered.inputs[0], out, request)
     else:
@@ -143,7 +137,6 @@ def view(
 @dataclass(frozen=True)
 class _Request:
     frames: tuple[int, ...]
-    labels: dict[str, list[int]]
     input_path: str | None
     width_px: int
     no_film: bool
@@ -176,9 +169,7 @@ def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrit
             rows += _write_page(one, page, request, index, href)
         write_text(out, index_page(rows, gathered.failed, index))
     if gathered.failed:
-        n_failed = len(gathered.failed)
-        those = "1 failed video is" if n_failed == 1 else f"{n_failed} failed videos are"
-        tell(f"{those} listed at the end of the index.")
+        tell(f"The index lists {counted(len(gathered.failed), 'failed video')} at its end.")
 
 
 def _write_page(
@@ -189,12 +180,9 @@ def _write_page(
     from dlgmd_cli.pages.page import index_rows, page
     from dlgmd_cli.results.store import write_text
 
-    known = collisions_of(one, request.frames, request.labels)
+    known = collisions_of(one, request.frames)
     collisions = known or []
-    first, last = int(one.results[0].result.frame[0]), int(one.results[0].result.frame[-1])
-    for frame in collisions:
-        if not first <= frame <= last:
-            warn(f"{one.name}: the collision at frame {frame} is outside frames {first} to {last}")
+    warn_outside(one.name, one.results[0].result, collisions)
     if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
         until = [replace(r, result=r.result.until(collisions[0])) for r in one.results]
         one = replace(one, results=tuple(until))

@@ -51,7 +51,8 @@ class ContrastDLGMD(Distributed):
 
     with w ∝ exp(-ρ²/(2 sigma_c²)) and Σw = n_cell, where ρ is the distance of a cell from the
     centre of the frame, in halves of its longer side. K is the weighted number of active cells, and
-    κ̂ their share.
+    κ̂ = K / n_cell their share, but for what `balance`, `c_m` and `d_0` below make of it: an
+    expanding picture multiplies K, which may then be more than n_cell.
 
     The D-LGMD sums products of S, which vanish at low contrast: it misses a plain wall straight
     ahead. Here, cells are counted instead. ν estimates the camera's noise from cells in which

@@ -13,7 +13,7 @@ from dlgmd_cli.files import open_regular
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
-from dlgmd_cli.results.labels import Label, labelled_frames
+from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
 from dlgmd_cli.results.result import Result, read_comparison, read_result
 
 
@@ -36,7 +36,7 @@ class Input:
     """An input with all of its results, at least one; `name` is unique among the inputs.
 
     `key` identifies it without naming its folder, and `in_labels` is its path in labels.csv. Its
-    `labels` are those that a given table has.
+    `labels` are those in a given table; None if it is not listed there.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Input:
     results: tuple[LabelledResult, ...]
     key: str
     in_labels: str
-    labels: tuple[Label, ...] = ()
+    labels: list[Label] | None = None
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,10 @@ class Gathered:
     labels_folder: str
 
 
-def gather(paths: Sequence[Path]) -> Gathered:
+def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     """Read every result in folders, or in their subfolders, and group them by input.
+
+    `known` has the labels of the inputs, see `read_by_video`.
 
     Raises
     ------
@@ -75,8 +77,8 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for folder in store.with_results(paths):
         for one in _read(folder):
             one = replace(one, below=_below_one(trees, folder))
-            known = one.result.record["input"]
-            same = tuple(known.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
+            facts = one.result.record["input"]
+            same = tuple(facts.get(key) for key in ("path", "bytes", "mtime_ns", "sha256"))
             by_input.setdefault(same, []).append(one)
     for tree in dict.fromkeys(trees):
         failed += _failures(tree)
@@ -85,12 +87,14 @@ def gather(paths: Sequence[Path]) -> Gathered:
     labels_folder = _common([_root(one) for one in first_of])
     inputs = []
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
-        known = results[0].result.record["input"]
-        key = hashlib.sha256(f"{known['path']}|{known.get('bytes')}".encode()).hexdigest()[:16]
-        in_labels = known["path"]
+        facts = results[0].result.record["input"]
+        path, n_bytes = facts["path"], facts.get("bytes")
+        key = hashlib.sha256(f"{path}|{n_bytes}".encode()).hexdigest()[:16]
+        in_labels = path
         if labels_folder:
-            in_labels = Path(os.path.relpath(known["path"], labels_folder)).as_posix()
-        inputs.append(Input(name, known["path"], _labelled(results), key, in_labels))
+            in_labels = Path(os.path.relpath(path, labels_folder)).as_posix()
+        labels = labels_of(known or {}, path)
+        inputs.append(Input(name, path, _labelled(results), key, in_labels, labels))
     inputs.sort(key=lambda one: one.name)
     return Gathered(inputs, failed, bool(trees), labels_folder)
 
@@ -121,17 +125,15 @@ def _common(folders: Sequence[str]) -> str:
     return found if Path(found).is_absolute() else ""
 
 
-def collisions_of(
-    one: Input, frames: Iterable[int], labels: dict[str, list[int]]
-) -> list[int] | None:
+def collisions_of(one: Input, frames: Iterable[int]) -> list[int] | None:
     """The collision frames of an input: those given, those on record, and those labelled.
 
     None if nobody has said whether there is one.
     """
-    known = {labelled.result.collision_frame for labelled in one.results}
-    listed = labelled_frames(labels, one.path)
-    found = {*frames, *(listed or []), *(frame for frame in known if frame is not None)}
-    return sorted(found) if found or listed is not None else None
+    recorded = (labelled.result.collision_frame for labelled in one.results)
+    known = [*collision_frames(one.labels or ()), *recorded]
+    found = {*frames, *(frame for frame in known if frame is not None)}
+    return sorted(found) if found or one.labels is not None else None
 
 
 def _read(folder: Path) -> list[LabelledResult]:

@@ -219,13 +219,13 @@ def _page_data(
 
 def _labelled(one: Input) -> dict[str, Any]:
     """What a page's script needs for the rows of an input in labels.csv, without the collisions."""
-    words = one.labels[0] if one.labels else Label("")
+    labels = one.labels or [Label("")]
     return {
         "key": one.key,
         "video": text_cell(one.in_labels),
-        "targets": {label.collision_frame: label.target for label in one.labels if label.target},
-        "kind": words.kind,
-        "manner": words.manner,
+        "targets": {label.collision_frame: label.target for label in labels if label.target},
+        "kind": labels[0].kind,
+        "manner": labels[0].manner,
     }
 
 

@@ -51,7 +51,7 @@ _WEAK: dict[str, Any] = {"linewidth": 0.8}
 _MARKS_IN, _BREAK_IN = 0.09, 0.08
 
 # Limits of the potential: no tick is halfway between two pixels, where rounding would place it.
-_LEVELS = (-0.03, 1.055)
+LEVELS = (-0.03, 1.055)
 # Greatest number of characters of a name beside a row of spikes.
 _LONGEST_ROW_NAME = 18
 # More dots than this touch each other, and their black rims would hide everything else.
@@ -159,7 +159,7 @@ def _draw_level(axes: Axes, traces: list[Trace], scale: Scale) -> Entries:
         entries += _draw_events(axes, traces[0], levels[0])
     if all(np.isnan(level).all() for level in levels):
         _note(axes, traces, "the membrane potential never changes")
-    axes.set_ylim(scale.limits or _LEVELS)
+    axes.set_ylim(scale.limits or LEVELS)
     axes.set_ylabel(LEVEL_NAMES[by_sequence.pop()] if len(by_sequence) == 1 else EITHER)
     return entries
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.curves import LEVEL_NAMES, stretches, thinned
+from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
 from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
@@ -22,7 +22,6 @@ from dlgmd_cli.words import threshold_text
 WIDTH, HEIGHT = 1280, 720
 
 _DPI = 100
-_LEVELS = (-0.03, 1.05)
 _HEADER_PX = 60
 # Width of a panel, height of its title and colour bar, and greatest height of all three.
 _PANEL_PX, _BARS_PX, _MAX_PANELS_PX = 390, 120, 440
@@ -157,7 +156,7 @@ def _static(
     # A single frame also has some duration.
     first_s, last_s = float(result.time_s[0]), float(result.time_s[-1])
     trace.set_xlim(first_s, last_s if last_s > first_s else first_s + 1.0)
-    trace.set_ylim(*_LEVELS)
+    trace.set_ylim(*LEVELS)
     trace.spines["top"].set_visible(False)
     trace.tick_params(labelsize=11)
     trace.set_xlabel("Time (s)", fontsize=12)
@@ -188,7 +187,7 @@ def _add_bar(figure: Any, axes: Axes, scale: Scale, unit: str) -> None:
 def _draw_trace(axes: Axes, result: Result) -> None:
     axes.broken_barh(
         stretches(result.time_s, result.alarmed),
-        (_LEVELS[0], _LEVELS[1] - _LEVELS[0]),
+        (LEVELS[0], LEVELS[1] - LEVELS[0]),
         color=_LIGHT_VERMILION,
         linewidth=0.8,
         zorder=0,

@@ -140,11 +140,7 @@ def plot(
             n_rows = [draw_annotations(annotations, timeline, a[0], a[1:]) for a in grid.T]
             above = [max(*n_rows, 0.1) * ROW_IN]
             grid[0, 0].get_gridspec().set_height_ratios(above + heights)
-        for axes in grid.flat:  # no lines between panels: only the lowest keeps its time axis
-            axes.spines["top"].set_visible(False)
-        for axes in grid[:-1].flat:
-            axes.spines["bottom"].set_visible(False)
-            axes.tick_params(axis="x", bottom=False)
+        _join(grid)
         figure.align_ylabels([one.axes for one in panels if one.axes.get_ylabel()])
         heights = above + heights
         figure.set_figheight(sum(heights) + between_in * (len(heights) - 1) + margins_in)
@@ -152,6 +148,15 @@ def plot(
         if is_split or is_alone:
             fix_margins(figure, heights, between_in, margins_in - BELOW_IN + legend_in)
     return figure
+
+
+def _join(grid: Any) -> None:
+    """Leave out the lines between panels: only the lowest keep their time axis."""
+    for axes in grid.flat:
+        axes.spines["top"].set_visible(False)
+    for axes in grid[:-1].flat:
+        axes.spines["bottom"].set_visible(False)
+        axes.tick_params(axis="x", bottom=False)
 
 
 def _check(

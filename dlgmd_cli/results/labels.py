@@ -1,12 +1,13 @@
 """Labels: which videos show a collision, and at which frame."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.csv import read_rows, text_cell, write_rows
+from dlgmd_cli.results.csv import read_rows, write_values
 
 LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
@@ -31,17 +32,13 @@ class Label:
     manner: str = ""
 
 
+# Labels by the path or name of their video.
+ByVideo = dict[str, list[Label]]
+
+
 def write_labels(path: Path, labels: Iterable[Label]) -> None:
     """Write labels as CSV; OSError passes through."""
-    rows = (
-        [
-            text_cell(one.video),
-            "" if one.collision_frame is None else str(one.collision_frame),
-            *(text_cell(getattr(one, word)) for word in WORDS),
-        ]
-        for one in labels
-    )
-    write_rows(path, COLUMNS, rows)
+    write_values(path, COLUMNS, ([getattr(one, name) for name in COLUMNS] for one in labels))
 
 
 def read_labels(path: Path) -> list[Label]:
@@ -61,27 +58,27 @@ def read_labels(path: Path) -> list[Label]:
     ]
 
 
-def read_collisions(path: Path) -> dict[str, list[int]]:
-    """Read the collision frames in a table of labels, by the video's absolute path.
+def read_by_video(path: Path) -> ByVideo:
+    """Read the labels of each video, by its absolute path, and by its name if that is unique.
 
-    They can also be found by the name of the file, if it is unique, see `labelled_frames`. Raises
-    ResultError if `path` is not a table of labels.
+    Raises ResultError if `path` is not a table of labels.
     """
-    found: dict[str, list[int]] = {}
-    by_name: dict[str, set[str]] = {}
+    found: ByVideo = {}
     for label in read_labels(path):
-        where = os.path.abspath(path.parent / label.video)
-        by_name.setdefault(PurePath(where).name, set()).add(where)
-        frames = found.setdefault(where, [])
-        if label.collision_frame is not None:
-            frames.append(label.collision_frame)
-    unique = {name: found[where] for name, (where, *more) in by_name.items() if not more}
-    return unique | found
+        found.setdefault(os.path.abspath(path.parent / label.video), []).append(label)
+    n_named = Counter(PurePath(where).name for where in found)
+    unique = {PurePath(where).name: labels for where, labels in found.items()}
+    return {name: unique[name] for name, n in n_named.items() if n == 1} | found
 
 
-def labelled_frames(collisions: dict[str, list[int]], input_path: str) -> list[int] | None:
-    """The frames that `read_collisions` found for an input; None if it is not listed."""
-    return collisions.get(input_path, collisions.get(PurePath(input_path).name))
+def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
+    """The labels that `read_by_video` found for an input; None if it is not listed."""
+    return known.get(input_path, known.get(PurePath(input_path).name))
+
+
+def collision_frames(labels: Iterable[Label]) -> list[int]:
+    """The frames of the collisions."""
+    return [one.collision_frame for one in labels if one.collision_frame is not None]
 
 
 def _label(path: Path, number: int, row: dict[str, str]) -> Label:

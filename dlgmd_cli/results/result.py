@@ -20,6 +20,7 @@ from dlgmd_cli.parameters import Parameters, find_model
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, record_text, require, unpacked_flags
 from dlgmd_cli.results.rows import ROW, Rows, rows_of
+from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.plots.style import Figure
@@ -93,7 +94,7 @@ class Result:
         model = f"set {record['set']}" if "set" in record else record.get("preset")
         alarms = f"{len(onsets)} alarms, the first" if len(onsets) > 1 else "alarm"
         says = f"{alarms} at {onsets[0]:.2f} s" if len(onsets) else "no alarm"
-        what = f"{PurePath(path).name or self.name}: {len(self)} frames"
+        what = f"{PurePath(path).name or self.name}: {counted(len(self), 'frame')}"
         return f"<Result {what}, {model or self.params.model}, {says}>"
 
     @property

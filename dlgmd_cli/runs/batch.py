@@ -266,10 +266,15 @@ def _save(job: Job, number: int, video: Input, result: Result, began: float) -> 
     return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
 
 
-def _write_clips(job: Job, number: int, video: Input, path: str, result: Result) -> None:
-    """Write the clips of a result's alarms, in a tree like that of the results."""
+def clips_place(job: Job, number: int, video: Input) -> Path:
+    """Folder and name of a video's clips, in a tree like that of the results."""
     label = job.setups[number].label if len(job.places) > 1 else ""
-    place = Path(job.clips or "") / label / video.folder
+    return Path(job.clips or "") / label / video.folder
+
+
+def _write_clips(job: Job, number: int, video: Input, path: str, result: Result) -> None:
+    """Write the clips of a result's alarms."""
+    place = clips_place(job, number, video)
     onsets_s = [alarm.start_s for alarm in result.alarm_list]
     write_clips(path, place.name, onsets_s, place.parent, job.options.input_fps)
 

@@ -77,7 +77,9 @@ def test_run_and_batch_write_clips(dlgmd, tmp_path):
     (tmp_path / "in/day1").mkdir(parents=True)
     write_video(tmp_path / "in/day1/loom.avi", looming_frames())
     for n in range(2):
-        made = dlgmd("run", "in/day1/loom.avi", *ALARMED, "--clips", "clips", "--out", f"out{n}")
+        options = ("--clips", "clips", "--out", f"out{n}", "-q")
+        made = dlgmd("run", "in/day1/loom.avi", *ALARMED, *options)
+        assert made.stderr == "" or n, "nothing but errors"
         assert made.exit_code == (2 if n else 0), made.output
     assert "already exists" in made.stderr and not (tmp_path / "out1").exists()
     (alarm,) = csv_rows(tmp_path / "out0/loom/alarms.csv")
@@ -88,6 +90,8 @@ def test_run_and_batch_write_clips(dlgmd, tmp_path):
     assert "1 video: 1 done" in dlgmd(*batch).stdout
     assert (tmp_path / "in/clips/day1" / name).is_file()
     assert "1 video: 1 done (1 before)" in dlgmd(*batch).stdout
+    other = dlgmd(*batch, "--out", "other")
+    assert other.exit_code == 2 and "already exists" in other.stderr
     models = ("batch", "in/day1", "--model", "lgmd", *ALARMED[:-1], "--no-plots", "--out", "both")
     done = dlgmd(*models, "--config", "flight", "--clips", "three", "--jobs", 1)
     assert done.exit_code == 0, done.output

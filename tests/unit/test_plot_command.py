@@ -76,6 +76,7 @@ def test_options_reach_the_figure(dlgmd, drawn):
         (["--xlim", "2:1"], "'--xlim': '2:1' is not FROM:TO. Write 1.5:2.5."),
         (["--ylim", "-15"], "'--ylim': '-15' is not FROM:TO. Write 1.5:2.5."),
         (["--xlim", "0:inf"], "'0:inf' is not FROM:TO"),
+        (["--xlim", "99:100"], "--xlim shows no frame: the results are from 0 to "),
         (["--emphasise", "two"], "--emphasise: no result is called two. Choose from one."),
         (["--collisions", "x.csv", "--collision-frame", 3], "Give --collisions or "),
     ],

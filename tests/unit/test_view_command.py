@@ -68,7 +68,7 @@ def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd):
         os.path.join("pages", "view-flight.html")
     ]
     made = dlgmd("view", "out/a", "out/summary.csv", "--no-film", "--out", "x.html")
-    assert made.exit_code == 0 and "1 failed video is listed" in made.stderr
+    assert made.exit_code == 0 and "lists 1 failed video" in made.stderr
     index = " ".join(Path("x.html").read_text("utf-8").split())
     assert "<h1>1 video</h1>" in index and "no frame" in index
 
@@ -155,7 +155,7 @@ def test_index_of_a_batch(dlgmd, clips, tmp_path):
         dlgmd("batch", "in", "--set", 9, "--no-plots", "--jobs", 1, "--out", "res").exit_code == 1
     )
     made = dlgmd("view", "res", "--labels", "in/labels.csv", "--no-film", "--out", "all.html")
-    assert made.exit_code == 0 and "1 failed video is listed" in made.stderr
+    assert made.exit_code == 0 and "lists 1 failed video" in made.stderr
     text = (tmp_path / "all.html").read_text("utf-8")
     assert "&lt;b&gt;.avi" in text and "<b>.avi" not in text
     assert text.count("<polyline") == 2 and "no film" in text and "1 collision" in text

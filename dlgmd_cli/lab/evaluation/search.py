@@ -75,7 +75,7 @@ class Search:
     ranges : dict of str to Range
         The ranges to search, by parameter.
     asked : dict
-        Everything that the trials depend on: labels, rules, ranges, model and options.
+        What else the trials depend on: labels, rules, model and options.
     overwrite : bool
         Remove the trials of a search with other settings.
 
@@ -101,7 +101,8 @@ class Search:
             raise MissingExtraError.of("--search", "optuna") from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self.ranges, self._optuna, self._path = ranges, optuna, folder / TRIALS
-        text = json.dumps(asked, sort_keys=True)
+        texts = {key: one.text() for key, one in ranges.items()}
+        text = json.dumps({**asked, "ranges": texts}, sort_keys=True)
         self._open()
         known = self._study.user_attrs.get("asked")
         before = {} if known is None else json.loads(known)

@@ -19,6 +19,7 @@ from dlgmd_cli.plots.style import (
     shortened,
     width_in,
 )
+from dlgmd_cli.words import counted
 
 _N_COLUMNS = 4
 # Width of two columns of a paper; greatest height of a frame, so that 12 fit on a page; and
@@ -80,7 +81,7 @@ def _title(sheet: ContactSheet) -> str:
     height, width = sheet.images[0].shape
     title = (
         f"{shortened(sheet.name, _LONGEST_NAME)} · {width}×{height} px · "
-        f"{sheet.options.fps:g} frames/s · {sheet.n_frames} frame{'s'[: sheet.n_frames != 1]} · "
+        f"{sheet.options.fps:g} frames/s · {counted(sheet.n_frames, 'frame')} · "
         f"seed {sheet.options.seed}"
     )
     target, time_s = sheet.record.get("target"), sheet.record.get("collision_time_s")

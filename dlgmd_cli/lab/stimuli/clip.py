@@ -17,7 +17,7 @@ import cv2
 from dlgmd_cli import cancel
 from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, Scene, invalid
-from dlgmd_cli.results.csv import cell, text_cell, write_rows
+from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import refuse_existing, replacing
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
@@ -204,9 +204,7 @@ class Rendering:
 def write_truth(path: Path, columns: type, rows: Iterable[Any]) -> None:
     """Write ground truth as CSV with the fields of a dataclass as columns; NaN is left empty."""
     names = [field.name for field in fields(columns)]
-    values = ([getattr(row, name) for name in names] for row in rows)
-    cells = ([text_cell(v) if isinstance(v, str) else cell(v) for v in row] for row in values)
-    write_rows(path, names, cells)
+    write_values(path, names, ([getattr(row, name) for name in names] for row in rows))
 
 
 def chosen_frames(n_frames: int, collision_frame: int | None = None) -> tuple[int, ...]:

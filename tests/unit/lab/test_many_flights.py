@@ -190,7 +190,7 @@ def test_one_that_fails_keeps_the_others(synth):
     result = synth(at_1="error")
     assert result.exit_code == 1
     first, last = result.stderr.splitlines()
-    assert first.startswith("Warning: quick-0001: here: ")
+    assert first.startswith("Error: quick-0001: here: ")
     assert last.startswith("Error: 1 of 4 flights failed; the other 3 are in ")
     assert labels() == LABELS_OF_4.replace("quick-0001.mp4,12,wall,rendered,\n", "")
     assert not list(OUT.glob("quick-0001*"))
@@ -207,7 +207,7 @@ def test_what_a_killed_process_left_is_removed(synth):
 
 def test_a_flight_too_short_for_the_frames_fails_alone(synth):
     result = synth("--seed", SHORT - 1, "--frames", 15, count=3)
-    assert result.exit_code == 1 and result.stderr.startswith("Warning: quick-0001: ")
+    assert result.exit_code == 1 and result.stderr.startswith("Error: quick-0001: ")
     assert "'--frames': the flight ends aft" in result.stderr
     assert labels() == HEADER + "quick-0000.mp4,,wall,rendered,\nquick-0002.mp4,,wall,rendered,\n"
 
