@@ -51,6 +51,7 @@ def check_files(wheel: Path, sdist: Path) -> None:
     with tarfile.open(sdist) as file:
         found = {name.partition("/")[2] for name in file.getnames()}
     expected = files_below("dlgmd_cli", "configs", "tests", "sample_videos")
+    expected |= {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.*")}
     expected |= {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff"}
     assert expected <= found, expected - found
 

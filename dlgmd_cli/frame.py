@@ -39,7 +39,7 @@ class Frame:
     grey : ndarray, shape (H, W)
         uint8 levels 0..255 if the source has 8 bits, else float32 in 0..1.
     is_repeat : bool
-        Whether it repeats the previous picture, see `RepeatDetector`. Models do not see it.
+        Whether it is a duplicate of the previous picture, see `RepeatDetector`; it is skipped.
     after_gap : bool
         Whether frames are missing before it, see `GapDetector`.
     picture : ndarray, shape (height, width, 3), uint8, or None

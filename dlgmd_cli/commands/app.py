@@ -36,7 +36,7 @@ class LazyGroup(Group):
     """The commands by name; each is imported from its own module when it is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names, in the order of the README."""
+        """The names, the usual ones first."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:

@@ -86,9 +86,10 @@ def calibrate(
 ) -> None:
     """Find the thresholds that announce labelled collisions best.
 
-    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds κ (for the LGMD: T_MP) and
-    n_sp, 1 to 4, with the highest recall at no more than --max-false-per-min. Ties are decided by
-    the fewest false alarms, then by the longest lead.
+    LABELS.csv and hits are as in 'dlgmd evaluate'. The command finds κ, the mean excitation at
+    which the normalised MP is 1/2 (for the LGMD: the threshold T_MP), and n_sp, the spikes in a row
+    that raise an alarm (1 to 4), with the highest recall at no more than --max-false-per-min. Ties
+    are decided by the fewest false alarms, then by the longest lead.
 
     The reported performance is held out: the videos are split into folds, and each fold is scored
     with the parameters that do best on the others. The preset has the parameters that do best on

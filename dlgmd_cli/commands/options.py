@@ -271,12 +271,8 @@ param_option = click.option(
 formulation_option = click.option(
     "--formulation",
     type=click.Choice(tuple(FORMULATIONS)),
-    help="Whose version of the D-LGMD. default: the connections and the saturation of the authors' "
-    "released code, where distributed excitation is one to five taps, with the paper's threshold "
-    "of G. released: exactly the released code, to 1e-5; it divides FFI by 200000 whatever the "
-    "frames' size, so at 480x270 little of FFI-GD is left. equations: as the paper prints them. A "
-    "name sets the keys latency and saturate; choose them singly with --param.  "
-    "[default: default]",
+    help="Whose version of the D-LGMD: ours, the released code's or the equations'. The page 'The "
+    "model' of the documentation compares them.  [default: default]",
 )
 engine_option = click.option(
     "--engine",
@@ -420,13 +416,13 @@ _PICTURES = (
     _input_option(
         "fps",
         "Process at most F frames a second, by taking every k-th. Times stay true.  "
-        f"[default: {DEFAULT_MODEL_FPS:g} for videos, all for pictures]",
+        f"[default: the model's model_fps, {DEFAULT_MODEL_FPS:g}, for videos; all for pictures. "
+        "With several models, the highest model_fps is used for all.]",
         metavar="F|all",
     ),
     _input_option(
         "repeats",
-        "Whether the model sees frames that only repeat the one before.  "
-        "[default: skip in videos, keep in pictures]",
+        "Whether duplicate frames are skipped.  [default: skip in videos, keep in pictures]",
     ),
     click.option(
         "--crop",
@@ -453,8 +449,8 @@ input_options = option_group(
     decoder_option,
     _input_option(
         "normalise",
-        "How the membrane potential (MP) is normalised before the spiking threshold: absolute "
-        "needs no later frames; sequence scales to the extremes of the whole video, as in the "
+        "Which normalised membrane potential (MP) drives the spikes: absolute (mp_abs) is online; "
+        "sequence (mp_seq) is offline, as it scales to the extremes of the whole video, like the "
         "paper's figures.  [default: absolute]",
     ),
 )

@@ -53,6 +53,9 @@ def run(
     Writes OUT/NAME/ with mp.csv (the membrane potential, MP), attenuation.csv, spikes.csv (spikes
     and alarms of each frame), a figure of each, alarms.csv (when each alarm begins and ends, and
     the side it comes from), and run.yaml, which repeats the run with --config.
+
+    A spike is a frame whose normalised MP reaches the threshold t_mp. n_sp spikes in a row (default
+    2; 3 in the preset flight) raise an alarm, and pauses under 0.3 s do not end it.
     """
     from dlgmd_cli.results import store
     from dlgmd_cli.runs import run as runs

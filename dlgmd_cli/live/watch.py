@@ -52,7 +52,7 @@ class Answer:
     detection : Detection
         The model's response, with spike and alarm.
     is_repeat : bool
-        Whether the frame repeats the one before, so that the model did not see it.
+        Whether the frame is a duplicate, which is skipped.
     event : str
         `begin` or `end` where an alarm begins or ends, `blind` where the source shows nothing any
         more (or for another reason), `sees` where it does again, else empty. An alarm that comes

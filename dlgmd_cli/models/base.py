@@ -107,7 +107,7 @@ class Model:
     first_valid_frame : int
         Index of the first frame with a full history, counting from 0 at `reset`.
     receptors : Photoreceptors
-        The last `first_valid_frame` changes |L(t) - L(t-1)|, once they `take` the frames.
+        The last `first_valid_frame` changes ``|L(t) - L(t-1)|``, once they `take` the frames.
     """
 
     params_class: ClassVar[type[Parameters]] = Parameters
@@ -334,7 +334,7 @@ def centroid_of(g: FloatImage) -> tuple[float, float]:
 
 
 class Photoreceptors:
-    """P(t) = |L(t) - L(t-1)|, [Zhao2023] Eq. (1), of the last few frames.
+    """``P(t) = |L(t) - L(t-1)|``, [Zhao2023] Eq. (1), of the last few frames.
 
     Parameters
     ----------

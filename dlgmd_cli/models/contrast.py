@@ -39,7 +39,7 @@ MAX_EXPANSION = 8.0
 class ContrastDLGMD(Distributed):
     """D-LGMD with thresholds relative to the contrast of the picture; it counts active cells.
 
-    With σ(t) the smoothed standard deviation of the luminance:
+    With σ(t) the smoothed standard deviation of the luminance::
 
         σ(t)  = (1 - w_sigma) σ(t-1) + w_sigma std(L(t)),  σ(0) = std(L(0))
         ν(t)  = (1 - w_sigma) ν(t-1) + w_sigma Q(t),  ν(1) = Q(1),
@@ -60,8 +60,8 @@ class ContrastDLGMD(Distributed):
     nothing moves; every picture has some. If the whole picture begins to move at once, because the
     drone pitches or a lamp is switched on, there is no history to inhibit the response. The change
     then grows faster than during an approach, and F, the feed-forward inhibition `ffi`, is large.
-    `t_de` is the threshold of S. The layer P is P', but `p_sum` is Σ|L(t) - L(t-1)| as in the other
-    models.
+    `t_de` is the threshold of S. The layer P is P', but `p_sum` is the sum of ``|L(t) - L(t-1)|``,
+    as in the other models.
 
     Seven parameters, off by default, keep it quiet on real footage:
 
@@ -70,8 +70,8 @@ class ContrastDLGMD(Distributed):
       neighbours from the better of no shift and the last frame's; along each axis, with the
       changes a, b and c at one block less, there, and at one more, it is refined by
       (a - c) / 2 (max(a, c) - b), at most half a block. The frames move if that lowers the mean
-      |L(t) - L(t-1)| where they overlap by more than a twentieth. Cells that enter have no change,
-      and P' = 0.
+      ``|L(t) - L(t-1)|`` where they overlap by more than a twentieth. Cells that enter have no
+      change, and P' = 0.
     - `balance`: K is n_cell times the mean of the two least of ΣG / Σw over the four quadrants
       about the centre. A middle row or column belongs to both sides. What looms expands in all
       directions; what passes by does not.

@@ -45,7 +45,7 @@ _OTHER_RATE, _N_INTERVALS = 1.25, 30
 
 
 def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
-    """Causal, scale-free membrane potential in [0, 1), comparable between videos.
+    """Membrane potential normalised online, in [0, 1) and comparable between videos.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def absolute(mp: Potential, n_cells: int, kappa: float | None) -> Potential:
 
 
 def sequence(mp: Series) -> Series:
-    """Membrane potential scaled to [0, 1] by the extremes of its own sequence: offline only.
+    """Membrane potential normalised offline, to [0, 1] by the extremes of its own sequence.
 
     Parameters
     ----------
@@ -255,8 +255,8 @@ class Alarm:
         what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
         sets, and 30 frames a second. Frames at another rate are a warning, see `logging`, once.
     repeats : {"skip", "keep"}
-        Treatment of frames that repeat the previous one: `skip` returns the previous response,
-        `keep` passes them to the model.
+        Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
+        the model.
     engine
         See `DLGMD`.
 

@@ -23,7 +23,7 @@ from dlgmd_cli.parameters import EmdLgmdParameters
 class EmdLGMD(Model):
     """LGMD based on correlators that respond to expansion, after [Bermudez2007].
 
-    With luminance L in 0..1, and Z[·] a field expanded about its centre by 1 + delta:
+    With luminance L in 0..1, and Z[·] a field expanded about its centre by 1 + delta::
 
         F(t) = L(t) - L̄(t),  L̄ the low-pass of L with time constant tau_high
         D(t) = the low-pass of F with time constant tau_low

@@ -24,7 +24,7 @@ WHITE = 255.0
 class LGMD(Model):
     """LGMD of [Zhao2018] after [Yue2006]: signed, with inhibition from the nearest neighbours.
 
-    With luminance L in grey levels, 0..255, and zero outside the frame:
+    With luminance L in grey levels, 0..255, and zero outside the frame::
 
         P(t) = L(t) - L(t-1) + p1 P(t-1) + p2 P(t-2)
         S(t) = P(t) - w_i P(t-1) ∗ w

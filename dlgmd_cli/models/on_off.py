@@ -27,6 +27,8 @@ _ONLY_S = Counting(math.inf)
 class OnOffDLGMD(DLGMD):
     """D-LGMD in which brightening and darkening cells do not inhibit each other.
 
+    ::
+
         P_on(t) = max(L(t) - L(t-1), 0),  P_off(t) = max(L(t-1) - L(t), 0)
         S_on(t), S_off(t)  from P_on and P_off, each by [Zhao2023] Eqs. (2) to (7)
         S(t) = S_on(t) + S_off(t)

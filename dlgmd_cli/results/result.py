@@ -49,7 +49,7 @@ class Result:
     ==================  ===========================================================================
     frame               number of the frame in the input, from 0
     time_s              time of the frame, in seconds
-    is_repeat           whether the frame repeats the one before; its numbers are copies
+    is_repeat           whether the frame is a duplicate, and skipped; its numbers are copies
     mp                  raw membrane potential K, [Zhao2023] Eq. (13); NaN while undefined
     p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
     attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
@@ -145,12 +145,15 @@ class Result:
 
     @cached_property
     def mp_abs(self) -> Series:
-        """Causal, scale-free membrane potential, see `detection.absolute`."""
+        """Membrane potential normalised online: κ̂/(κ̂ + κ), with κ̂ the mean of K per cell.
+
+        κ, a parameter, is the κ̂ at which this is 1/2. Each value needs no later frame.
+        """
         return np.asarray(absolute(self.mp, self.n_cells, self.params.kappa))
 
     @cached_property
     def mp_seq(self) -> Series:
-        """Membrane potential scaled to [0, 1] by the extremes of its own sequence.
+        """Membrane potential normalised offline, to [0, 1] by the extremes of its own sequence.
 
         NaN after the collision.
         """
@@ -182,7 +185,10 @@ class Result:
 
     @property
     def alarms(self) -> Flags:
-        """Where the alarm is on: the last n_sp or more frames were spikes, Eq. (15)."""
+        """Where the alarm is on: the last n_sp frames at least were spikes, Eq. (15).
+
+        n_sp is 2 by default, and 3 in the preset `flight`.
+        """
         return self._detected[1]
 
     @cached_property

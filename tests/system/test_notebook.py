@@ -1,5 +1,6 @@
 """The notebooks among the samples run as they are, and hold what they make."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -22,6 +23,16 @@ def kinds(notebook):
     ]
 
 
+def frames(notebook):
+    """The frames of alarms and peaks that its outputs name."""
+    texts = [
+        o.get("data", {}).get("text/plain", "")
+        for c in notebook.cells
+        for o in c.get("outputs", ())
+    ]
+    return re.findall(r"'(\w+_frame)': (\d+)", "".join(texts))
+
+
 @pytest.mark.filterwarnings("default")  # of what Jupyter's packages deprecate
 @pytest.mark.parametrize(("name", "n_figures"), [("notebook", 4), ("own_clips", 2)])
 def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures):
@@ -35,7 +46,7 @@ def test_a_notebook_runs_and_shows_what_it_shows_here(tmp_path, name, n_figures)
     kept, run = (nbformat.read(path, as_version=4) for _ in range(2))
     where = {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(run, timeout=300, resources=where).execute()  # raises a cell's error
-    assert kinds(run) == kinds(kept)
+    assert kinds(run) == kinds(kept) and frames(run) == frames(kept)
     figures = [kind for cell in kinds(run) for kind in cell if "image/png" in kind]
     assert len(figures) == n_figures
     assert (tmp_path / MADE[name]).read_bytes().startswith(b"%PDF")

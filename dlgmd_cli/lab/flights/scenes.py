@@ -114,7 +114,7 @@ class FlightScene(Scene[FlightOptions]):
         return truth_rows(self.stage(options), camera, options.fps, self.n_frames(options))
 
     def record(self, options: FlightOptions) -> dict[str, Any]:
-        """Properties of the clip, as documented in the README of the sample videos.
+        """Properties of the clip, as the page on rendered flights documents them.
 
         `collision_frame` is the first frame at or after contact, None if there is none.
         """

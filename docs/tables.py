@@ -1,0 +1,78 @@
+"""Tables of names that the pages read from the code, as Markdown."""
+
+from importlib import import_module
+from typing import Any
+
+from dlgmd_cli.parameters import MODELS, PRESETS, load_config, load_preset, preset_names
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else f"{value:.9g}"
+
+
+def parameters(model: str) -> str:
+    """The keys of a model, with their defaults and, where presets have others, those."""
+    kind = MODELS[model]
+    presets = [name for name in PRESETS if load_config(name).model == model]
+    given = [load_config(name).values for name in presets]
+    defaults = kind.defaults()
+    rows = [
+        [
+            *(f"`{key}`", spec.symbol, spec.unit, _shown(defaults[key])),
+            *(_shown(values.get(key, defaults[key])) for values in given),
+            *(spec.allowed, spec.meaning),
+        ]
+        for key, spec in kind.specs().items()
+    ]
+    names = [f"`{name}`" for name in presets]
+    return table(["key", "symbol", "unit", "default", *names, "allowed", "meaning"], rows)
+
+
+def sets() -> str:
+    """The paper's sets: the keys in which they differ, and κ."""
+    values = {name: load_preset(name).values for name in preset_names()}
+    specs = MODELS["dlgmd"].specs()
+    keys = [key for key in specs if any(key in one for one in values.values())]
+    header = ["set", *(f"`{key}`" for key in keys)]
+    return table(header, [[n, *(_shown(one[key]) for key in keys)] for n, one in values.items()])
+
+
+# The tables that commands write: file, command, module of the columns, and their name there.
+FILES = (
+    ("mp.csv", "run", "results.csv", "TABLES"),
+    ("attenuation.csv", "run", "results.csv", "TABLES"),
+    ("spikes.csv", "run", "results.csv", "TABLES"),
+    ("alarms.csv", "run", "results.csv", "ALARM_COLUMNS"),
+    ("compare.csv", "compare", "results.csv", "COMPARISON"),
+    ("summary.csv", "batch", "runs.batch", "COLUMNS"),
+    ("curves.csv", "evaluate", "lab.evaluation.report", "CURVE_COLUMNS"),
+    ("alarms.csv", "evaluate", "lab.evaluation.report", "ALARM_COLUMNS"),
+    ("claims.csv", "reproduce", "lab.reproduce.claims", "COLUMNS"),
+)
+
+
+def columns_of(file: str, module: str, name: str) -> tuple[str, ...]:
+    """The columns of a file."""
+    found = getattr(import_module(f"dlgmd_cli.{module}"), name)
+    return tuple(found[file] if isinstance(found, dict) else found)
+
+
+def columns() -> str:
+    """The columns of every table."""
+    rows = [
+        [f"`{file}`", f"`{command}`", " ".join(f"`{one}`" for one in columns_of(file, *where))]
+        for file, command, *where in FILES
+    ]
+    return table(["file", "command", "columns"], rows)
+
+
+TABLES = {"parameters": parameters, "sets": sets, "columns": columns}

@@ -1,0 +1,46 @@
+"""What stands in the documents: their code blocks, commands, tables and links."""
+
+import re
+import shlex
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGES = ["README.md", "configs/README.md", "sample_videos/README.md"]
+PAGES += [f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))]
+
+
+def text_of(page):
+    """A page."""
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(page):
+    """The code blocks of a page: kind, argument and content without options."""
+    for kind, argument, content in re.findall(
+        r"^```(\S+) ?([^\n]*)\n(.*?)^```$", text_of(page), re.DOTALL | re.MULTILINE
+    ):
+        yield kind.strip("{}"), argument, re.sub(r"\A(:.*\n)+", "", content)
+
+
+def commands(page, *kinds):
+    """The dlgmd commands in the blocks of these kinds, as lines, and the file that each fills."""
+    for kind, _, content in blocks(page):
+        for line in content.splitlines() if kind in kinds else ():
+            words = shlex.split(line, comments=True)
+            if words[:1] == ["dlgmd"]:
+                command, _, target = shlex.join(words).partition(" '>' ")
+                yield command, target
+
+
+def table_below(page, heading):
+    """The rows of the first tables in a section, as their cells without backquotes."""
+    (section,) = re.findall(
+        rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text_of(page), re.DOTALL | re.MULTILINE
+    )
+    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in row] for row in rows if not set(row[0]) <= {"-", " "}]
+
+
+def names_in(cell):
+    """The names in backquotes."""
+    return re.findall(r"`([^`]+)`", cell)

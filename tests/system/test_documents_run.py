@@ -1,0 +1,95 @@
+"""The commands and the Python of the documents run as they are written, page by page, in order.
+
+The blocks `made` and `file` of docs/ are run by the build of the pages; here, only their files are
+written.
+"""
+
+import re
+import runpy
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from documents import PAGES, ROOT, blocks, commands, text_of
+
+from dlgmd_cli.commands.app import cli
+
+pytestmark = pytest.mark.slow
+
+# Smaller work in place of what takes long; CI runs the README's first two commands as written.
+QUICKER = {
+    "reproduce --quick": "reproduce --quick --only fig2,fig5",
+    "synth group2 --size 480x270 --sheet": "synth group2 --size 64x36 --frames 60 --sheet",
+    "synth random --count 20": "synth random --count 1 --size 64x36 --frames 30",
+    "calibrate flights": "calibrate footage",
+    "bench --radius 6 --scale 0.25": "bench flight.mp4 --radius 6 --scale 0.25",
+}
+RUN = [page for page in PAGES if "sample_videos/" not in page]
+
+
+@pytest.fixture
+def reader(tmp_path, clips, monkeypatch):
+    """A folder in which a reader types: the samples, a flight of their own, and more footage."""
+    shutil.copytree(ROOT / "sample_videos", tmp_path / "sample_videos")
+    shutil.copy(clips / "loom.mp4", tmp_path / "flight.mp4")
+    (tmp_path / "footage").mkdir()
+    for name in ("a.mp4", "b.mp4"):
+        shutil.copy(clips / "loom.mp4", tmp_path / "footage" / name)
+    labels = "video,collision_frame\na.mp4,19\nb.mp4,19\n"
+    (tmp_path / "footage" / "labels.csv").write_text(labels)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def write_files(page):
+    """Write the files that a page shows."""
+    for kind, name, content in blocks(page):
+        if kind == "file":
+            Path(name).write_text(content, encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", [page for page in RUN if [*commands(page, "sh")]])
+def test_commands_run_in_order(reader, page):
+    write_files(page)
+    for line, target in commands(page, "sh"):
+        for slow, quick in QUICKER.items():
+            line = line.replace(slow, quick)
+        result = CliRunner().invoke(cli, shlex.split(line)[1:], prog_name="dlgmd")
+        assert result.exit_code == 0, f"{line}\n{result.output}"
+        if target:
+            Path(target).write_text(result.stdout, encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", [p for p in RUN if any(k == "python" for k, *_ in blocks(p))])
+def test_python_runs_as_written(reader, page):
+    write_files(page)
+    for number, code in enumerate(code for kind, _, code in blocks(page) if kind == "python"):
+        script = reader / f"script{number}.py"
+        flown = code.replace("VideoCapture(0)", 'VideoCapture("sample_videos/group2.mp4")')
+        flown = flown.replace("time.monotonic()", "camera.get(cv2.CAP_PROP_POS_MSEC) / 1000")
+        script.write_text(flown, encoding="utf-8")
+        runpy.run_path(str(script))
+
+
+def test_files_of_parameters_are_read(reader):
+    write_files("docs/parameters.md")
+    line = "run flight.mp4 --config short.yaml --no-plots"
+    result = CliRunner().invoke(cli, line.split(), prog_name="dlgmd")
+    assert result.exit_code == 0, result.output
+
+
+def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
+    test_python_runs_as_written(reader, "README.md")
+    frame, side = capsys.readouterr().out.split()
+    assert side == "ahead" and Path("overview.pdf").read_bytes().startswith(b"%PDF")
+    (told,) = re.findall(r"(\d+) frames\s+after the alarm begins", text_of("README.md"))
+    assert int(told) == 140 - int(frame)
+
+
+def test_a_loop_of_ones_own_brakes(reader, capsys):
+    test_python_runs_as_written(reader, "docs/live.md")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 5 and all(line.startswith("brake ahead") for line in lines)

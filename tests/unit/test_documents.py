@@ -1,0 +1,151 @@
+"""The documents keep their word: options, tables, links, versions. The slow tier runs the code."""
+
+import re
+import shlex
+from dataclasses import fields
+from importlib import import_module
+
+import click
+import pytest
+import yaml
+from documents import PAGES, ROOT, blocks, commands, names_in, table_below, text_of
+
+from dlgmd_cli import __version__, cancel
+from dlgmd_cli.commands import console
+from dlgmd_cli.commands.app import COMMANDS, cli
+from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.lab.flights.truth import FlightTruth
+from dlgmd_cli.parameters import MODELS
+
+README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
+FENCED = ("sh", "bash", "made")
+LINES = [line for page in PAGES for line, _ in commands(page, *FENCED)]
+
+
+def test_the_readme_is_two_pages():
+    assert len(README.splitlines()) <= 120
+
+
+def test_two_commands_do_everything():
+    first, second = re.findall(r"^python3 -m venv .*$", README, re.MULTILINE)
+    assert first.split(" && ")[-1].startswith(".venv/bin/dlgmd run sample_videos/")
+    assert " -m pytest " in second.split(" && ")[-1]
+
+
+def test_every_command_has_an_example():
+    assert {line.split()[1] for line in LINES} >= {*COMMANDS} - {"completion"}
+
+
+def command_of(words):
+    """The command that words name."""
+    found = cli
+    for word in words:
+        if not isinstance(found, click.Group) or word not in found.list_commands(None):
+            return found
+        found = found.get_command(click.Context(cli), word)
+    return found
+
+
+def options_of(command):
+    """Every way to write an option of a command."""
+    own = [*command.params, *(p for p in cli.params if isinstance(p, click.Option))]
+    return {name for one in own for name in (*one.opts, *one.secondary_opts)} | {"--help"}
+
+
+INLINE = [
+    code
+    for page in PAGES
+    for code in re.findall(r"`(dlgmd [^`]+)`", re.sub(r"```.*?```", "", text_of(page), flags=re.S))
+]
+
+
+@pytest.mark.parametrize("line", [*LINES, *INLINE])
+def test_options_exist(line):
+    words = shlex.split(line)[1:]
+    given = [word for word in words if re.match(r"--?[a-zA-Z]", word)]
+    command = command_of(words)
+    assert not words or words[0] in (*COMMANDS, "COMMAND", "-v") or given, line
+    if command is not cli:
+        assert {*given} <= options_of(command)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_in_sentences_exist(page):
+    known = set().union(*(options_of(command_of([name])) for name in COMMANDS))
+    known |= options_of(command_of(["export", "c"]))
+    for option in re.findall(r"`(--[a-z][a-z-]*)[^`]*`", re.sub("```.*?```", "", text_of(page))):
+        assert option in known
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    for target, anchor in re.findall(r"\]\((?!http)([^)#\s]*)#?([^)\s]*)\)", text_of(page)):
+        place = (ROOT / page).parent / target if target else ROOT / page
+        assert place.exists(), target
+        if anchor:
+            heads = re.findall(r"^#+ (.*)$", place.read_text(encoding="utf-8"), re.MULTILINE)
+            slugs = [re.sub(r"[^\w -]", "", head).lower().replace(" ", "-") for head in heads]
+            assert anchor in slugs, f"{target}#{anchor}"
+
+
+def test_all_models_have_a_generated_table():
+    found = [argument for kind, argument, _ in blocks("docs/parameters.md") if kind == "generated"]
+    assert {*found} == {"sets", *(f"parameters {name}" for name in MODELS)}
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    """The module of the generated tables."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return import_module("tables")
+
+
+def test_every_column_is_explained(tables):
+    columns = {n for file, _, *where in tables.FILES for n in tables.columns_of(file, *where)}
+    rows = table_below("docs/files.md", "Tables")[1:]
+    explained = [name for first, *_ in rows for name in names_in(first)]
+    assert len(explained) == len({*explained}) and {*explained} == columns
+
+
+def test_a_generated_table_has_a_row_for_each_key(tables):
+    for name, kind in MODELS.items():
+        assert len(tables.parameters(name).splitlines()) == 2 + len(kind.specs())
+    assert len(tables.sets().splitlines()) == 2 + 9
+
+
+def test_exit_codes():
+    codes = [int(first) for first, _ in table_below("docs/files.md", "Exit codes")[1:]]
+    assert codes == [0, console.EXIT_FAILED, console.EXIT_USAGE, cancel.EXIT_INTERRUPTED]
+
+
+def test_extras_and_scenes_and_the_truth_of_flights():
+    (extras,) = re.findall(r"optional-dependencies\]\n(.*?)^\[", PROJECT, re.DOTALL | re.MULTILINE)
+    named = [names_in(first)[0] for first, _ in table_below("docs/start.md", "Install")[1:]]
+    known = re.findall(r"^(\w+) = \[", extras, re.MULTILINE)
+    assert {*named} == {*known} - {"test", "docs", "bench", "dev"}
+    truth = [
+        n for row in table_below("docs/flights.md", "Ground truth")[1:] for n in names_in(row[0])
+    ]
+    assert truth == [field.name for field in fields(FlightTruth)]
+    scenes = [n for row in table_below("docs/flights.md", "Scenes")[1:] for n in names_in(row[0])]
+    assert {*scenes} == {*SCENES} - {"group2", "group3", "group4"}
+
+
+def test_the_citation_is_that_of_the_readme():
+    citation = yaml.safe_load(text_of("CITATION.cff"))
+    paper = citation["preferred-citation"]
+    assert citation["version"] == __version__
+    words = " ".join(README.replace("\n> ", " ").split())
+    for part in (paper["title"], paper["journal"], paper["doi"], str(paper["start"])):
+        assert part in words
+    names = [f"{one['given-names']} {one['family-names']}" for one in paper["authors"]]
+    assert ", ".join(names) in words
+    assert f"## {__version__} ({citation['date-released']})" in text_of("CHANGELOG.md")
+
+
+def test_scripts_for_elsewhere_are_python():
+    scripts = {"slurm.py": text_of("configs/cluster/slurm.py")}
+    scripts |= {n: code for kind, n, code in blocks("docs/live.md") if n.endswith(".py")}
+    assert len(scripts) == 2
+    for name, code in scripts.items():
+        compile(code, name, "exec")
