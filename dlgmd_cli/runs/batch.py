@@ -176,6 +176,8 @@ def _done_record(folder: "Path | UPath", video: Input, setup: Setup, job: Job) -
         return {}
     if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
         return {}
+    if "frames" not in record.get("processed", {}):
+        return {}
     figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in job.formats}
     return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
 
