@@ -30,7 +30,6 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, SourceError, printable
-from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX, PRESETS, load_config
 
 if TYPE_CHECKING:
@@ -236,6 +235,8 @@ def _advice(facts: "Survey") -> list[str]:
 
 
 def _rate_advice(facts: "Survey") -> list[str]:
+    from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
+
     lines = []
     fps = facts.fps_true or facts.fps_stated
     model_fps = load_config(PRESETS[0]).model_fps
