@@ -1,4 +1,4 @@
-"""A frame as models take it, its reduction, and causal detection of repeated and missing frames."""
+"""A frame as models take it, its size and rate, and causal detection of repeats and gaps."""
 
 import math
 from collections import deque
@@ -15,6 +15,8 @@ import numpy.typing as npt
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
 # Number of recent intervals or changes that are kept, and the least number to judge by.
 _N_USUAL, _N_AT_LEAST = 12, 3
+# How far frames may exceed the rate of a model: nominal 30 frames/s can be up to 30.3.
+RATE_TOLERANCE = 1.1
 # Rows of a picture that are compared.
 _N_ROWS = 90
 # A repeat changes by less than `_SHARE` of the usual change. The picture that ends a run of repeats
@@ -91,6 +93,16 @@ def resized(image: npt.NDArray[Any], size_wh: tuple[int, int]) -> npt.NDArray[An
         return image
     shrinks = width <= image.shape[1] and height <= image.shape[0]
     return cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
+    """The step k that reduces a rate of `fps` to `max_fps` at most by taking every k-th frame.
+
+    Returns k and the least time between two such frames in seconds. It is half a frame shorter than
+    nominal because times jitter.
+    """
+    every = max(1, math.ceil(fps / max_fps - 1e-3))
+    return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
 
 
 class GapDetector:

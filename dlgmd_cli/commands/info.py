@@ -234,8 +234,7 @@ def _advice(facts: "Survey") -> list[str]:
 
 
 def _rate_advice(facts: "Survey") -> list[str]:
-    from dlgmd_cli.video.opening import RATE_TOLERANCE
-    from dlgmd_cli.video.source import sampling_step
+    from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 
     lines = []
     fps = facts.fps_true or facts.fps_stated

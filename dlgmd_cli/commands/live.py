@@ -142,6 +142,7 @@ def live(
         setup.params,
         resize=False,  # the source does it
         model_fps=setup.model_fps,
+        all_frames=True,  # so does it with the rate
         repeats=options.repeats or "skip",
         engine=setup.engine,
     )

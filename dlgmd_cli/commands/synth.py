@@ -167,9 +167,9 @@ def synth(
     are kept: after an interruption, run the same command again to continue.
 
     Half of the flights of 'random' hit something. The others are as hard as real footage. Column
-    manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, turns, close
-    (past things), low (over tiles and lines), people (who walk past), light (shadows and exposure)
-    or walk (a camera in the hand).
+    manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, storm, turns,
+    close (past things), low (over tiles and lines), people (who walk past), light (shadows and
+    exposure) or walk (a camera in the hand).
     """
     if lists:
         _list()

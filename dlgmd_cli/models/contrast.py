@@ -23,6 +23,8 @@ from dlgmd_cli.parameters import ContrastParameters
 
 # Rows and columns.
 Shift = tuple[int, int]
+# Rows from, up to; columns from, up to.
+Window = tuple[int, int, int, int]
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
@@ -214,11 +216,24 @@ def overlap(n: int, shift: int) -> tuple[slice, slice]:
     return slice(max(0, shift), n + min(0, shift)), slice(max(0, -shift), n - max(0, shift))
 
 
-def mean_change(frame: Grey, before: Grey, shift: Shift) -> float:
-    """Mean |a(i) - b(i - shift)| where an image a and an earlier one b, moved, overlap."""
-    (rows, from_rows), (columns, from_columns) = map(overlap, frame.shape, shift)
-    now = frame[rows, columns]
-    return cv2.norm(now, before[from_rows, from_columns], cv2.NORM_L1) / now.size
+def mean_change(now: Grey, before: Grey, window: Window, shift: Shift) -> float:
+    """Mean |a(i) - b(i - shift)| in a window of an image a that an earlier one b, moved, covers.
+
+    The window is where its rows begin and end, and its columns. Infinite if none of it is covered.
+    """
+    (top, bottom, left, right), (y, x), (height, width) = window, shift, now.shape
+    top, bottom = max(top, y), min(bottom, height + y)
+    left, right = max(left, x), min(right, width + x)
+    if top >= bottom or left >= right:
+        return math.inf
+    there = before[top - y : bottom - y, left - x : right - x]
+    return cv2.norm(now[top:bottom, left:right], there, cv2.NORM_L1) / there.size
+
+
+def whole(frame: Grey) -> Window:
+    """All of an image as a window, see `mean_change`."""
+    height, width = frame.shape
+    return 0, height, 0, width
 
 
 def refined(less: float, here: float, more: float) -> float:
@@ -256,7 +271,7 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     limits = shift_limits(now.shape, most)
     if 0 in limits:
         return (0, 0), (0, 0)
-    change = cache(partial(mean_change, now, before))
+    change = cache(partial(mean_change, now, before, whole(now)))
     best = min(((0, 0), start), key=change)
     while True:
         ((y, x), (y_most, x_most)) = best, limits
@@ -299,10 +314,10 @@ def expansion(now: FloatImage, before: FloatImage, start: Shift, most: int) -> f
     (y, x), (height, width) = (n // 2 for n in now.shape), (n // 3 for n in now.shape)
     (top_left, top_right), (low_left, low_right) = (
         [
-            displaced(now, before, start, limits, (rows, columns))
-            for columns in (slice(x - width, x), slice(x, x + width))
+            displaced(now, before, start, limits, (top, top + height, left, left + width))
+            for left in (x - width, x)
         ]
-        for rows in (slice(y - height, y), slice(y, y + height))
+        for top in (y - height, y)
     )
     return min(
         (top_right[1] - top_left[1]) / width,
@@ -317,32 +332,21 @@ def displaced(
     before: FloatImage,
     start: Shift,
     limits: list[int],
-    window: tuple[slice, slice],
+    window: Window,
 ) -> tuple[float, float]:
     """The shift of a window in blocks, rows first: by descent along y, then along x, refined."""
-
-    @cache
-    def change(y: int, x: int) -> float:
-        """Mean change of the window where the frame before, moved, covers it; else infinite."""
-        (top, left), (end_y, end_x) = zip(*((s.start, s.stop) for s in window), strict=True)
-        top, end_y = max(top, y), min(end_y, now.shape[0] + y)
-        left, end_x = max(left, x), min(end_x, now.shape[1] + x)
-        if top >= end_y or left >= end_x:
-            return math.inf
-        there = before[top - y : end_y - y, left - x : end_x - x]
-        return cv2.norm(now[top:end_y, left:end_x], there, cv2.NORM_L1) / there.size
-
+    change = cache(partial(mean_change, now, before, window))
     y, x = start
     for step in (-1, 1):
-        while abs(y + step) <= limits[0] and change(y + step, x) < change(y, x):
+        while abs(y + step) <= limits[0] and change((y + step, x)) < change((y, x)):
             y += step
     for step in (-1, 1):
-        while abs(x + step) <= limits[1] and change(y, x + step) < change(y, x):
+        while abs(x + step) <= limits[1] and change((y, x + step)) < change((y, x)):
             x += step
-    here = change(y, x)
+    here = change((y, x))
     return (
-        y + refined(change(y - 1, x), here, change(y + 1, x)),
-        x + refined(change(y, x - 1), here, change(y, x + 1)),
+        y + refined(change((y - 1, x)), here, change((y + 1, x))),
+        x + refined(change((y, x - 1)), here, change((y, x + 1))),
     )
 
 
@@ -435,8 +439,10 @@ class ContrastReceptors(Photoreceptors):
         self._shift_blocks, shift = follow(now, before, self._shift_blocks, most)
         if self._params.d_0 > 0.0:
             self.expansion = expansion(now, before, self._shift_blocks, most)
-        still = mean_change(self.current, self.previous, (0, 0))
-        moved = mean_change(self.current, self.previous, shift)
+        still, moved = (
+            mean_change(self.current, self.previous, whole(self.current), d)
+            for d in ((0, 0), shift)
+        )
         return shift if moved < MAX_LEFT * still else (0, 0)
 
     def _subtract(self, out: Grey, shift: Shift) -> None:

@@ -12,7 +12,14 @@ import numpy.typing as npt
 
 from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector, resized
+from dlgmd_cli.frame import (
+    RATE_TOLERANCE,
+    Frame,
+    GapDetector,
+    RepeatDetector,
+    resized,
+    sampling_step,
+)
 from dlgmd_cli.models.base import Grey, Response
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters import (
@@ -253,7 +260,11 @@ class Alarm:
     width_px, model_fps : int, float, optional
         Frame width and rate that the parameters are made for. The default is what the file says, or
         what the model's published values are made for: 240 px for `flight`, 480 px for the paper's
-        sets, and 30 frames a second. Frames at another rate are a warning, see `logging`, once.
+        sets, and 30 frames a second. Slower frames are a warning, see `logging`, once.
+    all_frames : bool
+        Process frames at any rate, and warn once of faster ones too. With False, only every k-th is
+        processed if they come faster, by the rule of `dlgmd run`, once 30 intervals tell the rate;
+        the others have the answer of the last one that was.
     repeats : {"skip", "keep"}
         Treatment of duplicate frames: `skip` returns the previous response, `keep` passes them to
         the model.
@@ -280,6 +291,7 @@ class Alarm:
         resize: bool = True,
         width_px: int | None = None,
         model_fps: float | None = None,
+        all_frames: bool = False,
         repeats: str = "skip",
         engine: str = "auto",
     ) -> None:
@@ -291,7 +303,8 @@ class Alarm:
         else:
             self.params, design = given, design_of(given)
         self._width_px = (width_px or design[0]) if resize else None
-        self._model_fps = model_fps or design[1]
+        self._model_fps, self._all_frames = model_fps or design[1], all_frames
+        self._taken_s, self._least_s = math.nan, 0.0
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self._stepper = Stepper(self.params, engine=engine)
@@ -306,6 +319,7 @@ class Alarm:
         self._spikes.reset()
         self._gaps.reset()
         self._times.clear()
+        self._taken_s, self._least_s = math.nan, 0.0
         if self._repeats is not None:
             self._repeats.reset()
 
@@ -344,9 +358,10 @@ class Alarm:
             self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
         if is_gap:  # what comes after a gap is new, even if it looks the same
             self._spikes.reset()
-        elif is_repeat:
+        elif is_repeat or self._is_early(time_s):
             return self._last
         self._index += 1
+        self._taken_s = math.nan if time_s is None else time_s
         one = Frame(self._index, math.nan if time_s is None else time_s, frame, after_gap=is_gap)
         response = self._stepper.step(one, layers=layers)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
@@ -365,9 +380,13 @@ class Alarm:
         height = max(1, round(frame.shape[0] * self._width_px / frame.shape[1]))
         return resized(frame, (self._width_px, height))
 
+    def _is_early(self, time_s: float | None) -> bool:
+        """Whether a frame comes sooner after the last one taken than frames should."""
+        return time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
+
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
-        """Warn once if frames come at another rate than the model is made for."""
-        if is_gap or self._has_warned:
+        """Find what frames to leave out, or warn once of a rate the model is not made for."""
+        if is_gap:
             self._times.clear()
         self._times.append((time_s, is_repeat))
         duration_s = time_s - self._times[0][0]
@@ -375,12 +394,17 @@ class Alarm:
             return
         # Repeats do not make a camera faster, and a still scene does not make it slower.
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
-        is_fast = n_seen / duration_s > _OTHER_RATE * self._model_fps
-        if is_fast or _N_INTERVALS / duration_s < self._model_fps / _OTHER_RATE:
+        seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
+        if not self._all_frames:
+            every, least_s = sampling_step(seen_fps, RATE_TOLERANCE * self._model_fps)
+            self._least_s = least_s if every > 1 else 0.0
+        is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
+        is_slow = came_fps < self._model_fps / _OTHER_RATE
+        if (is_fast or is_slow) and not self._has_warned:
             self._has_warned = True
             _log.warning(
                 "frames come at %.3g a second, but the parameters are made for %g; %s",
-                (n_seen if is_fast else _N_INTERVALS) / duration_s,
+                seen_fps if is_fast else came_fps,
                 self._model_fps,
                 "leave some out" if is_fast else "an approach looks faster than it is",
             )

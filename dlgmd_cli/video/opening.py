@@ -12,6 +12,7 @@ from typing import Any
 
 from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
+from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.names import input_name, without_password
 from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
@@ -30,13 +31,11 @@ from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of
 from dlgmd_cli.video.region import Region, read_mask
-from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video, sampling_step
+from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
 
 # What can be opened: a path, or images with their frame rate.
 Openable = str | os.PathLike[str] | Iterable[Any]
 
-# How far a video may exceed the default rate: nominal 30 frames/s can be up to 30.3.
-RATE_TOLERANCE = 1.1
 # The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."

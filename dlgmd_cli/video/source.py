@@ -162,16 +162,6 @@ class Selection:
         return True, not is_new
 
 
-def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
-    """The step k that reduces a rate of `fps` to `max_fps` at most by taking every k-th frame.
-
-    Returns k and the least time between two such frames in seconds. It is half a frame shorter than
-    nominal because times jitter.
-    """
-    every = max(1, math.ceil(fps / max_fps - 1e-3))
-    return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
-
-
 class Video:
     """A source of frames, opened by `open_video`: a context manager and an iterable of `Frame`.
 

@@ -3,6 +3,7 @@
 import gc
 import math
 import tracemalloc
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -184,6 +185,29 @@ def test_an_alarm_takes_a_file_of_parameters(tmp_path):
     assert alarm.params == load_set(3, n_sp=1) and alarm.model.n_cells == 100 * 45
 
 
+@pytest.mark.parametrize("fps", [50, 60, 120])
+def test_frames_that_come_too_often_are_left_out_as_a_run_does(fps):
+    """Even where their times jitter by a quarter of a frame."""
+    rng, every = np.random.default_rng(1), math.ceil(fps / 33)
+    times_s = (np.arange(200) + rng.uniform(-0.2, 0.2, 200)) / fps
+    frames = rng.integers(0, 256, (200, 24, 32), np.uint8)
+    alarm = Alarm(load_set(3))
+    for _ in range(2):
+        found = [alarm.step(*one) for one in zip(frames, times_s.tolist(), strict=True)]
+        is_new = [a is not b for a, b in pairwise(found)]
+        assert all(is_new[:29])  # the rate is not known yet
+        assert set(np.diff(np.flatnonzero(is_new[35:]))) == {every}
+        alarm.reset()
+    # The clock is set back.
+    assert alarm.step(frames[0], 9.0) is not alarm.step(frames[1], 0.0)
+
+
+def test_all_frames_are_processed_if_asked_for():
+    rng, alarm = np.random.default_rng(1), Alarm(load_set(3), all_frames=True)
+    found = [alarm.step(rng.integers(0, 256, (24, 32), np.uint8), n / 60) for n in range(99)]
+    assert len(set(map(id, found))) == 99
+
+
 @pytest.mark.parametrize(
     ("times_s", "repeats", "warning"),
     [
@@ -195,7 +219,7 @@ def test_an_alarm_takes_a_file_of_parameters(tmp_path):
     ],
 )
 def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
-    alarm, rng = Alarm(), np.random.default_rng(1)
+    alarm, rng = Alarm(all_frames=True), np.random.default_rng(1)
     for number, time_s in enumerate(times_s):
         if not (repeats and number % 2):
             frame = rng.integers(0, 256, (24, 32), np.uint8)

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.frame import Frame, resized
+from dlgmd_cli.frame import Frame, resized, sampling_step
 from dlgmd_cli.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
-from dlgmd_cli.video.source import Selection, sampling_step
+from dlgmd_cli.video.source import Selection
 from dlgmd_cli.video.timestamps import FrameClock, missing_frames
 
 NAN = math.nan

@@ -199,8 +199,8 @@ def test_a_random_flight_into_a_wall_says_so():
 @pytest.mark.parametrize(
     ("manner", "seed"),
     [
-        *(("gusts", 0), ("gusts", 7), ("turns", 15), ("close", 40), ("low", 5), ("people", 9)),
-        *(("light", 4), ("walk", 10), ("walk", 41)),
+        *(("gusts", 7), ("gusts", 62), ("storm", 148), ("storm", 192), ("turns", 15)),
+        *(("close", 40), ("low", 5), ("people", 9), ("light", 4), ("walk", 10), ("walk", 41)),
     ],
 )
 def test_a_roaming_flight_is_what_its_manner_says_and_hits_nothing(manner, seed):
@@ -221,6 +221,8 @@ def test_a_roaming_flight_is_what_its_manner_says_and_hits_nothing(manner, seed)
     assert bool(people) <= (manner in ("people", "walk"))
     if manner in ("gusts", "turns", "walk"):
         assert np.abs(spin).max() > 25
+    if manner == "storm":
+        assert np.linalg.norm(spin, axis=1).max() > 90
     # Even straight on, there would be nothing for half a second.
     around = surroundings(stage.world)
     for now_s, state in zip(times, states, strict=True):
