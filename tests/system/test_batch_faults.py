@@ -68,7 +68,7 @@ class Bench:
         result = CliRunner().invoke(cli, self.command(*more, out=out), prog_name="dlgmd")
         assert "Error: internal error" not in result.stderr
         errors = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
-        assert len(errors) == (result.exit_code == 1) and result.exit_code in (0, 1)
+        assert bool(errors) == (result.exit_code == 1) and result.exit_code in (0, 1)
         return result
 
     def clear(self):

@@ -276,8 +276,8 @@ def test_in_processes_of_their_own_a_death_or_an_error_costs_one_flight(dlgmd, m
     assert result.exit_code == 1
     said = sorted(result.stderr.splitlines())
     assert said[0].startswith("Error: 2 of 6 flights failed; the other 4 are in")
-    assert said[1].startswith("Warning: quick-0003: its process was killed")
-    assert said[2] == "Warning: quick-0004: here: it cannot be. Mend it."
+    assert said[1].startswith("Error: quick-0003: its process was killed")
+    assert said[2] == "Error: quick-0004: here: it cannot be. Mend it."
     listed = [label.video for label in read_labels(Path("f", "labels.csv"))]
     assert listed == [f"quick-000{i}.mp4" for i in (0, 1, 2, 5)]
     assert len(list(Path("f").iterdir())) == 3 * 4 + 1  # nothing half made
