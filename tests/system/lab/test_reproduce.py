@@ -11,8 +11,9 @@ import cv2
 import pytest
 from conftest import csv_rows
 
+from dlgmd_cli.lab.reproduce import clips, flights, stimuli
 from dlgmd_cli.lab.reproduce.claims import COLUMNS, NO, YES, load_claims, select
-from dlgmd_cli.lab.reproduce.clips import VERSIONS
+from dlgmd_cli.lab.reproduce.clips import LATE, VERSIONS, Clip, other_models
 from dlgmd_cli.lab.reproduce.plan import ANY
 from dlgmd_cli.plots.style import width_in
 
@@ -79,3 +80,16 @@ def test_latency_without_models(dlgmd, tmp_path):
     again = dlgmd("reproduce", "--only", "fig5", "--out", "paper")
     assert again.exit_code == 2 and "already exists" in again.stderr
     assert dlgmd("reproduce", "--only", "fig5", "--out", "paper", "--overwrite").exit_code == 0
+
+
+def test_group_2_brakes_at_the_papers_frame():
+    found = clips.run_clip(Clip.of(LATE, size=(18, 32), seed=0), other_models("lgmd"))
+    assert found.phases["decelerate"][0] == 125 and found.collision_frame == 140
+
+
+def test_the_lgmds_first_false_peak():
+    clip = clips.run_clip(Clip.of("group1", size=(54, 96), seed=0), other_models("lgmd"))
+    frame = flights.false_positive(clip)
+    level = stimuli.sigmoid(clip.results["lgmd"])
+    first, last = clip.phases["pitch"][0], clip.collision_frame - flights.APPROACH_FRAMES
+    assert first <= frame < last and level[frame] == level[frame - 1 : frame + 2].max()

@@ -24,7 +24,6 @@ from dlgmd_cli.lab.reproduce.claims import (
 )
 from dlgmd_cli.lab.reproduce.clips import (
     EVERY,
-    LATE,
     NULLS,
     VERSIONS,
     Clip,
@@ -158,19 +157,6 @@ def test_clips_are_rendered_for_all_exhibits_together(monkeypatch):
         equal_nan=True,
     )
     assert data[clip].truth["frame"][-1] == 74
-
-
-def test_group_2_brakes_at_the_papers_frame():
-    found = clips.run_clip(Clip.of(LATE, size=(18, 32), seed=0), other_models("lgmd"))
-    assert found.phases["decelerate"][0] == 125 and found.collision_frame == 140
-
-
-def test_the_lgmds_first_false_peak():
-    clip = clips.run_clip(Clip.of("group1", size=(54, 96), seed=0), other_models("lgmd"))
-    frame = flights.false_positive(clip)
-    level = stimuli.sigmoid(clip.results["lgmd"])
-    first, last = clip.phases["pitch"][0], clip.collision_frame - flights.APPROACH_FRAMES
-    assert first <= frame < last and level[frame] == level[frame - 1 : frame + 2].max()
 
 
 def test_peaks_are_small_and_separate():
