@@ -160,7 +160,7 @@ def attack(whole, scratch, task):
         began, result = time.monotonic(), invoke(command)
         took_s = time.monotonic() - began
         lines = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
-        is_told = len(lines) == (result.exit_code != 0)
+        is_told = bool(lines) == (result.exit_code != 0)
         text = result.output
         if result.exit_code not in (0, 1, 2) or "internal error" in text or "Traceback" in text:
             faults.append((number, command, file.name, result.exit_code, text[-300:]))
