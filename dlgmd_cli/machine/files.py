@@ -38,6 +38,11 @@ def staging(folder: Path) -> Iterator[Path]:
             shutil.rmtree(stage, ignore_errors=True)
 
 
+def is_locked(folder: str | os.PathLike[str]) -> bool:
+    """Whether a folder is visible from this machine and locked by some process."""
+    return (Path(folder) / LOCK).exists()
+
+
 def remove_leftovers(folder: Path) -> None:
     """Remove temporary files and folders of killed processes; those in use stay.
 

@@ -15,9 +15,9 @@ from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import DlgmdError, WorkerError
-from dlgmd_cli.threads import limit_threads, n_processors
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import limit_threads, n_processors
 
 TaskT = TypeVar("TaskT")
 
@@ -27,10 +27,11 @@ DONE, FAILED, CRASHED, KILLED, TIMEOUT = "done", "failed", "crashed", "killed", 
 _TICK_S = 0.1
 # How many pools in a row may break before any process begins a task.
 _MAX_BROKEN = 3
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Ended:
     """How a task ended.
 
     `status` is `done`; `failed` (the function raised `error`); `crashed` (its process crashed);
@@ -55,7 +56,7 @@ def run_tasks(
     jobs: int,
     *,
     timeout_s: float | None = None,
-) -> Iterator[tuple[TaskT, Outcome]]:
+) -> Iterator[tuple[TaskT, Ended]]:
     """Call `function` on every task, in `jobs` processes at a time.
 
     The processes share this machine's processors, see `limit_threads`. They ignore Ctrl-C, and exit
@@ -75,7 +76,7 @@ def run_tasks(
 
     Yields
     ------
-    (task, Outcome)
+    (task, Ended)
         In the order in which the tasks end.
 
     Raises
@@ -85,6 +86,14 @@ def run_tasks(
     WorkerError
         If no process lives long enough to begin a task.
     """
+    with _nothing_from_here():
+        yield from _run_tasks(function, tasks, jobs, timeout_s)
+
+
+def _run_tasks(
+    function: Callable[[TaskT], Any], tasks: Iterable[TaskT], jobs: int, timeout_s: float | None
+) -> Iterator[tuple[TaskT, Ended]]:
+    """The loop of `run_tasks`."""
     waiting, n_broken = iter(tasks), 0
     pool: Any = _new_pool(function, jobs)
     running: dict[Any, TaskT] = {}
@@ -116,8 +125,8 @@ def run_tasks(
                 if n_broken > _MAX_BROKEN:
                     why = "worker processes end before they start working"
                     mend = (
-                        "If memory or threads run short, end other programs or lower --jobs. A "
-                        "Python script needs if __name__ == '__main__' around the call."
+                        "A Python script needs if __name__ == '__main__' around the call. If "
+                        "memory or threads run short, end other programs or lower --jobs."
                     )
                     raise WorkerError("", why, mend)
                 _end(pool)
@@ -166,21 +175,39 @@ def _end(pool: Any) -> None:
     pool.join()
 
 
-def _outcome(future: Any, timeout_s: float | None) -> Outcome:
+def _outcome(future: Any, timeout_s: float | None) -> Ended:
     error = future.exception()
     if error is None:
-        return Outcome(DONE, future.result())
+        return Ended(DONE, future.result())
     if isinstance(error, ProcessExpired):
         code = error.exitcode
         if code == -getattr(signal, "SIGKILL", 9):
             why = "its process was killed, as happens when memory runs out"
-            return Outcome(KILLED, error=WorkerError("", why, "Use fewer --jobs."))
+            return Ended(KILLED, error=WorkerError("", why, "Use fewer --jobs."))
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return Outcome(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
+        return Ended(CRASHED, error=WorkerError("", f"its process crashed ({how})"))
     if isinstance(error, TimeoutError | futures.TimeoutError):  # one class from Python 3.11 on
         why = f"not done after {timeout_s:g} s"
-        return Outcome(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
-    return Outcome(FAILED, error=error)
+        return Ended(TIMEOUT, error=WorkerError("", why, "Raise --timeout."))
+    return Ended(FAILED, error=error)
+
+
+@contextmanager
+def _nothing_from_here() -> Iterator[None]:
+    """Keep starting processes from taking files of the working folder for Python's own modules.
+
+    They begin as ``python -c``, which looks there first: a stranger's socket.py would run. Later on
+    they search where this process does. Before Python 3.11, there is no way to tell them.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(_SAFE_PATH, None)
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 @contextmanager
@@ -212,6 +239,18 @@ def _hide_missing_locks() -> None:
             sys.__excepthook__(kind, error, trace)
 
     sys.excepthook = hook
+
+
+def _quiet_if_starting() -> None:
+    """In a process that is starting, and has come here through a script: end without a traceback.
+
+    Such a script lacks its main guard, and the pool says so where it runs.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.excepthook = lambda *_: None
+
+
+_quiet_if_starting()
 
 
 def _begin(_: None, n_threads: int, function: Callable[..., Any]) -> None:

@@ -3,19 +3,29 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
+from keyword import iskeyword
 from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
-from dlgmd_cli.checks import Spec, nearest
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters.checks import Spec, nearest
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep"),
-        *("versions", "warnings", "complete", "summary", "wall_s", "collision_frame", "settings"),
+        *(
+            "versions",
+            "machine",
+            "warnings",
+            "complete",
+            "summary",
+            "wall_s",
+            "collision_frame",
+            "settings",
+        ),
     ]
 )
 # What the keys of a model may not be called.
@@ -25,6 +35,9 @@ _RESERVED = RECORD_KEYS.union(
 )
 
 ParametersT = TypeVar("ParametersT", bound="Parameters")
+
+# The parameter classes of the models of one's own that this process has defined, by their names.
+OWN_MODELS: dict[str, type["Parameters"]] = {}
 
 
 def key(
@@ -44,13 +57,13 @@ def key(
     default : float, int, bool or str
         The default, which determines the kind of the value.
     symbol, unit, meaning : str
-        For `dlgmd sets show`.
+        For `dlgmd sets show` and figures; no symbol or no unit is "–" or empty.
     low, high : float
         Bounds of a number, included.
     choices : tuple of str
         The words that are allowed.
     """
-    words = choices, symbol, unit, meaning
+    words = choices, symbol or "–", unit or "–", meaning
     return field(default=default, metadata={"spec": Spec(type(default), low, high, False, *words)})
 
 
@@ -168,6 +181,7 @@ class Parameters:
         kind.model = kind.preset = model
         kind.module, kind.model_class = model_class.__module__, model_class
         found: type[Parameters] = kind
+        OWN_MODELS[model] = found
         return found
 
     @classmethod
@@ -237,26 +251,46 @@ def imported_model(spec: str, origin: str = "") -> Any:
 
 
 def recorded_parameters(record: Mapping[str, Any]) -> Parameters:
-    """The parameters in the record of a model that cannot be imported; unchecked.
+    """The parameters in a record as plain values, unchecked: no code of its model is needed.
 
     Raises ParameterError if the record has no `t_mp` or `n_sp`.
     """
     values = {
         name: value
         for name, value in record.items()
-        if name not in _RESERVED and isinstance(value, bool | int | float | str)
+        if isinstance(value, bool | int | float | str) and _is_plain_key(name)
     }
     for name in ("t_mp", "n_sp"):
         if type(values.get(name)) not in (int, float):
             raise ParameterError("", f"it states no {name}")
-    names = {"model": str(record["model"]), "preset": str(record["model"])}
-    own_sigmoid = {} if "kappa" in values else {"kappa": None}
-    kind = make_dataclass(
+    items = tuple((name, type(value), value) for name, value in values.items())
+    found: Parameters = _recorded_class(str(record["model"]), items)()
+    return found
+
+
+def _is_plain_key(name: str) -> bool:
+    """Whether a key of a record can be a parameter, and nothing else of the class."""
+    is_name = name.isidentifier() and not iskeyword(name) and not name.startswith("_")
+    return is_name and name not in _RESERVED and not hasattr(Parameters, name)
+
+
+# Cached, so that equal parameters are of one class, and compare as equal.
+@lru_cache(maxsize=1000)
+def _recorded_class(model: str, items: tuple[tuple[str, type, Any], ...]) -> type[Parameters]:
+    """The class of parameters that were recorded with these names, kinds and values."""
+    names: dict[str, Any] = {"model": model, "preset": model, "__reduce__": _reduced}
+    if not any(name == "kappa" for name, _, _ in items):
+        names["kappa"] = None
+    found: type[Parameters] = make_dataclass(
         "RecordedParameters",
-        [(name, type(value), key(value)) for name, value in values.items() if name.isidentifier()],
+        [(name, kind, key(value)) for name, kind, value in items],
         bases=(Parameters,),
         frozen=True,
-        namespace={**names, **own_sigmoid},
+        namespace=names,
     )
-    found: Parameters = kind()
     return found
+
+
+def _reduced(params: Parameters) -> Any:
+    """How recorded parameters are pickled: so that reading them imports no module, either."""
+    return recorded_parameters, ({"model": params.model, **params.to_dict()},)

@@ -12,12 +12,20 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from dlgmd_cli.checks import Spec, blame, nearest, require_known, shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.keys import RECORD_KEYS, common_key, implied_key, imported_model, key
-from dlgmd_cli.keys import Parameters as Parameters
-from dlgmd_cli.keys import ParametersT as ParametersT
-from dlgmd_cli.plain_yaml import SHOW_HINT, parse, read
+from dlgmd_cli.parameters.checks import Spec, blame, nearest, require_known, shown
+from dlgmd_cli.parameters.keys import (
+    OWN_MODELS,
+    RECORD_KEYS,
+    common_key,
+    implied_key,
+    imported_model,
+    key,
+    recorded_parameters,
+)
+from dlgmd_cli.parameters.keys import Parameters as Parameters
+from dlgmd_cli.parameters.keys import ParametersT as ParametersT
+from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
 
 ENGINES = ("opencv", "numba")
 LATENCIES = ("bands", "nearest", "interpolated")
@@ -145,9 +153,11 @@ class ContrastParameters(
     )
     shift: int = key(0, "d_max", "px", "largest shift of the picture that is undone", 0, 64)
     balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
+    deflicker: bool = key(False, "–", "–", "remove the bands that mains light leaves in the rows")
     c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
     tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
     d_0: float = key(0.0, "D_0", "1/s", "rate of expansion from which K grows; 0: none", 0, 1000)
+    tau_d: float = key(0.1, "τ_D", "s", "time constant of that rate", 0.001, 1000)
     k_0: float = key(0.0003, "K_0", "–", "share of cells that expansion counts as active", 0, 1)
     t_mp: float = common_key("t_mp")
     n_sp: int = common_key("n_sp")
@@ -255,8 +265,8 @@ def installed_models() -> dict[str, str]:
     return {one.name: one.value for one in entry_points(group="dlgmd.models")}
 
 
-def find_model(name: Any, origin: str = "") -> type[Parameters]:
-    """The parameter class of a model.
+def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Parameters]:
+    """The parameter class of a model; the one place that decides whether a module is imported.
 
     Parameters
     ----------
@@ -265,6 +275,9 @@ def find_model(name: Any, origin: str = "") -> type[Parameters]:
         imported, or the class itself.
     origin : str
         What names the model, for the error.
+    in_file : bool
+        Whether a file names the model. A file may come from anybody: of models of one's own it can
+        name only those that are defined already, and installed entry points.
 
     Raises
     ------
@@ -277,12 +290,48 @@ def find_model(name: Any, origin: str = "") -> type[Parameters]:
             return MODELS[name]
         if ":" not in name:
             require_known("model", name, (*MODELS, *installed_models()), origin)
+        elif in_file and name in OWN_MODELS:
+            return OWN_MODELS[name]
+        elif in_file and name not in installed_models().values():
+            raise untrusted(name, origin)
         found = imported_model(name if ":" in name else installed_models()[name], origin)
     kind = getattr(found, "params_class", None)
     if not isinstance(kind, type) or vars(kind).get("model_class") is not found:
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
         raise ParameterError(origin, why, "See 'Your own model' in the documentation.")
     return kind
+
+
+def untrusted(name: str, origin: str = "") -> ParameterError:
+    """The error for a model that only a file names, so that its module is not imported."""
+    why = f"its model {name[:100]} is Python code, which no file may start"
+    return ParameterError(origin, why, f"If you trust that module, add --model {name[:100]}.")
+
+
+def stored_parameters(record: Mapping[str, Any]) -> Parameters:
+    """The parameters in a record, without importing anything.
+
+    Those of a model of one's own are of its class if that is defined already; else plain values.
+    Raises ParameterError if the model is unknown, or a parameter is not valid.
+    """
+    name = str(record.get("model"))
+    kind = MODELS.get(name) or OWN_MODELS.get(name)
+    if kind is None and ":" not in name:
+        require_known("model", name, MODELS)
+    if kind is not None:
+        try:
+            return kind.from_mapping({key: record[key] for key in kind.specs() if key in record})
+        except ParameterError:
+            if ":" not in name:
+                raise
+    return recorded_parameters(record)
+
+
+def runnable(params: Parameters) -> Parameters:
+    """Parameters of which a model can be created, from those of a record; raises ParameterError."""
+    if ":" not in params.model or type(params).model_class is not None:
+        return params
+    return find_model(params.model, in_file=True).from_mapping(params.to_dict())
 
 
 @dataclass(frozen=True)
@@ -316,7 +365,7 @@ def design_of(params: Any) -> tuple[int, float]:
 
 def presets_dir() -> Path:
     """The folder of the presets: inside an installed package, beside it in the repository."""
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
 
@@ -405,7 +454,7 @@ def load_config(path: str | Path) -> Config:
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:
     """The parameters of a configuration, with single keys overridden; raises ParameterError."""
-    kind = find_model(config.model or DlgmdParameters.model, config.name)
+    kind = find_model(config.model or DlgmdParameters.model, config.name, in_file=True)
     return merge(kind, config, overrides)
 
 
