@@ -75,6 +75,8 @@ def sources(export: Export) -> dict[str, str]:
         "arithmetic": "integers" if export.is_fixed else "single precision",
         "width": str(export.width),
         "height": str(export.height),
+        "command": export.command,
+        "fps": f"{export.fps:g}",
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "accuracy": ACCURACY[export.is_fixed],
@@ -95,7 +97,7 @@ def vectors(export: Export, answers: list[Detection]) -> str:
     rows = []
     for answer in answers:
         flags = [str(int(flag)) for flag in (answer.is_valid, answer.spike, answer.alarm)]
-        values = [answer.mp, answer.mp_abs, answer.g_x, answer.g_y]
+        values = [answer.mp, answer.mp_abs, answer.g_x, answer.g_y, answer.ttc_s]
         numbers = [f"{0.0 if np.isnan(value) else value:.9g}" for value in values]
         rows.append(f"    {{{', '.join(flags + numbers)}}},\n")
     return (
@@ -105,6 +107,6 @@ def vectors(export: Export, answers: list[Detection]) -> str:
         f"#define HALF {export.params.kappa * export.n_cells:.9g}\n\n"
         "static const struct expected {\n"
         "    bool valid, spike, alarm;\n"
-        "    double mp, mp_abs, g_x, g_y;\n"
+        "    double mp, mp_abs, g_x, g_y, ttc_s;\n"
         "} expected[N_FRAMES] = {\n" + "".join(rows) + "};\n"
     )

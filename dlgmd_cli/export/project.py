@@ -19,8 +19,9 @@ from dlgmd_cli.models.contrast import (
 )
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
 from dlgmd_cli.models.engines import BLOCK
+from dlgmd_cli.models.expansion import LEAST_RATE, LOCAL_SHARE, MAX_RATE, factor_of
 from dlgmd_cli.models.kernels import Connections, connect
-from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters
+from dlgmd_cli.parameters.presets import ContrastParameters, DlgmdParameters
 
 # With at most this many cells, the sum of their squares (up to 128**2) fits 32 bits. The stimulus
 # of the test needs 16 px.
@@ -29,7 +30,7 @@ MAX_GROWTH = 4096.0
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether the model is the
 # contrast-relative one and whether it is fixed: a constant, and per operation of a cell. The tests
 # measure both.
-STACK_BYTES = 832
+STACK_BYTES = 1400
 CODE_BYTES = {
     (False, False): (1200, 10),
     (False, True): (1370, 7),
@@ -38,13 +39,15 @@ CODE_BYTES = {
 }
 # Bytes of code that follow the picture, compare quadrants and adapt.
 FOLLOWING_BYTES = 2250
-# Bytes of code that measure the expansion.
-EXPANDING_BYTES = 1700
+# Bytes of code that measure the expansion, by whether it is fixed.
+EXPANDING_BYTES = {False: 3000, True: 4550}
 
 
 @dataclass(frozen=True)
 class Export:
     """A model for frames of one size, in floating or in fixed point.
+
+    `fps` is the rate that it is made for, and `command` what chooses it on the command line.
 
     Raises ParameterError if there is no C of that model, size and arithmetic.
     """
@@ -54,6 +57,8 @@ class Export:
     height: int
     is_fixed: bool = False
     label: str = "D-LGMD"
+    fps: float = NOMINAL_FPS
+    command: str = ""
 
     def __post_init__(self) -> None:
         if type(self.params) not in (DlgmdParameters, ContrastParameters):
@@ -129,6 +134,7 @@ class Export:
         return {
             "DLGMD_WIDTH": self.width,
             "DLGMD_HEIGHT": self.height,
+            "DLGMD_FPS": round(self.fps),
             "DLGMD_CONTRAST": int(self.is_contrast),
             "DLGMD_FIXED": int(self.is_fixed),
             "DLGMD_SHIFT": self.shift,
@@ -151,12 +157,13 @@ class Export:
         columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
         if self.is_contrast:
             blocks = 2 * 2 * (self.width // 4) * (self.height // 4) if self.shift else 0
-            work = max(_whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks)
+            work = max(
+                _whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks, self._reduced_bytes
+            )
             work += number * 256 * delays
             scalars = (16 if self.is_fixed else 12) + 12
-            scalars += (
-                (8 if self.is_fixed else 4) * self.adapts + 8 * (self.shift > 0) + 4 * self.expands
-            )
+            scalars += (8 if self.is_fixed else 4) * (self.adapts + 2 * self.expands)
+            scalars += 8 * (self.shift > 0)
         else:
             work = _whole(columns + number * 4 * (self.width + 3), number)
             scalars = 4 * (self.ffi_delay + 1) + 12
@@ -164,6 +171,15 @@ class Export:
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
         alignment = 8 if self.is_fixed and self.is_contrast else 4
         return _whole(scalars + work + frames, alignment)
+
+    @property
+    def _reduced_bytes(self) -> int:
+        """Of the pictures whose expansion is measured, and where their columns have moved to."""
+        if not self.expands:
+            return 0
+        factor = factor_of(self.width)
+        width, height = self.width // factor, self.height // factor
+        return _whole(2 * width * height, 4) + 16 * width
 
     @property
     def costs(self) -> dict[str, int]:
@@ -174,7 +190,7 @@ class Export:
         """
         multiplications, additions = self.code.operations
         base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
-        base += FOLLOWING_BYTES * (self.shift > 0) + EXPANDING_BYTES * self.expands
+        base += FOLLOWING_BYTES * (self.shift > 0) + EXPANDING_BYTES[self.is_fixed] * self.expands
         tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
         return {
             "ram_bytes": self.state_bytes,
@@ -218,17 +234,26 @@ class Export:
             "W_MEAN": -math.expm1(-interval_s / params.tau_m),
             "BOTH": self.n_cells / 2.0 / of_quadrant,
         }
-        quarter = math.prod(n // BLOCK // 3 for n in (self.width, self.height))
-        expansion = 1.0 / (quarter * interval_s * params.d_0) if self.expands else 0.0
+        shares["W_AHEAD"] = -math.expm1(-interval_s / params.tau_d)
+        shares["W_BESIDE"] = -math.expm1(-2.0 * interval_s / params.tau_d)
+        # Rates are per frame.
+        rates = {
+            "MAX_RATE": MAX_RATE * interval_s,
+            "LEAST_RATE": LEAST_RATE * interval_s,
+            "TIME_LEFT": LOCAL_SHARE * interval_s,
+        }
+        expansion = 1.0 / (interval_s * params.d_0) if self.expands else 0.0
         if self.is_fixed:
             constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
             constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
             constants["GROWTH"] = f"{round(min(params.growth, MAX_GROWTH) * 2**14)}u"
             constants["S_BITS"] = str(self.code.s_bits)
-            constants["EXPANSION"] = str(round(expansion * 2**14))
+            constants["EXPANSION"] = f"INT64_C({round(expansion * 2**10)})"
+            constants |= {key: f"INT64_C({round(rate * 2**24)})" for key, rate in rates.items()}
+            constants["TIME_LEFT"] = f"INT64_C({round(rates['TIME_LEFT'] * 2**36)})"
             constants["K_0"] = f"UINT64_C({round(params.k_0 * 2**32)})"
         else:
-            values |= {**shares, "GROWTH": params.growth}
+            values |= {**shares, **rates, "GROWTH": params.growth}
             values |= {"EXPANSION": expansion, "K_0": params.k_0 * self.n_cells}
             constants = {key: f(value) for key, value in values.items()}
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}

@@ -5,7 +5,7 @@ import traceback
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError
-from dlgmd_cli.parameters import DlgmdParameters, Parameters, ParametersT
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
 FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
@@ -58,6 +58,9 @@ class Response:
         The layers, if `step` was called with ``layers=True``.
     g_x, g_y : float
         Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
+    ttc_s : float
+        Estimated time to contact, in seconds; NaN where the picture does not expand, and for models
+        that do not estimate it.
     """
 
     p_sum: float = math.nan
@@ -68,6 +71,7 @@ class Response:
     layers: Layers | None = None
     g_x: float = math.nan
     g_y: float = math.nan
+    ttc_s: float = math.nan
 
     @property
     def is_valid(self) -> bool:
@@ -86,6 +90,7 @@ class Model:
     """A looming detector that processes one frame at a time in constant memory.
 
     A model of one's own derives from this class, names its parameter class, and defines `step`.
+    What runs it calls `reset` before the first frame, too.
 
     Parameters
     ----------
@@ -237,10 +242,9 @@ def create_model(params: Parameters, **options: Any) -> Model:
         import_module(kind.module)
     model_class = vars(kind).get("model_class")
     if model_class is None:
-        why = f"no model takes {kind.__name__}"
-        if kind.model:
-            why = f"the model {kind.model} cannot be imported"
-        raise ParameterError("", why)
+        if ":" in kind.model:
+            raise untrusted(kind.model)
+        raise ParameterError("", f"no model takes {kind.__name__}")
     if model_class.__module__.startswith("dlgmd_cli."):
         model: Model = model_class(params, **options)
         return model
@@ -265,7 +269,12 @@ def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
 
     with blamed():
         model: Model = params.model_class(params, **options)
-        step, receptors = model.step, model.receptors
+        step, reset, receptors = model.step, model.reset, model.receptors
+        reset()  # which may be all that sets the state
+
+    def guarded_reset() -> None:
+        with blamed():
+            reset()
 
     def guarded(luminance: Grey, time_s: float | None = None, *, layers: bool = False) -> Response:
         frame, wanted = receptors.frame, {"layers": True} if layers else {}
@@ -274,12 +283,15 @@ def _guarded(params: Parameters, options: dict[str, Any]) -> Model:
         if not isinstance(response, Response):
             raise ModelError(name, f"its step returns {type(response).__name__}, not a Response")
         if layers and response.layers is None:
-            raise ModelError(name, "its step returns no layers", "Add Response(layers=Layers(…)).")
+            if response.is_valid:
+                mend = "Add Response(layers=Layers(…))."
+                raise ModelError(name, "its step returns no layers", mend)
+            response = replace(response, layers=Layers())
         if receptors.frame == frame:  # so that `n_cells` knows the frame
             receptors.take(luminance)
         return response
 
-    model.step = guarded  # type: ignore[method-assign]
+    model.step, model.reset = guarded, guarded_reset  # type: ignore[method-assign]
     return model
 
 
@@ -387,6 +399,10 @@ class Photoreceptors:
         if self.hidden is not None:
             image[self.hidden] = 0
 
+    def cover(self, frame: Grey) -> None:
+        """Remove what is hidden from a frame, (H, W): it is black."""
+        self.clear(frame)
+
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P; raises FrameError as `Model.step` does."""
         self._check(luminance)
@@ -396,7 +412,7 @@ class Photoreceptors:
             self.stack = aligned((self._depth, *shape), dtype)
         self.current, self.previous = self.previous, self.current
         np.copyto(self.current, luminance)
-        self.clear(self.current)
+        self.cover(self.current)
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth

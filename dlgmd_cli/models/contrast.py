@@ -19,12 +19,9 @@ from dlgmd_cli.models.base import (
 )
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import BLOCK, Counting
-from dlgmd_cli.parameters import ContrastParameters
-
-# Rows and columns.
-Shift = tuple[int, int]
-# Rows from, up to; columns from, up to.
-Window = tuple[int, int, int, int]
+from dlgmd_cli.models.expansion import Expansion, Shift, Window
+from dlgmd_cli.models.prepare import Filling, Flicker
+from dlgmd_cli.parameters.presets import ContrastParameters
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
@@ -33,7 +30,7 @@ MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
 NOMINAL_FPS = 30.0
 # The picture's expansion counts up to this multiple of `d_0`.
-MAX_EXPANSION = 8.0
+MAX_EXPANSION = 16.0
 
 
 class ContrastDLGMD(Distributed):
@@ -64,7 +61,7 @@ class ContrastDLGMD(Distributed):
     `t_de` is the threshold of S. The layer P is P', but `p_sum` is the sum of ``|L(t) - L(t-1)|``,
     as in the other models.
 
-    Seven parameters, off by default, keep it quiet on real footage:
+    Nine parameters, off by default, keep it quiet on real footage:
 
     - `shift`: L(t-1) and the earlier P' first move along with the picture, by whole cells. Of means
       over 4x4 cells, the shift in blocks has the least mean change, by descent over the 8
@@ -80,12 +77,11 @@ class ContrastDLGMD(Distributed):
       m(t) = m(t-1) + (1 - exp(-Δt/tau_m)) (κ(t) - m(t-1)), from the first κ on. The cell adapts to
       what goes on all the time.
     - `d_0` and `k_0`, where `shift` is on: K(t) = e² (a + k_0 n_cell) - k_0 n_cell with a the K as
-      above and e = min(max(1, D(t) / d_0), 8). D is the rate of expansion of the middle two thirds
-      of the picture, in 1/s: each of their four quarters moves by its own shift in blocks, by
-      descent from that of the picture along y, then along x, refined as above. The rates at which
-      the upper two move apart, the lower two, the left two and the right two, relative to the
-      distance of their centres, are four expansions; D is the least. What is approached expands in
-      every direction, and faster the less time is left.
+      above and e = min(max(1, D(t) / d_0), 16). D is how fast the picture expands, in 1/s, smoothed
+      over `tau_d`: see `dlgmd_cli.models.expansion`. What is approached expands along both sides,
+      and faster the less time is left. `ttc_s` follows from D.
+    - `deflicker`: each row is divided by its mean relative to that over a period of the light,
+      while rows are almost the same after 2 to 5 frames, but not after one: see `Flicker`.
     - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
       n. Δt is one frame at `w_fps`, or at 30 frames/s, if times are unknown.
 
@@ -148,7 +144,10 @@ class ContrastDLGMD(Distributed):
         mp = passed * self._weakest(sums.quarters) if self.params.balance else g_sum
         g_x, g_y = centroid(g_sum, (passed * m_x, passed * m_y), shape)
         mp = self._expanding(self._adapted(mp))
-        return Response(receptors.p_sum(0), sums.s, mp, ffi, threshold, g_x=g_x, g_y=g_y)
+        ttc_s = receptors.expansion.ttc_s
+        return Response(
+            *(receptors.p_sum(0), sums.s, mp, ffi, threshold), g_x=g_x, g_y=g_y, ttc_s=ttc_s
+        )
 
     def _prepare(self, luminance: Grey) -> None:
         super()._prepare(luminance)
@@ -178,7 +177,7 @@ class ContrastDLGMD(Distributed):
         d_0, extra = self.params.d_0, self.params.k_0 * self.n_cells
         if d_0 == 0.0:
             return mp
-        rate = self.receptors.expansion / self.receptors.interval_s
+        rate = self.receptors.expansion.rate
         return min(max(rate / d_0, 1.0), MAX_EXPANSION) ** 2 * (mp + extra) - extra
 
     def _threshold(self) -> float:
@@ -291,65 +290,6 @@ def follow(now: FloatImage, before: FloatImage, start: Shift, most: int) -> tupl
     return best, (down, cells(x, (y, x - 1), (y, x + 1)))
 
 
-def expansion(now: FloatImage, before: FloatImage, start: Shift, most: int) -> float:
-    """By what share the picture has grown since the frame before, see `d_0` of `ContrastDLGMD`.
-
-    Parameters
-    ----------
-    now, before : ndarray, shape (H, W)
-        Means over blocks of the two frames, see `Engine.blocks`.
-    start : (int, int)
-        The shift of the whole picture in blocks, rows first, see `follow`.
-    most : int
-        Largest shift, in blocks; at most a third of a side.
-
-    Returns
-    -------
-    float
-        The least of the four expansions; 0 if a side has fewer than 4 blocks.
-    """
-    limits = shift_limits(now.shape, most)
-    if min(now.shape) < 4 or 0 in limits:
-        return 0.0
-    (y, x), (height, width) = (n // 2 for n in now.shape), (n // 3 for n in now.shape)
-    (top_left, top_right), (low_left, low_right) = (
-        [
-            displaced(now, before, start, limits, (top, top + height, left, left + width))
-            for left in (x - width, x)
-        ]
-        for top in (y - height, y)
-    )
-    return min(
-        (top_right[1] - top_left[1]) / width,
-        (low_right[1] - low_left[1]) / width,
-        (low_left[0] - top_left[0]) / height,
-        (low_right[0] - top_right[0]) / height,
-    )
-
-
-def displaced(
-    now: FloatImage,
-    before: FloatImage,
-    start: Shift,
-    limits: list[int],
-    window: Window,
-) -> tuple[float, float]:
-    """The shift of a window in blocks, rows first: by descent along y, then along x, refined."""
-    change = cache(partial(mean_change, now, before, window))
-    y, x = start
-    for step in (-1, 1):
-        while abs(y + step) <= limits[0] and change((y + step, x)) < change((y, x)):
-            y += step
-    for step in (-1, 1):
-        while abs(x + step) <= limits[1] and change((y, x + step)) < change((y, x)):
-            x += step
-    here = change((y, x))
-    return (
-        y + refined(change((y - 1, x)), here, change((y + 1, x))),
-        x + refined(change((y, x - 1)), here, change((y, x + 1))),
-    )
-
-
 def lower_quartile(change: Grey, hidden: Flags | None = None) -> float:
     """Lower quartile of the cells of an image, (H, W), estimated from a subset if there are many.
 
@@ -387,17 +327,17 @@ class ContrastReceptors(Photoreceptors):
 
     `time_s` is the time of the next frame, NaN if unknown; `interval_s` is the time between the
     last two frames, and `n_usual` the same in frames at `w_fps`, 1 if times are ignored.
-    `expansion` is the share by which the picture has grown between them, see the function; 0
-    unless `shift` and `d_0` are on.
+    `expansion` measures how fast the picture expands, if `shift` and `d_0` are on.
     """
 
     sigma: float
-    expansion = 0.0
     blocks: Callable[[Grey], FloatImage]  # of the model's engine
     time_s = math.nan
 
     def __init__(self, depth: int, params: ContrastParameters) -> None:
-        self._params = params
+        self._params, self._flicker = params, Flicker()
+        self._filling: Filling | None = None
+        self.expansion = Expansion(params.tau_d)
         super().__init__(depth)
 
     def reset(self) -> None:
@@ -406,12 +346,27 @@ class ContrastReceptors(Photoreceptors):
         self.sigma = self.noise = self.growth = self._usual = self._last_s = math.nan
         self._blocks: FloatImage | None = None
         self._shift_blocks = (0, 0)
+        self.expansion.reset()
+        self._flicker.reset()
+
+    def hide(self, hidden: Flags | None) -> None:
+        """Ignore the cells where `hidden` is True, see `Model.ignore`."""
+        super().hide(hidden)
+        self._filling = None if hidden is None else Filling(hidden)
+
+    def cover(self, frame: Grey) -> None:
+        """Fill what is hidden of a frame, (H, W), so that it does not hold the picture's motion."""
+        if self._filling is not None:
+            self._filling.fill(frame)
 
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P'; raises FrameError as `Model.step` does."""
         interval_s, usual_fps = self.time_s - self._last_s, self._params.w_fps
         self.interval_s = interval_s if interval_s > 0.0 else 1.0 / (usual_fps or NOMINAL_FPS)
         self.n_usual = self.interval_s * usual_fps or 1.0
+        if self._params.deflicker:
+            self._check(luminance)
+            luminance = self._flicker.of(luminance)
         super().take(luminance)
         self._last_s = self.time_s
 
@@ -438,7 +393,9 @@ class ContrastReceptors(Photoreceptors):
         most = self._params.shift // BLOCK
         self._shift_blocks, shift = follow(now, before, self._shift_blocks, most)
         if self._params.d_0 > 0.0:
-            self.expansion = expansion(now, before, self._shift_blocks, most)
+            shifts = self._shift_blocks, shift
+            frames = self.current, self.previous
+            self.expansion.step(frames, self.unit, shifts, self.interval_s)
         still, moved = (
             mean_change(self.current, self.previous, whole(self.current), d)
             for d in ((0, 0), shift)

@@ -3,26 +3,29 @@
 import logging
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import (
     RATE_TOLERANCE,
+    UNEVEN_S,
+    CaptureClock,
     Frame,
     GapDetector,
     RepeatDetector,
     resized,
-    sampling_step,
+    steady_step,
 )
 from dlgmd_cli.models.base import Grey, Response
+from dlgmd_cli.models.health import Health
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.presets import (
     PRESETS,
     Config,
     Parameters,
@@ -201,6 +204,8 @@ class AlarmSpan(NamedTuple):
         Greatest normalised membrane potential of the frames at which it is on.
     g_x, g_y : float
         Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
+    ttc_s : float
+        Time to contact that the model estimates in that frame, see `Response`.
     """
 
     start_frame: int
@@ -210,6 +215,7 @@ class AlarmSpan(NamedTuple):
     peak_mp_abs: float
     g_x: float = math.nan
     g_y: float = math.nan
+    ttc_s: float = math.nan
 
     @property
     def side(self) -> str:
@@ -219,7 +225,8 @@ class AlarmSpan(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """The columns of alarms.csv; None where a number is not defined."""
         known = {k: None if math.isnan(v) else v for k, v in self._asdict().items()}
-        return {**known, "side": self.side}
+        ttc_s = known.pop("ttc_s")
+        return {**known, "side": self.side, "ttc_s": ttc_s}
 
 
 @dataclass(frozen=True)
@@ -234,11 +241,15 @@ class Detection(Response):
         Whether `mp_abs` reaches the threshold.
     alarm : bool
         Whether the last n_sp frames, this one included, were spikes.
+    blind : str or None
+        Why the pictures show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if
+        they are sound, or not bad for long enough. While it is set, no alarm is no all-clear.
     """
 
     mp_abs: float = math.nan
     spike: bool = False
     alarm: bool = False
+    blind: str | None = None
 
     @property
     def side(self) -> str:
@@ -270,11 +281,17 @@ class Alarm:
         the model.
     engine
         See `DLGMD`.
+    times : {"arrival", "capture"}
+        What the times of frames are. Of `arrival`, a clock recovers those of the capture, see
+        `CaptureClock`; a burst of late frames is a warning, once. With `capture`, they are exact.
 
     Attributes
     ----------
     model : Model
         The model that computes the membrane potential.
+    tells_rate : bool
+        Whether a frame rate that the model is not made for is a warning; clear it where that is
+        told elsewhere.
 
     Examples
     --------
@@ -294,9 +311,12 @@ class Alarm:
         all_frames: bool = False,
         repeats: str = "skip",
         engine: str = "auto",
+        times: str = "arrival",
     ) -> None:
         if repeats not in ("skip", "keep"):
             raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
+        if times not in ("arrival", "capture"):
+            raise ParameterError("", f"times = {shown(times)} is not one of arrival, capture")
         given = load_config(PRESETS[0]) if params is None else params
         if isinstance(given, Config):
             self.params, design = parameters_of(given), (given.width_px, given.model_fps)
@@ -304,7 +324,10 @@ class Alarm:
             self.params, design = given, design_of(given)
         self._width_px = (width_px or design[0]) if resize else None
         self._model_fps, self._all_frames = model_fps or design[1], all_frames
-        self._taken_s, self._least_s = math.nan, 0.0
+        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
+        self._clock = CaptureClock() if times == "arrival" else None
+        self._health, self.tells_rate = Health(), True
+        self._n_untimed, self._told_uneven = 0, False
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
         self._stepper = Stepper(self.params, engine=engine)
@@ -319,13 +342,17 @@ class Alarm:
         self._spikes.reset()
         self._gaps.reset()
         self._times.clear()
-        self._taken_s, self._least_s = math.nan, 0.0
+        self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
+        self._health.reset()
+        if self._clock is not None:
+            self._clock.reset()
         if self._repeats is not None:
             self._repeats.reset()
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`."""
         self._stepper.ignore(hidden)
+        self._health.ignore(hidden)
         if self._repeats is not None:
             self._repeats = RepeatDetector(hidden)
 
@@ -340,7 +367,8 @@ class Alarm:
         frame : ndarray, shape (H, W) or (H, W, 3), float32 or uint8
             Grey or BGR, as OpenCV's cameras give it: 0..1, or levels of 0..255.
         time_s : float, optional
-            Time of the frame; without it, gaps and other frame rates go unnoticed.
+            Time of the frame, such as that of its arrival, see `times`. Without it, the model takes
+            its own rate for granted, and gaps go unnoticed; that is a warning, once.
         layers : bool
             Also return copies of P, S and G.
 
@@ -351,14 +379,20 @@ class Alarm:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
-        frame = self._reduced(frame)
+        frame, time_s = self._reduced(frame), self._captured_s(time_s)
         is_gap = time_s is not None and self._gaps.step(time_s)
         is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
         if time_s is not None:
             self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
+        is_stale = self._clock is not None and self._clock.is_stale
+        if is_stale or (not is_gap and not is_repeat and self._is_early(time_s)):
+            return self._last
+        blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
         if is_gap:  # what comes after a gap is new, even if it looks the same
             self._spikes.reset()
-        elif is_repeat or self._is_early(time_s):
+        elif is_repeat:
+            if blind != self._last.blind:
+                self._last = replace(self._last, blind=blind)
             return self._last
         self._index += 1
         self._taken_s = math.nan if time_s is None else time_s
@@ -366,8 +400,26 @@ class Alarm:
         response = self._stepper.step(one, layers=layers)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
         spike, alarm = self._spikes.step(mp_abs)
-        self._last = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm)
+        found = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
+        self._last = found
         return self._last
+
+    def _captured_s(self, time_s: float | None) -> float | None:
+        """When a frame was captured; tells once of missing times, and of frames that come late."""
+        if time_s is None:
+            self._n_untimed += 1
+            if self._n_untimed == _N_INTERVALS and self.tells_rate:
+                what = "frames have no times, so they count as %g a second; give step() the times"
+                _log.warning(what, self._model_fps)
+            return None
+        if self._clock is None:
+            return time_s
+        captured_s = self._clock.step(time_s)
+        if self._clock.latest_s > UNEVEN_S and not self._told_uneven:
+            self._told_uneven = True
+            what = "frames come unevenly, up to %.2f s late; the times of their capture are used"
+            _log.warning(what, self._clock.latest_s)
+        return captured_s
 
     def _reduced(self, frame: Grey) -> Grey:
         """A frame in grey and of the model's width; the model refuses what is no picture."""
@@ -396,11 +448,13 @@ class Alarm:
         n_seen = _N_INTERVALS - sum(repeats for _, repeats in self._times)
         seen_fps, came_fps = n_seen / duration_s, _N_INTERVALS / duration_s
         if not self._all_frames:
-            every, least_s = sampling_step(seen_fps, RATE_TOLERANCE * self._model_fps)
-            self._least_s = least_s if every > 1 else 0.0
+            max_fps = RATE_TOLERANCE * self._model_fps
+            every = steady_step(seen_fps, max_fps, self._every)
+            self._least_s = (every - 0.5) / seen_fps if every > 1 else 0.0
+            self._every = every
         is_fast = self._all_frames and seen_fps > _OTHER_RATE * self._model_fps
         is_slow = came_fps < self._model_fps / _OTHER_RATE
-        if (is_fast or is_slow) and not self._has_warned:
+        if (is_fast or is_slow) and self.tells_rate and not self._has_warned:
             self._has_warned = True
             _log.warning(
                 "frames come at %.3g a second, but the parameters are made for %g; %s",

@@ -18,7 +18,7 @@ from dlgmd_cli.models.base import (
 )
 from dlgmd_cli.models.engines import choose_engine, create_engine
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.parameters import DistributedParameters
+from dlgmd_cli.parameters.presets import DistributedParameters
 
 Images = tuple[FloatImage, FloatImage]
 

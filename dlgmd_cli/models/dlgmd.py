@@ -5,7 +5,7 @@ import math
 from dlgmd_cli.models.base import Response, centroid
 from dlgmd_cli.models.distributed import Distributed, Images
 from dlgmd_cli.models.engines import Grouping
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 # The released code divides by this for any frame size: n_cell m of the authors' 800 x 600 frames.
 RELEASED_CELLS = 200_000.0

@@ -17,7 +17,7 @@ from dlgmd_cli.models.base import (
     aligned,
     centroid_of,
 )
-from dlgmd_cli.parameters import EmdLgmdParameters
+from dlgmd_cli.parameters.presets import EmdLgmdParameters
 
 
 class EmdLGMD(Model):

@@ -12,7 +12,7 @@ from dlgmd_cli.models.base import (
     Response,
     centroid_of,
 )
-from dlgmd_cli.parameters import DEFAULT_MODEL_FPS, FlowDivergenceParameters
+from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, FlowDivergenceParameters
 
 
 class FlowDivergence(Model):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.parameters import DistributedParameters
+from dlgmd_cli.parameters.presets import DistributedParameters
 
 FloatKernel = npt.NDArray[np.float64]
 
@@ -96,6 +96,37 @@ class Connections:
         return by_delay
 
 
+def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]:
+    """Delay -> the share of each tap's inhibition that is so many frames late.
+
+    Parameters
+    ----------
+    latency : ndarray, shape (2r + 1, 2r + 1), float64
+        Latency of each tap, in frames.
+    rounding : str
+        `bands`, `nearest` or `interpolated`, see `connect`.
+    """
+    if rounding == "bands":
+        near, far = BAND_EDGES_FRAMES
+        found = {0: latency < near, 1: (latency >= near) & (latency < far), 2: latency >= far}
+    elif rounding == "nearest":
+        found = {d: np.floor(latency + 0.5) == d for d in range(int(np.ceil(latency.max())) + 1)}
+    else:
+        delays = range(int(np.ceil(latency.max())) + 1)
+        return {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
+    return {delay: is_it.astype(np.float64) for delay, is_it in found.items()}
+
+
+def gated(excitation: FloatKernel, immediate: FloatKernel, latency: FloatKernel) -> FloatKernel:
+    """Excitation as in the released code: only where the latency is at most one frame.
+
+    `immediate`, the inhibition without delay, is subtracted from it, down to 0.
+    """
+    kept = np.maximum(excitation - immediate, 0.0)
+    kept[latency > BAND_EDGES_FRAMES[0]] = 0.0
+    return kept
+
+
 def connect(params: DistributedParameters) -> Connections:
     """Compute the kernels of all delays, [Zhao2023] Eqs. (2) to (7).
 
@@ -107,19 +138,10 @@ def connect(params: DistributedParameters) -> Connections:
         everywhere, as printed; inhibition is delayed to the `nearest` whole frame, or
         `interpolated` between the two frames next to its latency.
     """
-    wide, narrow = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
-    excite, inhibit = narrow, params.a * wide
+    wide, excite = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
     latency = latency_map(params.r, params.alpha, params.beta, params.lam)
-    delays = range(int(np.ceil(latency.max())) + 1)
-    if params.latency == "interpolated":
-        weights = {d: np.maximum(0.0, 1.0 - np.abs(latency - d)) for d in delays}
-    elif params.latency == "nearest":
-        weights = {d: np.floor(latency + 0.5) == d for d in delays}
-    else:
-        near, far = BAND_EDGES_FRAMES
-        # Inhibition without delay is subtracted from excitation and has no kernel of its own.
-        excite = np.where(latency < near, np.maximum(excite - inhibit, 0.0), excite)
-        excite[latency > near] = 0.0
-        weights = {1: (latency >= near) & (latency < far), 2: latency >= far}
-    inhibition = {delay: inhibit * weight for delay, weight in weights.items() if weight.any()}
+    weights, narrow = delay_weights(latency, params.latency), excite
+    if params.latency == "bands":
+        excite = gated(excite, params.a * wide * weights.pop(0), latency)
+    inhibition = {d: params.a * wide * weight for d, weight in weights.items() if weight.any()}
     return Connections(latency, excite, inhibition, (wide, narrow))

@@ -14,7 +14,7 @@ from dlgmd_cli.models.base import (
     centroid_of,
 )
 from dlgmd_cli.models.engines import just_below
-from dlgmd_cli.parameters import LgmdParameters
+from dlgmd_cli.parameters.presets import LgmdParameters
 
 # Weights of lateral inhibition, which acts one frame later.
 INHIBITION = np.array([[0.125, 0.25, 0.125], [0.25, 0.0, 0.25], [0.125, 0.25, 0.125]])

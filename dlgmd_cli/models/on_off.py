@@ -18,7 +18,7 @@ from dlgmd_cli.models.distributed import Images
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import Counting
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
-from dlgmd_cli.parameters import OnOffParameters
+from dlgmd_cli.parameters.presets import OnOffParameters
 
 # The engine computes only S for a pathway.
 _ONLY_S = Counting(math.inf)

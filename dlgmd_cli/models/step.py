@@ -4,7 +4,7 @@ import math
 
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import Flags, Model, Response, create_model
-from dlgmd_cli.parameters import Parameters
+from dlgmd_cli.parameters.presets import Parameters
 
 
 class Stepper:

@@ -171,78 +171,439 @@ static int cells_of(int blocks, fraction less, fraction here, fraction more)
 
 #if DLGMD_EXPANDS
 
-/* Quarters of the middle two thirds of the picture. */
-enum { PART_Y = BLOCKS_Y / 3, PART_X = BLOCKS_X / 3 };
+enum {
+    FACTOR = DLGMD_FACTOR,
+    SMALL_Y = DLGMD_HEIGHT / DLGMD_FACTOR,
+    SMALL_X = DLGMD_WIDTH / DLGMD_FACTOR,
+    SIDE = (SMALL_Y < SMALL_X ? SMALL_Y : SMALL_X) / 2,
+    LEAST_REACH = SIDE < 12 ? (SIDE + 1) / 2 : 6
+};
 
-/* Mean change of the blocks of the part from `top` and `left` on that the earlier frame covers. */
-static fraction change_of_part(const dlgmd_state *state, int top, int left, int dy, int dx)
+typedef struct {
+    int top, bottom, left, right; /* rows and columns; those of `bottom` and `right` are excluded */
+} window;
+
+/* Row `y` of the sums over blocks, three of which are kept. */
+static uint32_t *sums_of(dlgmd_state *state, int y)
 {
-    fraction change = {0, 0};
-    for (int y = top; y < top + PART_Y; y++) {
-        for (int x = left; x < left + PART_X; x++) {
-            if (y >= dy && y < BLOCKS_Y + dy && x >= dx && x < BLOCKS_X + dx) {
-                int now = state->work.blocks[0][y][x];
-                change.sum += (uint64_t)size_of(now - state->work.blocks[1][y - dy][x - dx]);
-                change.of++;
+    int inside = y < 0 ? 0 : y < SMALL_Y ? y : SMALL_Y - 1;
+    return state->work.reduced.sums[inside % 3];
+}
+
+/* Means over blocks, and over 3 x 3 of those; at a border, the blocks next to it count twice. */
+static void reduce(dlgmd_state *state, uint8_t (*small)[SMALL_X], const uint8_t *frame)
+{
+    for (int y = 0; y <= SMALL_Y; y++) {
+        uint32_t *sums = sums_of(state, y);
+        memset(sums, 0, y < SMALL_Y ? SMALL_X * sizeof *sums : 0);
+        for (int i = y * FACTOR; y < SMALL_Y && i < (y + 1) * FACTOR; i++) {
+            for (int x = 0; x < SMALL_X * FACTOR; x++) {
+                sums[x / FACTOR] += frame[i * WIDTH + x];
+            }
+        }
+        const uint32_t *up = sums_of(state, y - 2), *here = sums_of(state, y - 1);
+        uint32_t before = up[0] + here[0] + sums[0], now = before;
+        for (int x = 0; y > 0 && x < SMALL_X; x++) {
+            int right = x + 1 < SMALL_X ? x + 1 : x;
+            uint32_t next = up[right] + here[right] + sums[right];
+            uint32_t sum = before + now + next, of = 9 * FACTOR * FACTOR;
+            small[y - 1][x] = (uint8_t)((2 * sum + of) / (2 * of));
+            before = now;
+            now = next;
+        }
+    }
+}
+
+#if DLGMD_FIXED
+
+/* A difference in 1/32 of a grey level. */
+typedef int32_t rest;
+typedef int64_t moment;
+
+/* Of a motion; of a variance; of a change. */
+#define ONE (INT64_C(1) << 24)
+#define MOMENT 256
+#define CHANGE 16
+
+/* A share in 1/32768 of a motion. */
+static dlgmd_motion part_of(dlgmd_motion all, int32_t share)
+{
+    return all * share >> 15;
+}
+
+/* What a cell at `offset` halves from the middle, at `from` halves, moves to. */
+static dlgmd_place place_of(int from, int offset, dlgmd_motion shift, dlgmd_motion rate)
+{
+    return (dlgmd_place)(((int64_t)(from + offset) * 128) + ((shift + rate * offset / 2 + 32768) >> 16));
+}
+
+static int cell_of(dlgmd_place at)
+{
+    return at >> 8;
+}
+
+/* value / 2^bits, rounded */
+static int32_t shifted(int32_t value, unsigned bits)
+{
+    return (value + (1 << (bits - 1))) >> bits;
+}
+
+/* The earlier cell less the newest picture at a place. */
+static rest rest_of(const dlgmd_state *state, int y, int x, dlgmd_place at_y, dlgmd_place at_x)
+{
+    const uint8_t *above = state->work.reduced.small[0][cell_of(at_y)] + cell_of(at_x);
+    const uint8_t *below = above + SMALL_X;
+    int32_t right = at_x & 255, down = at_y & 255;
+    int32_t upper = 256 * above[0] + right * (above[1] - above[0]);
+    int32_t lower = 256 * below[0] + right * (below[1] - below[0]);
+    int32_t seen = 256 * upper + down * (lower - upper);
+    return shifted(65536 * state->work.reduced.small[1][y][x] - seen, 11);
+}
+
+static rest slope_in_levels(int32_t sobel)
+{
+    return 4 * sobel;
+}
+
+/* 1 / (1 + (apart / scale)^2), in 1/256. */
+static int32_t weight_of(rest apart, rest scale)
+{
+    for (; scale >= 512; scale /= 2) {
+        apart /= 2; /* so that 32 bits are enough */
+    }
+    uint32_t square = (uint32_t)(scale * scale);
+    return (int32_t)((square << 8) / (square + (uint32_t)(apart * apart)));
+}
+
+/* One and a half times the mean difference, and a grey level. */
+static rest scale_of(moment sum, int n)
+{
+    return (rest)(3 * sum / (2 * n)) + 32;
+}
+
+/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
+static void solve(moment m[4][5], dlgmd_motion *found)
+{
+    int64_t q[4];
+    unsigned shift[4];
+    for (int i = 0; i < 4; i++) {
+        m[i][i] += (m[i][i] >> 20) + (i < 2 ? 262 : 104858);
+        for (shift[i] = 0; m[i][i] >> 2 * shift[i] >= INT64_C(1) << 30; shift[i]++) {
+        }
+    }
+    for (int i = 0; i < 4; i++) {
+        for (int j = 0; j < 4; j++) {
+            m[i][j] >>= shift[i] + shift[j];
+        }
+        m[i][4] >>= shift[i];
+    }
+    for (int k = 0; k < 4; k++) {
+        m[k][k] = m[k][k] > 0 ? m[k][k] : 1;
+        for (int i = k + 1; i < 4; i++) {
+            int64_t factor = m[i][k] * 4096 / m[k][k];
+            for (int j = k; j < 5; j++) {
+                m[i][j] -= factor * m[k][j] >> 12;
             }
         }
     }
-    return change;
+    for (int k = 3; k >= 0; k--) {
+        int64_t sum = m[k][4] * 65536;
+        for (int j = k + 1; j < 4; j++) {
+            sum -= m[k][j] * q[j];
+        }
+        q[k] = sum / m[k][k];
+        found[k] += (k < 2 ? 256 * q[k] : 512 * q[k]) >> shift[k];
+    }
 }
 
-/* A shift by the change at one block less, there, and at one more: in blocks, or in 1/4096. */
-static dlgmd_place place_of(int blocks, fraction less, fraction here, fraction more)
-{
-    slope part = slope_of(less, here, more);
-#if DLGMD_FIXED
-    return 4096 * blocks + (dlgmd_place)(2048 * part.run / part.rise);
 #else
-    return (float)blocks + 0.5f * (float)part.run / (float)part.rise;
-#endif
+
+typedef float rest;
+typedef float moment;
+
+#define ONE 1.0f
+#define MOMENT 1.0f
+#define CHANGE 1.0f
+
+static dlgmd_motion part_of(dlgmd_motion all, float share)
+{
+    return all * share;
 }
 
-/* The shift of a part, from that of the picture. */
-static void follow_part(const dlgmd_state *state, int top, int left, dlgmd_place *to_y,
-                        dlgmd_place *to_x)
+static dlgmd_place place_of(int from, int offset, dlgmd_motion shift, dlgmd_motion rate)
 {
-    int most_y = limit_of(BLOCKS_Y), most_x = limit_of(BLOCKS_X);
-    int y = state->blocks_y, x = state->blocks_x;
-    fraction here = change_of_part(state, top, left, y, x), next;
-    for (int step = -1; step <= 1; step += 2) {
-        while (size_of(y + step) < most_y &&
-               is_less(next = change_of_part(state, top, left, y + step, x), here)) {
-            here = next;
-            y += step;
-        }
-    }
-    for (int step = -1; step <= 1; step += 2) {
-        while (size_of(x + step) < most_x &&
-               is_less(next = change_of_part(state, top, left, y, x + step), here)) {
-            here = next;
-            x += step;
-        }
-    }
-    *to_y = place_of(y, change_of_part(state, top, left, y - 1, x), here,
-                     change_of_part(state, top, left, y + 1, x));
-    *to_x = place_of(x, change_of_part(state, top, left, y, x - 1), here,
-                     change_of_part(state, top, left, y, x + 1));
+    return 0.5f * (float)from + shift + (1.0f + rate) * (0.5f * (float)offset);
 }
 
-/* The least of the picture's four expansions, times PART_X * PART_Y. */
-static dlgmd_place expansion(const dlgmd_state *state)
+static int cell_of(dlgmd_place at)
 {
-    dlgmd_place y[4], x[4];
+    return (int)at;
+}
+
+/* The earlier cell less the newest picture at a place, in grey levels. */
+static rest rest_of(const dlgmd_state *state, int y, int x, dlgmd_place at_y, dlgmd_place at_x)
+{
+    int row = cell_of(at_y), column = cell_of(at_x);
+    const uint8_t *above = state->work.reduced.small[0][row] + column;
+    const uint8_t *below = above + SMALL_X;
+    float right = at_x - (float)column, down = at_y - (float)row;
+    float upper = (float)above[0] + right * ((float)above[1] - (float)above[0]);
+    float lower = (float)below[0] + right * ((float)below[1] - (float)below[0]);
+    float seen = upper + down * (lower - upper);
+    return (float)state->work.reduced.small[1][y][x] - seen;
+}
+
+static rest slope_in_levels(int32_t sobel)
+{
+    return 0.125f * (float)sobel;
+}
+
+/* 1 / (1 + (apart / scale)^2) */
+static float weight_of(rest apart, rest scale)
+{
+    return scale * scale / (scale * scale + apart * apart);
+}
+
+/* One and a half times the mean difference, and a grey level. */
+static rest scale_of(moment sum, int n)
+{
+    return 1.5f * sum / (float)n + 1.0f;
+}
+
+/* Solve for the motion, which is added. The places in the sums are in halves of a cell. */
+static void solve(moment m[4][5], dlgmd_motion *found)
+{
+    float q[4];
     for (int i = 0; i < 4; i++) {
-        int top = BLOCKS_Y / 2 - (i < 2 ? PART_Y : 0), left = BLOCKS_X / 2 - (i % 2 ? 0 : PART_X);
-        follow_part(state, top, left, &y[i], &x[i]);
+        m[i][i] += 1e-6f * m[i][i] + (i < 2 ? 1e-3f : 0.4f);
     }
-    dlgmd_place apart[4] = {(x[1] - x[0]) * PART_Y, (x[3] - x[2]) * PART_Y, (y[2] - y[0]) * PART_X,
-                            (y[3] - y[1]) * PART_X};
-    dlgmd_place least = apart[0];
-    for (int i = 1; i < 4; i++) {
-        least = apart[i] < least ? apart[i] : least;
+    for (int k = 0; k < 4; k++) {
+        for (int i = k + 1; i < 4; i++) {
+            float factor = m[i][k] / m[k][k];
+            for (int j = k; j < 5; j++) {
+                m[i][j] -= factor * m[k][j];
+            }
+        }
     }
-    return least;
+    for (int k = 3; k >= 0; k--) {
+        float sum = m[k][4];
+        for (int j = k + 1; j < 4; j++) {
+            sum -= m[k][j] * q[j];
+        }
+        q[k] = sum / m[k][k];
+        found[k] += k < 2 ? q[k] : 2.0f * q[k];
+    }
+}
+
+#endif
+
+/* Whether a place is between cells of a side of `n`. */
+static bool is_within(dlgmd_place at, int n)
+{
+    return at >= 0 && cell_of(at) < n - 1;
+}
+
+/* Mean of the differences between a window of the earlier picture and where it has moved to. */
+static bool see_scale(dlgmd_state *state, window part, const dlgmd_motion *by, rest *scale)
+{
+    moment sum = 0;
+    int n_seen = 0;
+    for (int y = part.top; y < part.bottom; y++) {
+        int mid = part.top + part.bottom - 1;
+        dlgmd_place at_y = place_of(mid, 2 * y - mid, by[0], by[2]);
+        for (int x = part.left; is_within(at_y, SMALL_Y) && x < part.right; x++) {
+            dlgmd_place at_x = state->work.reduced.places[x - part.left];
+            if (is_within(at_x, SMALL_X)) {
+                rest apart = rest_of(state, y, x, at_y, at_x);
+                sum += apart < 0 ? -apart : apart;
+                n_seen++;
+            }
+        }
+    }
+    *scale = n_seen ? scale_of(sum, n_seen) : 0;
+    return 4 * n_seen >= (part.bottom - part.top) * (part.right - part.left);
+}
+
+/* Add the products of the slopes of row `y` to the sums. */
+static void add_row(dlgmd_state *state, window part, int y, dlgmd_place at_y, rest scale, moment m[4][5])
+{
+    moment yy = 0, yx = 0, xx = 0, yxx = 0, xxx = 0, xxxx = 0, ry = 0, rx = 0, rxx = 0;
+    for (int x = part.left; x < part.right; x++) {
+        dlgmd_place at_x = state->work.reduced.places[x - part.left];
+        if (!is_within(at_x, SMALL_X)) {
+            continue;
+        }
+        const uint8_t *here = state->work.reduced.small[1][y] + x;
+        const uint8_t *up = here - SMALL_X, *down = here + SMALL_X;
+        int32_t ul = up[-1], ur = up[1];
+        int32_t ll = down[-1], lr = down[1];
+        int32_t across = ur - ul + 2 * (here[1] - here[-1]) + lr - ll;
+        int32_t along = ll - ul + 2 * (down[0] - up[0]) + lr - ur;
+        rest g_x = slope_in_levels(across), g_y = slope_in_levels(along);
+        rest apart = rest_of(state, y, x, at_y, at_x);
+        moment weight = weight_of(apart, scale), place_x = (moment)(2 * x - part.left - part.right + 1);
+        moment w_x = weight * g_x, w_y = weight * g_y, w_xx = w_x * place_x;
+        yy += w_y * g_y;
+        yx += w_y * g_x;
+        xx += w_x * g_x;
+        yxx += w_xx * g_y;
+        xxx += w_xx * g_x;
+        xxxx += w_xx * g_x * place_x;
+        ry += w_y * apart;
+        rx += w_x * apart;
+        rxx += w_xx * apart;
+    }
+    moment from = (moment)(2 * y - part.top - part.bottom + 1);
+    const moment row[4][5] = {{yy, yx, from * yy, yxx, ry},
+                              {0, xx, from * yx, xxx, rx},
+                              {0, 0, from * from * yy, from * yxx, from * ry},
+                              {0, 0, 0, xxxx, rxx}};
+    for (int i = 0; i < 4; i++) {
+        for (int j = i; j < 5; j++) {
+            m[i][j] += row[i][j];
+        }
+    }
+}
+
+/* The motion of a window of the earlier picture: shift along y and x, and expansion along both. */
+static void fit(dlgmd_state *state, window part, dlgmd_motion *by)
+{
+    for (int step = 0; step < 2; step++) {
+        moment m[4][5] = {{0}};
+        rest scale;
+        int mid = part.left + part.right - 1;
+        for (int x = part.left; x < part.right; x++) {
+            dlgmd_place at_x = place_of(mid, 2 * x - mid, by[1], by[3]);
+            state->work.reduced.places[x - part.left] = at_x;
+        }
+        if (!see_scale(state, part, by, &scale)) {
+            memset(by, 0, 4 * sizeof *by);
+            return;
+        }
+        for (int y = part.top; y < part.bottom; y++) {
+            mid = part.top + part.bottom - 1;
+            dlgmd_place at_y = place_of(mid, 2 * y - mid, by[0], by[2]);
+            if (is_within(at_y, SMALL_Y)) {
+                add_row(state, part, y, at_y, scale, m);
+            }
+        }
+        for (int i = 0; i < 4; i++) {
+            for (int j = 0; j < i; j++) {
+                m[i][j] = m[j][i];
+            }
+        }
+        solve(m, by);
+    }
+}
+
+static dlgmd_motion lesser(dlgmd_motion a, dlgmd_motion b)
+{
+    return a < b ? a : b;
+}
+
+static dlgmd_motion larger_of(dlgmd_motion a, dlgmd_motion b)
+{
+    return a > b ? a : b;
+}
+
+static dlgmd_motion magnitude(dlgmd_motion a)
+{
+    return a < 0 ? -a : a;
+}
+
+static dlgmd_motion limited(dlgmd_motion rate)
+{
+    return larger_of(lesser(rate, MAX_RATE), -MAX_RATE);
+}
+
+/* Where the change spreads along a side of `n` cells; false if it spreads too far. */
+static bool spread_of(moment mass, moment first, moment second, int n, int *at, int *reach)
+{
+    moment mid = first * MOMENT / mass, square = second * MOMENT / mass - mid * mid / MOMENT;
+    if (100 * square > 81 * SIDE * SIDE * (moment)MOMENT) {
+        return false;
+    }
+    int cells = LEAST_REACH;
+    while (2 * cells + 1 <= SIDE &&
+           (moment)(100 * (2 * cells + 1) * (2 * cells + 1)) * MOMENT <= 1024 * square) {
+        cells++;
+    }
+    int middle = (int)((2 * first + mass) / (2 * mass));
+    *reach = cells;
+    *at = middle < cells + 1 ? cells + 1 : middle > n - 2 - cells ? n - 2 - cells : middle;
+    return true;
+}
+
+static int32_t change_at(const dlgmd_state *state, int y, int x)
+{
+    return size_of(state->work.reduced.small[0][y][x] - state->work.reduced.small[1][y][x]);
+}
+
+/* The expansion of what moves in front of a still background, about a point inside it; else 0. */
+static dlgmd_motion approach(dlgmd_state *state)
+{
+    int64_t sum = 0;
+    for (int y = 0; y < SMALL_Y; y++) {
+        int32_t row = 0;
+        for (int x = 0; x < SMALL_X; x++) {
+            row += change_at(state, y, x);
+        }
+        sum += row;
+    }
+    moment least = 3 * CHANGE + (moment)sum * CHANGE / (SMALL_Y * SMALL_X), mass = 0;
+    moment first[2] = {0, 0}, second[2] = {0, 0};
+    int n_above = 0;
+    for (int y = 0; y < SMALL_Y; y++) {
+        moment row = 0;
+        for (int x = 0; x < SMALL_X; x++) {
+            int32_t change = change_at(state, y, x);
+            moment above = (moment)change * CHANGE - least;
+            if (above > 0) {
+                row += above;
+                first[1] += above * (moment)x;
+                second[1] += above * (moment)(x * x);
+                n_above++;
+            }
+        }
+        mass += row;
+        first[0] += row * (moment)y;
+        second[0] += row * (moment)(y * y);
+    }
+    int at_y, at_x, reach_y, reach_x;
+    if (100 * mass < 19 * CHANGE * (SMALL_Y * SMALL_X) ||
+        5 * n_above > 2 * SMALL_Y * SMALL_X ||
+        !spread_of(mass, first[0], second[0], SMALL_Y, &at_y, &reach_y) ||
+        !spread_of(mass, first[1], second[1], SMALL_X, &at_x, &reach_x)) {
+        return 0;
+    }
+    dlgmd_motion by[4] = {0, 0, 0, 0};
+    fit(state, (window){at_y - reach_y, at_y + reach_y + 1, at_x - reach_x, at_x + reach_x + 1}, by);
+    bool passes = magnitude(by[0]) >= by[2] * (dlgmd_motion)reach_y || magnitude(by[1]) >= by[3] * (dlgmd_motion)reach_x;
+    return passes ? 0 : larger_of(lesser(by[2], by[3]), 0);
+}
+
+/* Measure how fast the picture expands that has moved by dy and dx cells. */
+static void expand(dlgmd_state *state, const uint8_t *frame, int dy, int dx)
+{
+    int top = (SMALL_Y - SIDE) / 2, left = (SMALL_X - SIDE) / 2;
+    window middle = {top, top + SIDE, left, left + SIDE};
+    if (middle.bottom - middle.top < 10) {
+        return;
+    }
+    reduce(state, state->work.reduced.small[0], frame);
+    reduce(state, state->work.reduced.small[1], state->previous);
+    dlgmd_motion by[4] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR, 0, 0};
+    fit(state, middle, by);
+    dlgmd_motion rate = lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4;
+    state->ahead += part_of(limited(rate) - state->ahead, W_AHEAD);
+    rate = state->blocks_y == 0 && state->blocks_x == 0 ? approach(state) : 0;
+    state->beside += part_of(limited(rate) - state->beside, W_BESIDE);
+}
+
+/* The rate of expansion, per frame. */
+static dlgmd_motion expansion(const dlgmd_state *state)
+{
+    return larger_of(state->ahead, state->beside / 2);
 }
 
 #endif
@@ -283,7 +644,7 @@ static void follow(dlgmd_state *state, const uint8_t *frame, int *dy, int *dx)
     *dy = cells_of(y, change_of_blocks(state, y - 1, x), here, change_of_blocks(state, y + 1, x));
     *dx = cells_of(x, change_of_blocks(state, y, x - 1), here, change_of_blocks(state, y, x + 1));
 #if DLGMD_EXPANDS
-    state->expansion = expansion(state);
+    expand(state, frame, *dy, *dx);
 #endif
 }
 
@@ -436,12 +797,18 @@ static total above_mean(total mean)
 #endif
 
 #if DLGMD_EXPANDS
-/* K, the more the faster the picture expands. The ratio to D_0 is in 1/1024, from 1 to 8. */
-static total expanding(total mp, dlgmd_place expansion)
+/* K, the more the faster the picture expands. The ratio to D_0 is in 1/1024, from 1 to 16. */
+static total expanding(total mp, dlgmd_motion rate)
 {
-    int64_t ratio = expansion > 0 ? (int64_t)expansion * EXPANSION >> 16 : 0;
-    ratio = ratio < 1024 ? 1024 : ratio < 8192 ? ratio : 8192;
+    int64_t ratio = rate > 0 ? rate * EXPANSION >> 24 : 0;
+    ratio = ratio < 1024 ? 1024 : ratio < 16384 ? ratio : 16384;
     return ((total)(ratio * ratio) * (mp + K_0) >> 20) - K_0;
+}
+
+/* In 1/4096 s. */
+static uint16_t time_left(dlgmd_motion rate)
+{
+    return (uint16_t)(rate >= LEAST_RATE ? TIME_LEFT / rate : 0);
 }
 #endif
 
@@ -512,11 +879,17 @@ static total above_mean(total mean)
 
 #if DLGMD_EXPANDS
 /* K, the more the faster the picture expands. */
-static total expanding(total mp, dlgmd_place expansion)
+static total expanding(total mp, dlgmd_motion rate)
 {
-    float ratio = expansion * EXPANSION;
-    ratio = ratio < 1.0f ? 1.0f : ratio < 8.0f ? ratio : 8.0f;
+    float ratio = rate * EXPANSION;
+    ratio = ratio < 1.0f ? 1.0f : ratio < 16.0f ? ratio : 16.0f;
     return ratio * ratio * (mp + K_0) - K_0;
+}
+
+/* In seconds. */
+static float time_left(dlgmd_motion rate)
+{
+    return rate >= LEAST_RATE ? TIME_LEFT / rate : 0.0f;
 }
 #endif
 
@@ -691,7 +1064,7 @@ static bool respond(dlgmd_state *state, const uint8_t *frame, totals *sums)
     }
 #endif
 #if DLGMD_EXPANDS
-    sums->mp = expanding(sums->mp, state->expansion);
+    sums->mp = expanding(sums->mp, expansion(state));
 #endif
     sums->g = scaled(sums->g, share);
     sums->g_column = scaled(sums->g_column, share);
@@ -854,6 +1227,9 @@ dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame)
     state->start = (state->start + DLGMD_PERIOD) % ROWS;
     if (answer.valid) {
         finish(&answer, &sums);
+#if DLGMD_EXPANDS
+        answer.ttc_s = time_left(expansion(state));
+#endif
         answer.spike = answer.mp_abs >= T_MP;
         state->spikes = answer.spike ? state->spikes + 1 : 0;
         answer.alarm = state->spikes >= N_SP;

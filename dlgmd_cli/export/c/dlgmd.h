@@ -2,7 +2,8 @@
 
    @costs@
 
-   Pass each picture once: repeated frames are not detected. */
+   Pass each picture once: repeated frames are not detected. Pass DLGMD_FPS of them a second, since
+   the model knows no times: see dlgmd_every. */
 #ifndef DLGMD_H
 #define DLGMD_H
 
@@ -15,6 +16,10 @@
 #define DLGMD_PERIOD (DLGMD_HEIGHT + DLGMD_RADIUS)
 #define DLGMD_ROWS (DLGMD_MAX_DELAY * DLGMD_PERIOD + 2 * DLGMD_RADIUS + 1)
 #define DLGMD_STRIDE (DLGMD_WIDTH + DLGMD_MARGIN)
+#if DLGMD_EXPANDS
+/* The pictures whose expansion is measured are smaller by this factor. */
+#define DLGMD_FACTOR (DLGMD_WIDTH < 240 ? 1 : DLGMD_WIDTH / 120)
+#endif
 
 #if DLGMD_FIXED
 typedef int16_t dlgmd_column;
@@ -24,16 +29,21 @@ typedef int32_t dlgmd_sum;
 typedef uint16_t dlgmd_sum;
 #endif
 typedef uint16_t dlgmd_change;
-typedef int32_t dlgmd_place;
+typedef int32_t dlgmd_place;  /* in 1/256 cell */
+typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame */
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
 typedef float dlgmd_change;
 typedef float dlgmd_place;
+typedef float dlgmd_motion;
 #endif
 
 /* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
+#if DLGMD_EXPANDS
+    dlgmd_motion ahead, beside; /* expansion in the middle, and of what moves, per frame */
+#endif
 #if DLGMD_CONTRAST
 #if DLGMD_FIXED
 #if DLGMD_ADAPTS
@@ -58,9 +68,6 @@ typedef struct {
     uint32_t spikes; /* consecutive spikes */
 #if DLGMD_SHIFT > 0
     int32_t blocks_y, blocks_x; /* how far the picture moved last, in blocks of 4 x 4 cells */
-#if DLGMD_EXPANDS
-    dlgmd_place expansion; /* since the frame before */
-#endif
 #endif
     union { /* used only during a step */
         struct {
@@ -79,6 +86,13 @@ typedef struct {
 #endif
 #if DLGMD_SHIFT > 0
         uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
+#endif
+#if DLGMD_EXPANDS
+        struct {
+            dlgmd_place places[DLGMD_WIDTH / DLGMD_FACTOR]; /* where columns have moved to */
+            uint32_t sums[3][DLGMD_WIDTH / DLGMD_FACTOR];
+            uint8_t small[2][DLGMD_HEIGHT / DLGMD_FACTOR][DLGMD_WIDTH / DLGMD_FACTOR];
+        } reduced;
 #endif
     } work;
 #if DLGMD_CONTRAST
@@ -100,13 +114,41 @@ typedef struct {
     uint16_t mp_abs; /* normalised to 0..1, in 1/32768 */
     int16_t g_x;     /* centroid of G: -1 at the left edge, 1 at the right, in 1/32768 */
     int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
+    uint16_t ttc_s;  /* estimated time to contact, in 1/4096 s; 0 where nothing expands */
 #else
     float mp;     /* membrane potential K */
     float mp_abs; /* normalised to 0..1 */
     float g_x;    /* centroid of G: -1 at the left edge, 1 at the right */
     float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
+    float ttc_s;  /* estimated time to contact in seconds; 0 where nothing expands */
 #endif
 } dlgmd_answer;
+
+/* Where in the picture the active cells are: thirds across and down, -1, 0 (middle) or 1. */
+typedef struct {
+    int8_t across; /* -1 left, 1 right */
+    int8_t down;   /* -1 high, 1 low */
+} dlgmd_side;
+
+static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
+{
+#if DLGMD_FIXED
+    const int32_t third = 32768 / 3;
+    int32_t x = answer->g_x, y = answer->g_y;
+#else
+    const float third = 1.0f / 3.0f;
+    float x = answer->g_x, y = answer->g_y;
+#endif
+    return (dlgmd_side){(int8_t)((x > third) - (x < -third)), (int8_t)((y > third) - (y < -third))};
+}
+
+/* For a camera of `fps` frames a second: pass every how many-th of them, as Python does, or 0 where
+   it is too slow for the model: under four fifths of DLGMD_FPS. */
+static inline uint32_t dlgmd_every(uint32_t fps)
+{
+    const uint32_t most = 11u * (uint32_t)DLGMD_FPS; /* a tenth more is as good */
+    return 5u * fps < 4u * (uint32_t)DLGMD_FPS ? 0u : (10u * fps + most - 1u) / most;
+}
 
 /* Start anew. Call this before the first frame, and after missing frames. */
 void dlgmd_reset(dlgmd_state *state);

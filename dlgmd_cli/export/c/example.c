@@ -7,9 +7,11 @@
 #if DLGMD_FIXED
 #define MP_UNIT (1.0 / 4096)
 #define UNIT (1.0 / 32768)
+#define S_UNIT (1.0 / 4096)
 #else
 #define MP_UNIT 1.0
 #define UNIT 1.0
+#define S_UNIT 1.0
 #endif
 
 static dlgmd_state state;
@@ -20,11 +22,11 @@ int main(void)
     unsigned long number = 0;
     size_t n_read;
     dlgmd_reset(&state);
-    puts("frame,mp,mp_abs,spike,alarm,g_x,g_y");
+    puts("frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s");
     while ((n_read = fread(frame, 1, sizeof frame, stdin)) == sizeof frame) {
         dlgmd_answer answer = dlgmd_step(&state, frame);
         if (!answer.valid) {
-            printf("%lu,,,0,0,,\n", number++);
+            printf("%lu,,,0,0,,,\n", number++);
             continue;
         }
         printf("%lu,%.9g,%.9g,%d,%d,", number++, (double)answer.mp * MP_UNIT,
@@ -33,6 +35,10 @@ int main(void)
             printf("%.9g,%.9g", (double)answer.g_x * UNIT, (double)answer.g_y * UNIT);
         } else {
             putchar(',');
+        }
+        putchar(',');
+        if (answer.ttc_s > 0) {
+            printf("%.9g", (double)answer.ttc_s * S_UNIT);
         }
         putchar('\n');
     }

@@ -7,11 +7,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dlgmd_cli.checks import require_known
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
 from dlgmd_cli.models.base import AUTO, FloatImage, Grey, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.parameters import ENGINES
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.presets import ENGINES
 
 _log = logging.getLogger(__name__)
 

@@ -19,11 +19,11 @@ import numpy.typing as npt
 from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
+from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
 from dlgmd_cli.models.engines import BLOCK, Counting, Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
-from dlgmd_cli.threads import n_threads
 
 _log = logging.getLogger(__name__)
 

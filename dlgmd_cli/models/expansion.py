@@ -1,0 +1,248 @@
+"""How fast the picture expands: in its middle, and where something moves before a still camera.
+
+Between two frames, a part of the picture moves along x by ``u + a x`` and along y by ``v + b y``,
+with x and y from the middle of the part. What is approached expands in both directions: a and b,
+per second, are about 1 / (time to contact), or less where a part of the background is in view.
+"""
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import FloatImage, Grey
+
+# Rows from, up to; columns from, up to.
+Window = tuple[int, int, int, int]
+# Rows and columns.
+Shift = tuple[int, int]
+
+# The picture is reduced by a whole factor to at least so many columns.
+REDUCED_PX = 120
+# Smallest side of a reduced picture that is measured.
+LEAST_SIDE = 20
+# Gauss-Newton steps.
+N_STEPS = 2
+# Scale of the residuals: this multiple of their mean, and so many grey levels.
+RESIDUALS, RESIDUAL_LEVELS = 1.5, 1.0
+# What is added to the diagonal of the normal equations: relative, for shifts, and for rates.
+RIDGE, RIDGE_SHIFT, RIDGE_RATE = 1e-6, 1e-3, 0.1
+# Weight of the difference between the two rates, which are alike where something looms.
+UNLIKE = 0.25
+# Fastest expansion of two frames, in 1/s: so that no single one, such as a lamp that is switched
+# on, makes D reach the threshold of `flight`.
+MAX_RATE = 2.5
+# A cell changes if it does by this more than the mean of all, in grey levels.
+CHANGE_LEVELS = 3.0
+# What moves before a still camera: least change a cell of the picture, in grey levels, greatest
+# share of the cells that change, and greatest spread, as a share of the shorter side's half.
+LEAST_CHANGE, MAX_SHARE, MAX_SPREAD = 0.19, 0.4, 0.9
+# Its window reaches so many standard deviations from the centroid, and so many cells at least.
+REACH, LEAST_REACH = 1.6, 6
+# An object that comes at a still camera expands as a whole; of what the drone flies at, the middle
+# of the picture shows a part only. So the former counts as half.
+LOCAL_SHARE = 0.5
+# Below this expansion, in 1/s, there is no time to contact.
+LEAST_RATE = 0.1
+# What `cv2.gemm` would add to a product.
+_NOTHING: FloatImage = np.empty((0, 0), np.float32)
+
+
+class Motion(NamedTuple):
+    """Shift along y and x in cells, and the rates of expansion, each from one frame to the next."""
+
+    v: float
+    u: float
+    b: float
+    a: float
+
+
+class Expansion:
+    """The rate of expansion D of a sequence of frames, in 1/s; see `d_0` of `ContrastDLGMD`.
+
+    Parameters
+    ----------
+    tau_s : float
+        Time constant over which it is smoothed.
+    """
+
+    def __init__(self, tau_s: float) -> None:
+        self._tau_s = tau_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._before: FloatImage | None = None
+        self._ahead = self._local = 0.0
+
+    @property
+    def rate(self) -> float:
+        """D at the last frame, in 1/s."""
+        return max(self._ahead, LOCAL_SHARE * self._local)
+
+    @property
+    def ttc_s(self) -> float:
+        """Time to contact in seconds; NaN where the picture does not expand."""
+        return LOCAL_SHARE / self.rate if self.rate >= LEAST_RATE else math.nan
+
+    def step(
+        self, frames: tuple[Grey, Grey], unit: float, moved: tuple[Shift, Shift], interval_s: float
+    ) -> None:
+        """Measure the expansion between two frames.
+
+        Parameters
+        ----------
+        frames : tuple of ndarray, shape (H, W)
+            The newest frame and the one before.
+        unit : float
+            Luminance of a level of the frames.
+        moved : tuple of (int, int)
+            By how much the whole picture has moved, in blocks and in cells, rows first.
+        interval_s : float
+            Time between the frames.
+        """
+        now, before = reduced(frames[0], unit), self._before
+        before = reduced(frames[1], unit) if before is None else before
+        self._before = now
+        if min(now.shape) < LEAST_SIDE:
+            return
+        factor = factor_of(frames[0].shape[1])
+        start = moved[1][0] / factor, moved[1][1] / factor
+        found = fitted(now, before, middle(now.shape), start)
+        ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
+        self._ahead += _share(interval_s, self._tau_s) * (_limited(ahead) - self._ahead)
+        local = 0.0 if moved[0] != (0, 0) else approaching(now, before) / interval_s
+        # What comes at a still camera is near once it is seen.
+        self._local += _share(interval_s, self._tau_s / 2.0) * (_limited(local) - self._local)
+
+
+def _share(interval_s: float, tau_s: float) -> float:
+    """Weight of the newest value of a mean."""
+    return -math.expm1(-interval_s / tau_s)
+
+
+def _limited(rate: float) -> float:
+    return min(max(rate, -MAX_RATE), MAX_RATE)
+
+
+def factor_of(width: int) -> int:
+    """By how much the sides of a picture are divided."""
+    return max(1, width // REDUCED_PX)
+
+
+def middle(shape: tuple[int, ...]) -> Window:
+    """The square in the middle whose side is half of the shorter one."""
+    half = min(shape) // 2
+    top, left = ((side - half) // 2 for side in shape)
+    return top, top + half, left, left + half
+
+
+def reduced(frame: Grey, unit: float) -> FloatImage:
+    """Means over blocks of a frame, and over 3x3 of those, in whole levels of 0 to 255."""
+    factor = factor_of(frame.shape[1])
+    height, width = (side // factor for side in frame.shape)
+    image: Grey = frame[: height * factor, : width * factor].astype(np.float32)
+    if factor > 1 and height and width:
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    blurred = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE)
+    # Halves up, also rounded ones.
+    return np.asarray(np.floor((blurred if unit < 1.0 else 255.0 * blurred) + 0.5001), np.float32)
+
+
+@cache
+def _places(n: int) -> FloatImage:
+    """Places of n cells, from their middle."""
+    return (np.arange(n) - (n - 1) / 2).astype(np.float32)
+
+
+def fitted(
+    now: FloatImage, before: FloatImage, window: Window, start: tuple[float, float]
+) -> Motion:
+    """The motion of a window of the earlier picture, by robust least squares on its gradients.
+
+    `start` is the shift along y and x to begin with. The window must leave out the border cells.
+    No motion is found if less than a quarter of the window is still in the picture.
+    """
+    top, bottom, left, right = window
+    y, x = _places(bottom - top)[:, None], _places(right - left)[None, :]
+    patch = before[top - 1 : bottom + 1, left - 1 : right + 1]
+    g_y, g_x = (
+        cv2.Sobel(patch, cv2.CV_32F, *order, scale=0.125)[1:-1, 1:-1] for order in ((0, 1), (1, 0))
+    )
+    slopes = np.stack((g_y, g_x, g_y * y, g_x * x)).reshape(4, -1)
+    inside, found = before[top:bottom, left:right], np.array([*start, 0.0, 0.0])
+    middle_y, middle_x = (top + bottom - 1) / 2, (left + right - 1) / 2
+    for _ in range(N_STEPS):
+        v, u, b, a = found.tolist()
+        seen, is_seen = _sampled(now, middle_y + v + (1.0 + b) * y, middle_x + u + (1.0 + a) * x)
+        rest = np.subtract(inside, seen)
+        n_seen = np.count_nonzero(is_seen)
+        if 4 * n_seen < rest.size:
+            return Motion(0.0, 0.0, 0.0, 0.0)
+        rest *= is_seen
+        scale = RESIDUALS * cv2.norm(rest, cv2.NORM_L1) / n_seen + RESIDUAL_LEVELS
+        weights = is_seen / (1.0 + (rest * np.float32(1.0 / scale)) ** 2)
+        weighted = slopes * weights.reshape(1, -1)
+        # OpenCV's products: NumPy's would end the process where OpenBLAS gets no memory.
+        matrix = cv2.gemm(weighted, slopes, 1.0, _NOTHING, 0.0, flags=cv2.GEMM_2_T).astype(float)
+        diagonal = np.einsum("ii->i", matrix)
+        diagonal += RIDGE * diagonal + (RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE)
+        sums = cv2.gemm(weighted, rest.reshape(-1, 1), 1.0, _NOTHING, 0.0).astype(float)
+        # Faster than NumPy's for so few numbers.
+        found += cv2.solve(matrix, sums, flags=cv2.DECOMP_LU)[1].ravel()
+    return Motion(*found.tolist())
+
+
+def _sampled(now: FloatImage, y: FloatImage, x: FloatImage) -> tuple[FloatImage, FloatImage]:
+    """A picture at rows y, (h, 1), and columns x, (1, w), and 1.0 where they are inside, (h, w)."""
+    height, width = now.shape
+    is_seen = ((y >= 0.0) & (y < height - 1.0)) & ((x >= 0.0) & (x < width - 1.0))
+    rows = np.clip(y.ravel(), 0.0, height - 1.001)
+    columns = np.clip(x.ravel(), 0.0, width - 1.001)
+    above, before = rows.astype(np.intp), columns.astype(np.intp)
+    part_y = (rows - above).astype(np.float32)[:, None]
+    part_x = (columns - before).astype(np.float32)[None, :]
+    lines = now[above]
+    lines += part_y * (now[above + 1] - lines)
+    seen = lines[:, before]
+    seen += part_x * (lines[:, before + 1] - seen)
+    return seen, is_seen.astype(np.float32)
+
+
+def approaching(now: FloatImage, before: FloatImage) -> float:
+    """By what share an object grows from one frame to the next, in front of what stands still.
+
+    The part of the picture about the centroid of the change is fitted, as wide as the change
+    spreads. It is an approach if it expands along both sides about a point inside: what passes by
+    moves as a whole.
+
+    Returns
+    -------
+    float
+        The lesser of its expansions; 0 if nothing approaches, or the change is not in one place.
+    """
+    change = cv2.absdiff(now, before)
+    level = CHANGE_LEVELS + cv2.mean(change)[0]
+    above = cv2.threshold(change - np.float32(level), 0.0, 0.0, cv2.THRESH_TOZERO)[1]
+    total, side = cv2.sumElems(above)[0], min(now.shape) // 2
+    if total < LEAST_CHANGE * above.size or cv2.countNonZero(above) > MAX_SHARE * above.size:
+        return 0.0
+    window, reaches = [], []
+    for axis, n in enumerate(above.shape):
+        profile = cv2.reduce(above, 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
+        places = np.arange(n)
+        centroid = float(profile @ places) / total
+        spread = math.sqrt(max(float(profile @ (places - centroid) ** 2) / total, 0.0))
+        if spread > MAX_SPREAD * side:
+            return 0.0
+        reach = math.floor(min(max(REACH * spread, LEAST_REACH), side / 2.0) + 0.5)
+        at = min(max(math.floor(centroid + 0.5), reach + 1), n - 2 - reach)
+        window += [at - reach, at + reach + 1]
+        reaches.append(reach)
+    top, bottom, left, right = window
+    found = fitted(now, before, (top, bottom, left, right), (0.0, 0.0))
+    if abs(found.v) >= found.b * reaches[0] or abs(found.u) >= found.a * reaches[1]:
+        return 0.0
+    return max(min(found.a, found.b), 0.0)

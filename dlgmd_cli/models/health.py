@@ -1,0 +1,148 @@
+"""Health: whether pictures show what a model needs: light, contrast, and change but noise."""
+
+import math
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.base import Flags, Grey
+
+BLACK, FLAT, NOISE, FROZEN = "black", "flat", "noise", "frozen"
+# How long pictures must show nothing, and how long they must be sound before they count again.
+BLIND_S, SOUND_S = 0.7, 0.5
+# Means over blocks of so many cells are judged; single cells where a side has fewer than four.
+_BLOCK, _N_LEAST = 4, 4
+# In grey levels: what most blocks of a black picture are below, and the least contrast.
+_LIGHT, _CONTRAST = 4.0, 4.0
+# Correlation with the picture before below which a picture is noise.
+_LIKENESS = 0.3
+# A picture is the same while it has changed by less than a share of the usual change from frame to
+# frame, which is noise then, and so many levels.
+_SAME, _SAME_LEVELS = 1.5, 0.25
+# The share of a picture that must be so: a clock is less, and what looms is soon more.
+_MOST = 0.95
+# What changes by more than this share of the contrast is no noise.
+_SLIGHT = 0.08
+# The weight of the newest change.
+_NEWEST = 0.3
+# The frame rate where no times are known.
+_FPS = 30.0
+
+
+class Health:
+    """Tells whether the pictures of a camera show what a model needs, in constant memory.
+
+    Means over 4 x 4 cells are judged, since noise has little effect on them, and by quantiles, so
+    that a clock or a few lamps do not count. A picture is
+
+    - `black` if nine tenths of the means are below 4 grey levels of 255,
+    - `flat` if the tenth and the ninetieth percentile differ by less than 4 levels,
+    - `noise` if the means correlate with those of the picture before by less than 0.3,
+    - `frozen` if 95 % of the means have changed since an earlier picture by no more than
+      1.5 times the usual change from one frame to the next, and a quarter of a level, where that
+      usual change is below 0.08 of the range between the two percentiles.
+
+    It must be one of these for 0.7 s, and none for half a second to be sound again. A camera that
+    stands still before a still scene counts as frozen.
+    """
+
+    def __init__(self) -> None:
+        self._hidden: Flags | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier pictures."""
+        self._before: npt.NDArray[np.float32] | None = None
+        self._first: npt.NDArray[np.float32] | None = None
+        self._first_s = self._bad_s = self._good_s = self._now_s = self._change = math.nan
+        self._kind: str | None = None
+        self._kind_s = math.nan
+        self.reason: str | None = None
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Judge only blocks of which no cell is hidden, (H, W), from now on."""
+        self._hidden = hidden
+        self.reset()
+
+    def step(self, grey: Grey, time_s: float | None = None) -> str | None:
+        """Judge the next picture, (H, W), float32 in 0..1 or uint8: the reason, None if sound.
+
+        `time_s` is its time in seconds; without it, 30 pictures a second are assumed.
+        """
+        if time_s is None:
+            time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
+        if not time_s >= self._now_s or self._is_other(grey):  # the clock was set back, for example
+            self.reset()
+        self._now_s = time_s
+        before, (suspected, since_s) = self._kind, self._suspected(self._means(grey), time_s)
+        if suspected != before:
+            self._kind, self._kind_s = suspected, since_s
+        if suspected is None:
+            self._bad_s = math.nan
+            self._good_s = time_s if math.isnan(self._good_s) else self._good_s
+            if time_s - self._good_s >= SOUND_S:
+                self.reason = None
+        else:
+            self._good_s = math.nan
+            self._bad_s = since_s if math.isnan(self._bad_s) else self._bad_s
+            # Between two reasons, one picture may look like a third.
+            if time_s - (self._kind_s if self.reason else self._bad_s) >= BLIND_S:
+                self.reason = suspected
+        return self.reason
+
+    def _is_other(self, grey: Grey) -> bool:
+        return self._before is not None and self._shape != grey.shape
+
+    def _means(self, grey: Grey) -> npt.NDArray[np.float32]:
+        """Means over the visible blocks, in grey levels, (n,)."""
+        self._shape = grey.shape
+        height, width = grey.shape
+        block = _BLOCK if min(height, width) >= _N_LEAST * _BLOCK else 1
+        size_wh = width // block, height // block
+        whole = grey[: size_wh[1] * block, : size_wh[0] * block]
+        unit = 1.0 if grey.dtype == np.uint8 else 255.0
+        means = cv2.resize(np.float32(whole), size_wh, interpolation=cv2.INTER_AREA) * unit
+        if self._hidden is not None:
+            hidden = self._hidden[: whole.shape[0], : whole.shape[1]].astype(np.float32)
+            seen = cv2.resize(hidden, size_wh, interpolation=cv2.INTER_AREA) == 0.0
+            means = means[seen] if seen.any() else means
+        return means.ravel()
+
+    def _suspected(self, now: npt.NDArray[np.float32], time_s: float) -> tuple[str | None, float]:
+        """What is wrong with a picture, and since when."""
+        before, self._before = self._before, now
+        low, high = _quantile(now, 0.1), _quantile(now, 0.9)
+        if before is None or self._first is None:
+            self._first, self._first_s = now, time_s
+            is_frozen, likeness = False, 1.0
+        else:
+            change = _quantile(np.abs(now - before), _MOST)
+            usual = change if math.isnan(self._change) else self._change
+            self._change = usual + _NEWEST * (change - usual)
+            since = _quantile(np.abs(now - self._first), _MOST)
+            is_small = self._change < _SLIGHT * (high - low)
+            is_frozen = is_small and since <= _SAME * self._change + _SAME_LEVELS
+            if not is_frozen:
+                self._first, self._first_s = now, time_s
+            likeness = _correlation(now, before)
+        if high < _LIGHT:
+            return BLACK, time_s
+        if high - low < _CONTRAST:
+            return FLAT, time_s
+        if likeness < _LIKENESS:
+            return NOISE, time_s
+        # Every picture is like the one before; only a long run of them is frozen.
+        is_frozen = is_frozen and time_s - self._first_s >= BLIND_S
+        return (FROZEN, self._first_s) if is_frozen else (None, time_s)
+
+
+def _quantile(values: npt.NDArray[np.float32], share: float) -> float:
+    rank = min(int(share * values.size), values.size - 1)
+    return float(np.partition(values, rank)[rank])
+
+
+def _correlation(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    norm = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / norm if norm > 0.0 else 1.0
