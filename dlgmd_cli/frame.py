@@ -13,6 +13,22 @@ import numpy.typing as npt
 
 # A gap exceeds this many median intervals; the median counts as MIN_USUAL_S at least.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
+# An interval is long, or short, where it differs by so much of the usual one.
+_LONG, _SHORT = 0.6, 0.2
+# Recovered times may lag behind by so much of an interval, so that the clock follows a slower rate.
+_DRIFT = 0.02
+# Frames that come in less of the usual interval, after a gap, waited meanwhile.
+_BURST = 0.35
+# Before the usual interval is known, these are frames that waited: no camera is that fast.
+_LEAST_S = 1.0 / 250.0
+# A later frame follows a gap, even if none was lost. Less is only arrival: a network that stalls.
+_MAX_LATE_S = 0.5
+# Rates are judged over so many intervals, and by ten at least.
+_N_RATE, _N_RATE_AT_LEAST = 30, 10
+# Frames that come so much later than others are told.
+UNEVEN_S = 0.1
+# The choice of frames stays as it is within this share of the rate.
+_STEADY = 0.05
 # Number of recent intervals or changes that are kept, and the least number to judge by.
 _N_USUAL, _N_AT_LEAST = 12, 3
 # How far frames may exceed the rate of a model: nominal 30 frames/s can be up to 30.3.
@@ -103,6 +119,85 @@ def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:
     """
     every = max(1, math.ceil(fps / max_fps - 1e-3))
     return every, max((every - 0.5) / fps if every > 1 else 0.0, 0.5 / max_fps)
+
+
+def steady_step(fps: float, max_fps: float, before: int) -> int:
+    """The step of `sampling_step` for a measured rate, which must differ clearly to change it.
+
+    `before` is the step so far, 0 for none.
+    """
+    low, now, high = (
+        sampling_step(fps * share, max_fps)[0] for share in (1 - _STEADY, 1, 1 + _STEADY)
+    )
+    return before if low <= before <= high else now
+
+
+class CaptureClock:
+    """Recovers the times at which frames were captured from those at which they arrived, causally.
+
+    A camera captures at its own rate, the median of the last 30 intervals; what lies between delays
+    some frames. None is captured after its arrival, so the clock follows the least delay: a frame
+    that comes late was captured one usual interval after the one before it, and those that come in
+    a burst after it, too. If no burst follows, frames were lost, and the time jumps one frame later
+    to that of the arrival. One that comes more than half a second late is after a gap at once, and
+    what comes in a burst after it is stale.
+
+    Attributes
+    ----------
+    is_stale : bool
+        Whether to leave the latest frame out.
+    latest_s : float
+        The greatest delay of a frame that others followed in a burst, in seconds.
+    """
+
+    def __init__(self) -> None:
+        self.latest_s = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._arrival_s = self._time_s = math.nan
+        self._steps: deque[float] = deque(maxlen=_N_RATE)
+        self._waiting_s, self._was_long, self._is_gap = 0.0, False, False
+        self.is_stale = False
+
+    def step(self, arrival_s: float) -> float:
+        """The time at which the frame that arrives at this time was captured, in seconds."""
+        interval_s, delay_s = arrival_s - self._arrival_s, self._arrival_s - self._time_s
+        if not interval_s >= 0.0:  # the first frame, or a clock that is set back
+            self.reset()
+            self._arrival_s = self._time_s = arrival_s
+            return arrival_s
+        step_s, self.is_stale = interval_s + delay_s, False
+        if len(self._steps) < _N_RATE_AT_LEAST:
+            self.is_stale = interval_s < _LEAST_S
+        else:
+            step_s = self._captured(interval_s, delay_s, median(self._steps))
+        if not self.is_stale:
+            # A clock that is ahead goes slower for a while, but the camera does not go faster.
+            self._steps.append(max(step_s, interval_s) if delay_s < 0.0 else step_s)
+        self._arrival_s, self._time_s = arrival_s, self._time_s + step_s
+        return self._time_s
+
+    def _captured(self, interval_s: float, delay_s: float, usual_s: float) -> float:
+        """How long after the frame before it a frame was captured; that one was late by a delay."""
+        over_s, least_s = interval_s - usual_s, (1.0 - _SHORT) * min(interval_s, usual_s)
+        arrived_s = max(interval_s + delay_s, least_s)
+        due_s = min(arrived_s, (1.0 + _DRIFT) * usual_s)
+        was_long, self._was_long = self._was_long, over_s > _LONG * usual_s
+        if self._was_long:
+            self._waiting_s += over_s
+            self._is_gap = over_s > _MAX_LATE_S
+            return arrived_s if was_long or self._is_gap else due_s  # the former: a slower source
+        if over_s < -_SHORT * usual_s and self._waiting_s > 0.0:
+            step_s = min(usual_s, interval_s + self._waiting_s)
+            self.is_stale = self._is_gap and interval_s < _BURST * usual_s
+            if self.is_stale or not self._is_gap:
+                self.latest_s = max(self.latest_s, self._waiting_s)
+            self._waiting_s -= step_s - interval_s
+            return interval_s if self._is_gap else step_s
+        self._waiting_s = 0.0
+        return arrived_s if delay_s > _LONG * usual_s else due_s  # the former: frames were lost
 
 
 class GapDetector:

@@ -21,6 +21,7 @@ class ArrayDecoder:
     `name` is for error messages. Raises SourceError if there is no image, or the first one is none.
     """
 
+    kind = NAME
     is_damaged = False
     takes_every_frame = True
 
@@ -78,6 +79,9 @@ def load_array(path: Path) -> Image:
     """The array in a .npy file, mapped into memory, not read; raises SourceError."""
     try:
         array: Image = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray):  # a .npz under another name
+            array.close()
+            raise ValueError
     except Exception as error:  # of a damaged header, also those of Python's parser
         reason = getattr(error, "strerror", None) or "not an array of numbers in NumPy's format"
         raise SourceError(str(path), f"cannot be read ({reason})") from None

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dlgmd_cli.checks import Spec, shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.threads import can_start, n_processors, thread_limit
+from dlgmd_cli.machine.threads import can_start, n_processors, thread_limit
+from dlgmd_cli.parameters.checks import Spec, shown
 
 DECODERS = ("opencv", "pyav")
-DEFAULT_DECODER = "pyav"
+DEFAULT_DECODER = "opencv"
 _RATE, _TIME = Spec(low=0, high=100_000, low_open=True), Spec(low=0, high=1e9)
 # What the options of an input may be, in files, in Python and on the command line.
 INPUT_SPECS = {
@@ -75,6 +75,9 @@ class StreamInfo(NamedTuple):
     `width` and `height` are the display size of the first frame. `shown_s` is the duration that an
     edit list leaves visible, in seconds; infinite if there is no limit. `codec` is FFmpeg's name,
     or the FOURCC if only that is known. `is_interlaced` tells that the pictures are de-interlaced.
+    `steady_fps` is the rate of the first frames between gaps; None if they are few, or it varies.
+    `first_index` is the number of the first frame: damaged pictures before it are left out, and
+    count. `remark` is what the user is to be told about the stream.
     """
 
     width: int
@@ -84,10 +87,17 @@ class StreamInfo(NamedTuple):
     shown_s: float = math.inf
     codec: str = ""
     is_interlaced: bool = False
+    steady_fps: float | None = None
+    first_index: int = 0
+    remark: str = ""
 
 
 class Unreadable(Exception):  # noqa: N818
     """A file or a frame cannot be decoded; the message gives the reason."""
+
+
+class MissingCodec(Unreadable):
+    """A file opens, but none of its frames can be decoded; the message names the codec."""
 
 
 def decoder_threads() -> int:

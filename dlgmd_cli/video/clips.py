@@ -6,9 +6,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli import cancel
-from dlgmd_cli.errors import MissingExtraError, OutputError, OutputExistsError
-from dlgmd_cli.files import staging
+from dlgmd_cli.errors import MissingExtraError, OutputExistsError
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.base import openable
 from dlgmd_cli.video.luma import to_bgr
 from dlgmd_cli.video.opening import open_video
@@ -38,42 +37,30 @@ def refuse_clips(folder: Path, name: str) -> None:
         raise OutputExistsError(str(earlier[0]), "already exists", mend)
 
 
-def write_clips(
-    source: str, name: str, onsets_s: Sequence[float], folder: Path, input_fps: float | None = None
-) -> list[Path]:
-    """Write a clip from 2 s before to 1 s after the onset of each alarm; earlier ones are removed.
+def spans_of(name: str, onsets_s: Sequence[float]) -> dict[str, tuple[float, float]]:
+    """The clips of alarms that begin at these times: from 2 s before to 1 s after.
 
-    `source` is what `open_video` takes, and `input_fps` the frame rate of pictures. Clips are named
-    after `name`, number and time: ``flight-alarm1-3.97s.mp4``. A copy has the codec of the video,
-    and begins up to 1 s earlier, at a key frame; all others are H.264, if PyAV is installed.
-
-    Returns the clips. Raises SourceError if the source cannot be decoded, and OutputError if the
-    folder cannot be written; earlier clips are unchanged then.
+    They are named after `name`, number and time: ``flight-alarm1-3.97s.mp4``.
     """
-    spans = {
+    return {
         f"{name}-alarm{number}-{max(onset_s, 0.0):.2f}s.mp4": (
             onset_s - BEFORE_S,
             onset_s + AFTER_S,
         )
         for number, onset_s in enumerate(onsets_s, 1)
     }
-    earlier = clips_of(folder, name)
-    if not spans and not earlier:
-        return []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with staging(folder) as stage:
-            rest = {
-                clip: span for clip, span in spans.items() if not _copy(source, span, stage / clip)
-            }
-            if rest:
-                _encode(source, rest, stage, input_fps)
-            for path in earlier:
-                path.unlink(missing_ok=True)
-            return [(stage / clip).replace(folder / clip) for clip in spans]
-    except OSError as error:
-        why = f"cannot be written ({error.strerror or error})"
-        raise OutputError(str(folder), why, "Choose another --clips, or make room.") from None
+
+
+def make_clips(source: str, spans: Spans, folder: Path, input_fps: float | None = None) -> None:
+    """Make the clips of `spans_of` in a folder of their own.
+
+    `source` is what `open_video` takes, and `input_fps` the frame rate of pictures. A copy has the
+    codec of the video, and begins up to 1 s earlier, at a key frame; all others are H.264, if PyAV
+    is installed. Raises SourceError if the source cannot be decoded, OutputError and OSError.
+    """
+    rest = {clip: span for clip, span in spans.items() if not _copy(source, span, folder / clip)}
+    if rest:
+        _encode(source, rest, folder, input_fps)
 
 
 def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:

@@ -9,15 +9,18 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.names import PRINTF, is_pattern
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.names import PRINTF, is_pattern, is_video
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable
 from dlgmd_cli.video.luma import Image
+from dlgmd_cli.words import counted
 
 SUFFIXES = (
     *(".bmp", ".dib", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"),
     *(".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"),
 )
+# Least number of pictures that are a sequence even beside videos.
+MIN_PICTURES = 8
 
 
 class ImageDecoder:
@@ -26,6 +29,7 @@ class ImageDecoder:
     Raises SourceError if the first picture cannot be read.
     """
 
+    kind = "opencv"
     is_damaged = False
     takes_every_frame = True
 
@@ -94,8 +98,12 @@ def pictures_at(path: Path) -> list[Path] | None:
             found = list(path.iterdir())
         except OSError as error:
             raise SourceError(str(path), f"cannot be read ({error.strerror})") from None
+        n_videos = sum(is_video(one.name) and one.name[0] != "." for one in found)
         found = [one for one in found if one.suffix.lower() in SUFFIXES and one.name[0] != "."]
         why = "there is no picture in this folder"
+        if n_videos and 0 < len(found) < MIN_PICTURES:  # thumbnails
+            what = f"{counted(n_videos, 'video')} and {counted(len(found), 'picture')}"
+            found, why = [], f"this folder holds {what}, too few for a sequence"
         mend = (
             "For the videos in a folder, use 'dlgmd batch'; this command takes one, or a folder of "
             "pictures such as PNG or JPEG."

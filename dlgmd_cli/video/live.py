@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import UNEVEN_S, Frame
 from dlgmd_cli.names import without_password
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
-from dlgmd_cli.video.blindness import Blindness
+from dlgmd_cli.video.clock import Pace, StreamClock
 from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size
@@ -44,15 +44,14 @@ _STREAM_OPTIONS = {
 _OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS = 5000, 2000
 # Pauses before a lost source is opened again, which double: in the first minute, and later.
 FIRST_PAUSE_S, MAX_PAUSE_S, MAX_LATER_PAUSE_S, _NEW_S = 0.5, 2.0, 30.0, 60.0
-# The rate of a source is measured over so many frames, and may exceed the limit by a tenth. An
-# interval of more than three frames is a stall.
-_N_MEASURED, _N_AT_LEAST, _SLACK, _STALL_FRAMES = 61, 10, 0.1, 3.0
 # A file that is decoded so late plays on from there, instead of trying to catch up.
 _MAX_LATE_S = 0.25
 # Pause before a file plays again: a gap for the model at 5 frames/s or more, and not yet a lost
 # source.
 SEAM_S = 0.75
 SHOWN_PX = 640
+# Frames of a burst that are kept until they are taken.
+_MAX_WAITED = 16
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,8 @@ class Shot:
     """A picture as it came from a source.
 
     `captured_s` is the time of its arrival, by `time.monotonic`. `index` and `time_s` are those of
-    a file; None where frames are only counted, and their time is that of their arrival.
+    a file; None where frames are only counted, and their time follows from that of their arrival,
+    or from `stamp_s`, the stream's own time, NaN for none.
     """
 
     image: Image
@@ -68,6 +68,7 @@ class Shot:
     captured_s: float
     index: int | None = None
     time_s: float | None = None
+    stamp_s: float = math.nan
 
 
 class LiveSource:
@@ -75,7 +76,7 @@ class LiveSource:
 
     All frames have the size that follows from the first picture. The first frame is for `sample`;
     frames count from `begin` on. Their `index` includes those that were dropped, `time_s` is the
-    time since the first one, or a file's own.
+    time of their capture since the first one, see `StreamClock`, or a file's own.
 
     Parameters
     ----------
@@ -94,22 +95,26 @@ class LiveSource:
         Whether a lost source is opened again.
     must_open : bool
         Whether it is an error all the same if it cannot be opened the first time.
+    rotate, flip : int, bool
+        How to turn all pictures: by 0, 90, 180 or 270 degrees clockwise, then left for right.
 
     Attributes
     ----------
     is_over : bool
         Whether no frame will come any more.
-    blind : str
-        Why the source shows nothing: `lost`, or see `Blindness`; empty if it does.
+    is_lost : bool
+        Whether the source has ended and is to be opened again.
     heard_s : float
         Time of the last frame by `time.monotonic`; before it, when the source was made.
     n_frames, n_dropped, n_left_out : int
         Frames that came; of them, those that nobody took before the next one came, and those left
         out because of the frame rate.
+    model_fps : float
+        Frame rate that the model is made for.
     picture_wh, size_wh : (int, int)
         Width and height of the first picture, and of the frames; (0, 0) before it.
-    wants_pictures : bool
-        Set it for frames with their pictures.
+    wants_pictures, keeps_pictures : bool
+        Set one for frames with their pictures: while somebody looks, or all the time.
     """
 
     def __init__(
@@ -123,21 +128,26 @@ class LiveSource:
         waits: bool = True,
         tries_again: bool = False,
         must_open: bool = False,
+        rotate: int = 0,
+        flip: bool = False,
     ) -> None:
         self.name, self._open_shots, self._options = name, open_shots, options
         self._width_px, self._waits = width_px, waits
         self._tries_again, self._must_open = tries_again, must_open
         max_fps = model_fps if options.fps is None else options.fps
         self._pace = Pace(math.inf if max_fps == "all" else float(max_fps))
+        self._clock, self._told_late, self.model_fps = StreamClock(), False, model_fps
         self._masked = None if options.mask is None else read_mask(options.mask)
-        self.is_over, self.wants_pictures, self.blind = False, False, ""
+        self.is_over = self.wants_pictures = self.keeps_pictures = self.is_lost = False
+        self.rotate, self.flip = rotate, flip
         self.n_frames = self.n_dropped = self.n_left_out = 0
         self.heard_s = time.monotonic()
         self.picture_wh = self.size_wh = self._latest_wh = (0, 0)
         self._region: Region | None = None
-        self._blindness, self._has_opened, self._first_s = Blindness(), False, math.nan
+        self._has_opened, self._first_s = False, math.nan
         self._sample: Image | None = None
         self._newest: Frame | None = None
+        self._waited: deque[Frame] = deque()
         self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._begun, self._stop = threading.Event(), threading.Event()
@@ -173,10 +183,14 @@ class LiveSource:
     def take(self, timeout_s: float) -> Frame | None:
         """The newest frame that was not taken yet; None if there is none in time.
 
+        Frames that waited on their way, and come in a burst, are taken one after the other.
+
         Raises whatever made the source unusable for good.
         """
         with self._changed:
-            frame = self._when(lambda: self._newest, timeout_s)
+            frame = self._when(lambda: self._waited[0] if self._waited else self._newest, timeout_s)
+            if self._waited:
+                return self._waited.popleft()
             self._newest = None
             return frame
 
@@ -191,11 +205,6 @@ class LiveSource:
     def hidden(self) -> npt.NDArray[np.bool_] | None:
         """Which cells of a frame the mask hides, (H, W); None for none."""
         return None if self._region is None else self._region.hidden(self.size_wh)
-
-    @property
-    def blind_since_s(self) -> float:
-        """Time of the first of the latest black or frozen pictures, by `time.monotonic`."""
-        return self._blindness.since_s
 
     @property
     def fps(self) -> float:
@@ -224,7 +233,7 @@ class LiveSource:
                     reason = str(lost)
                 if not self._tries_again:
                     return
-                self.blind = "lost"
+                self.is_lost = True
                 if reason != told:
                     self._tell(f"{reason}; trying again")
                     told = reason
@@ -238,7 +247,8 @@ class LiveSource:
 
     def _publish(self, shot: Shot) -> None:
         """Put the frame of a picture in place of the newest one."""
-        image = self._region_of(shot.image).of(shot.image)
+        image = turned(shot.image, self.rotate, self.flip)
+        image = self._region_of(image).of(image)
         if not self._has_opened:
             grey, self._has_opened = to_grey(image, self.size_wh, shot.levels), True
             with self._changed:
@@ -249,25 +259,45 @@ class LiveSource:
                 shot = replace(shot, captured_s=time.monotonic())
         if self._stop.is_set() or not self._begun.is_set():
             return
-        if math.isnan(self._first_s):
-            self._first_s = shot.captured_s
-        black = shot.levels[0] if shot.levels else 0
-        self.blind = self._blindness.step(image, shot.captured_s, black)
-        index = self.n_frames if shot.index is None else shot.index
-        time_s = shot.captured_s - self._first_s if shot.time_s is None else shot.time_s
+        self.is_lost, index = False, self.n_frames if shot.index is None else shot.index
         self.n_frames, self.heard_s = self.n_frames + 1, time.monotonic()
-        is_due = self._pace.is_due(shot.captured_s)
-        if shot.time_s is None and not is_due:
+        time_s, is_due = self._time_of(shot)
+        if not is_due:
             self.n_left_out += 1
             return
         grey = to_grey(image, self.size_wh, shot.levels)
         height, width = image.shape[:2]
         shown_wh = min(width, SHOWN_PX), max(1, round(height * min(1.0, SHOWN_PX / width)))
-        shown = to_bgr(image, shown_wh, shot.levels) if self.wants_pictures else None
+        is_seen = self.wants_pictures or self.keeps_pictures
+        shown = to_bgr(image, shown_wh, shot.levels) if is_seen else None
+        frame = Frame(index, time_s, grey, picture=shown, captured_s=shot.captured_s)
         with self._changed:
-            self.n_dropped += self._newest is not None
-            self._newest = Frame(index, time_s, grey, picture=shown, captured_s=shot.captured_s)
+            if shot.time_s is None and self._clock.waited and self._newest is None:
+                is_dropped = len(self._waited) == _MAX_WAITED
+                self._waited.append(frame)
+                if is_dropped:
+                    self._waited.popleft()
+            else:
+                is_dropped, self._newest = self._newest is not None, frame
+            self.n_dropped += is_dropped
             self._changed.notify_all()
+
+    def _time_of(self, shot: Shot) -> tuple[float, bool]:
+        """The time of a picture since the first one, and whether to take it."""
+        if shot.time_s is not None:
+            self._pace.is_due(shot.captured_s)
+            return shot.time_s, True
+        clock = self._clock
+        captured_s = clock.step(shot.captured_s, shot.stamp_s)
+        if clock.latest_s > UNEVEN_S and not self._told_late:
+            self._told_late = True
+            what = (
+                "its frames come unevenly, up to %.2f s late; the times of their capture are used"
+            )
+            self._tell(what % clock.latest_s)
+        if math.isnan(self._first_s):
+            self._first_s = captured_s
+        return captured_s - self._first_s, self._pace.is_due(captured_s) and not clock.is_stale
 
     def _region_of(self, image: Image) -> Region:
         """The visible part of a picture; the first one determines the size of all frames."""
@@ -296,45 +326,11 @@ class LiveSource:
         return self._region
 
 
-class Pace:
-    """Measures the rate of a source, and takes every k-th frame so that `max_fps` are left.
-
-    Frames that arrive late all at once, after a stall, say nothing about the rate.
-
-    Attributes
-    ----------
-    fps : float
-        Frames a second over the last 60 intervals; NaN before there are ten of them.
-    """
-
-    def __init__(self, max_fps: float) -> None:
-        self._max_fps, self.fps = max_fps, math.nan
-        self._times: deque[float] = deque(maxlen=_N_MEASURED)
-        self._since_taken, self._every, self._n_late = 0, 1, 0.0
-        self._last_s, self._is_stall = math.nan, False
-
-    def is_due(self, captured_s: float) -> bool:
-        """Whether to take the frame that came at this time."""
-        n_passed = (captured_s - self._last_s) * self.fps  # frames in the interval; NaN at first
-        self._last_s = captured_s
-        # A second stall directly after the first one is a slower source.
-        is_second, self._is_stall = self._is_stall, n_passed > _STALL_FRAMES
-        if self._is_stall and not is_second:
-            self._n_late = n_passed
-            self._times.clear()
-        elif self._n_late >= 1.0 and n_passed < 0.5:
-            self._n_late += n_passed - 1.0
-            self._times.clear()
-        self._times.append(captured_s)
-        if len(self._times) > _N_AT_LEAST:
-            n_intervals = len(self._times) - 1
-            self.fps = n_intervals / max(self._times[-1] - self._times[0], 1e-6)
-            self._every = max(1, math.ceil(self.fps / self._max_fps - _SLACK))
-        self._since_taken += 1
-        if self._since_taken < self._every:
-            return False
-        self._since_taken = 0
-        return True
+def turned(image: Image, rotate: int, flip: bool) -> Image:
+    """A picture turned clockwise by 0, 90, 180 or 270 degrees, then mirrored left for right."""
+    ways = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
+    image = cv2.rotate(image, ways[rotate]) if rotate else image
+    return cv2.flip(image, 1) if flip else image
 
 
 def started_thread(target: Callable[[], object], name: str) -> threading.Thread:
@@ -387,12 +383,17 @@ def shots_of_capture(source: str, size_wh: tuple[int, int] | None) -> Generator[
             raise Unreadable("the stream cannot be opened")
     try:
         image: Image | None = None
-        while capture.grab():
-            captured_s = time.monotonic()
+        patience_s = math.inf if is_camera(source) else _READ_TIMEOUT_MS / 1e3
+        while True:
+            asked_s = time.monotonic()
+            is_grabbed, captured_s = capture.grab(), time.monotonic()
+            # After its patience, FFmpeg hands on the old pictures that its decoder still held.
+            if not is_grabbed or captured_s - asked_s >= patience_s:
+                raise Unreadable("the source was lost")
             is_there, image = capture.retrieve(image)
             if is_there and image is not None and image.size:
-                yield Shot(image, None, captured_s)
-        raise Unreadable("the source was lost")
+                stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                yield Shot(image, None, captured_s, stamp_s=stamp_s)
     except cv2.error:
         raise Unreadable("it sent a picture that cannot be decoded") from None
     finally:

@@ -5,16 +5,16 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.checks import require_known
-from dlgmd_cli.errors import MissingExtraError, ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
 from dlgmd_cli.names import input_name, without_password
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
 from dlgmd_cli.video.base import (
     DECODERS,
@@ -22,24 +22,33 @@ from dlgmd_cli.video.base import (
     FALLBACK_FPS,
     MAX_SIDE,
     Crop,
+    MissingCodec,
     Unreadable,
     openable,
     parse_crop,
 )
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
+from dlgmd_cli.video.mistaken import RE_ENCODE, mistaken
 from dlgmd_cli.video.opencv import OpenCVDecoder
-from dlgmd_cli.video.pyav import PyAVDecoder, details_of
+from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.region import Region, read_mask
 from dlgmd_cli.video.source import Decoder, Selection, SourceInfo, Video
+from dlgmd_cli.video.timestamps import rate_between_gaps
 
 # What can be opened: a path, or images with their frame rate.
 Openable = str | os.PathLike[str] | Iterable[Any]
 
 # The beginning of a URL.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+_GREY = (
+    "the pictures are grey, and their black is taken for 0; "
+    "with PyAV (pip install 'dlgmd[fast]') it is what the video states"
+)
 _RECORD = "Watch it with 'dlgmd live', or record it to a file first."
 # FFmpeg refuses playlists anyway; recognising them allows a better message than "damaged file".
+# Bytes of a file that are hashed at a time.
+_HASHED_BYTES = 1 << 20
 _PLAYLISTS = (b"#EXTM3U", b"ffconcat")
 
 
@@ -90,9 +99,11 @@ def open_video(
         Maximum number of frames in all.
     input_fps : float, optional
         Frame rate of pictures or arrays, or of a video that states none; 30 unless given.
-    decoder : {"pyav", "opencv"}
-        Decoder for videos; pictures are always read by OpenCV, and interlaced video by PyAV, which
-        de-interlaces it.
+    decoder : {"opencv", "pyav"}
+        Decoder for videos. Pictures are always read by OpenCV. What OpenCV would read wrongly is
+        read by PyAV, which comes with ``dlgmd[fast]``: interlaced video, which PyAV de-interlaces,
+        codecs that OpenCV lacks, grey pictures whose black is not 0, and the default one of several
+        video streams if it is not the first.
     crop : str, optional
         The part of each picture to read, as ``WIDTHxHEIGHT+X+Y`` in px; `scale` and `width_px`
         are relative to it.
@@ -113,7 +124,7 @@ def open_video(
         If an option is out of range, the path is that of a stream, or the mask is not a picture or
         hides everything.
     MissingExtraError
-        If the decoder's package is not installed, or the video is interlaced and PyAV is not.
+        If PyAV is needed, as the decoder or for such a video, and is not installed.
     """
     if isinstance(crop, str):
         crop = parse_crop(crop)
@@ -122,11 +133,12 @@ def open_video(
     if max_fps is not None and not max_fps > 0.0:
         raise ParameterError("", f"fps {max_fps:g} is not above 0")
     require_known("decoder", decoder, DECODERS)
-    name, where, kind, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
+    name, where, reopen = _source(path, decoder, input_fps or FALLBACK_FPS)
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        width, height, fps, n_frames, *_ = opened.stream_info
+        width, height, stated_fps, n_frames, *_ = opened.stream_info
+        fps = rate_between_gaps(stated_fps, opened.stream_info.steady_fps)
         fps = fps or input_fps or FALLBACK_FPS
         is_limited = max_fps is not None and max_fps < math.inf
         if is_limited and input_fps is None and not is_continuous:
@@ -137,10 +149,10 @@ def open_video(
         every, min_interval_s = sampling_step(fps, max_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
         is_interlaced = opened.stream_info.is_interlaced
-        kind = "pyav" if is_interlaced else kind
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
         info = SourceInfo(
-            where, name, width, height, fps, n_frames, kind, identity, given, is_interlaced
+            *(where, name, width, height, fps, n_frames),
+            *(opened.kind, identity, given, is_interlaced),
         )
         if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
             why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
@@ -157,22 +169,24 @@ def open_video(
         rate_fps=fps / every,
         skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
     )
+    if opened.stream_info.remark:
+        video.progress.warnings.append(opened.stream_info.remark)
     if opened.takes_every_frame and input_fps is None:
-        what = "an array has" if kind == NAME else "pictures have"
+        what = "an array has" if opened.kind == NAME else "pictures have"
         line = f"{what} no times; taken as {fps:g} fps (set it with --input-fps)"
         video.progress.warnings.append(line)
+    if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():
+        video.progress.warnings.append(_GREY)
     return video
 
 
-def _source(
-    path: Openable, decoder: str, fps: float
-) -> tuple[str, str, str, Callable[[], Decoder]]:
-    """Name and path of an input, the kind of its decoder, and a function that opens it."""
+def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callable[[], Decoder]]:
+    """Name and path of an input, and a function that opens it."""
     if not isinstance(path, str | os.PathLike):
         if not isinstance(path, Iterable):
             what = type(path).__name__
             raise ParameterError("", f"expected a path or images, not {what}", "Give a video.")
-        return NAME, NAME, NAME, partial(ArrayDecoder, path, fps)
+        return NAME, NAME, partial(ArrayDecoder, path, fps)
     file, where = Path(path), os.path.abspath(path)
     _refuse_streams(os.fspath(path))
     try:
@@ -181,37 +195,63 @@ def _source(
         raise SourceError(str(path)[:80], f"not a usable path ({error})") from None
     if pictures is not None:
         opens = partial(ImageDecoder, pictures, fps)
-        return input_name(file, are_pictures=True), where, "opencv", opens
+        return input_name(file, are_pictures=True), where, opens
     _check_readable(file)
     name = input_name(file, are_pictures=False)
     if file.suffix.lower() == SUFFIX:
-        return name, where, NAME, lambda: ArrayDecoder(load_array(file), fps, str(path))
-    return name, where, decoder, partial(_open_file, file, decoder)
+        return name, where, lambda: ArrayDecoder(load_array(file), fps, str(path))
+    return name, where, partial(_open_file, file, decoder)
 
 
 def _open_file(path: Path, decoder: str) -> Decoder:
-    """A decoder for a video file; interlaced video is de-interlaced by PyAV, or refused."""
-    is_interlaced = False
-    opens: Callable[[str], Decoder] = PyAVDecoder if decoder == "pyav" else OpenCVDecoder
+    """A decoder for a video file: the one asked for, or PyAV where OpenCV would read it wrongly."""
     try:
         with openable(path.absolute()) as name:
-            details = details_of(name)
-            is_interlaced = details is not None and details.is_interlaced
-            if not is_interlaced:
-                opened = opens(name)
-                if not has_analog_size(opened):
+            if decoder == "opencv":
+                opened, reason = _by_opencv(name)
+                if opened is not None:
                     return opened
-                with closing(opened):
-                    is_interlaced = is_combed(opened)
-            return PyAVDecoder(name, deinterlaces=True) if is_interlaced else opens(name)
-    except MissingExtraError as error:
-        if not is_interlaced:
-            raise
-        why, mend = f"it is interlaced, and {error.why}", "Install it with: pip install av"
-        raise MissingExtraError(str(path), why, mend) from None
+                import_av(str(path), reason)
+            return _by_pyav(name)
     except Unreadable as error:
-        why = str(error) or "no frame could be decoded, damaged file or missing codec"
-        raise SourceError(str(path), why, "Try re-encoding it with ffmpeg.") from None
+        why, mend = (str(error), RE_ENCODE) if str(error) else mistaken(path)
+        raise SourceError(str(path), why, mend) from None
+
+
+def _by_opencv(name: str) -> tuple[OpenCVDecoder | None, str]:
+    """OpenCV's decoder; None, and the reason, where only PyAV reads the file as it is."""
+    try:
+        opened = OpenCVDecoder(name)
+    except MissingCodec as error:
+        return None, f"OpenCV decodes none of its frames (codec {error})"
+    with ExitStack() as stack:
+        stack.callback(opened.close)
+        if not opened.is_default:
+            return None, "OpenCV reads another of its video streams than the default one"
+        details = details_of(name) if opened.is_still or opened.is_grey else None
+        if details is not None and details.is_limited_grey:
+            return None, "its grey levels begin above 0"
+        if details is not None and details.is_interlaced:
+            return None, "it is interlaced"
+        if not has_analog_size(opened):
+            stack.pop_all()
+            return opened, ""
+        if is_combed(opened):
+            return None, "it is interlaced"
+    return OpenCVDecoder(name), ""
+
+
+def _by_pyav(name: str) -> PyAVDecoder:
+    """PyAV's decoder, which de-interlaces what is interlaced."""
+    details = details_of(name)
+    is_interlaced = details is not None and details.is_interlaced
+    if not is_interlaced:
+        opened = PyAVDecoder(name)
+        if not has_analog_size(opened):
+            return opened
+        with closing(opened):
+            is_interlaced = is_combed(opened)
+    return PyAVDecoder(name, deinterlaces=is_interlaced)
 
 
 def _refuse_streams(name: str) -> None:
@@ -294,3 +334,20 @@ def fingerprint(path: str | os.PathLike[str]) -> dict[str, Any]:
         line = f"{picture.name}\0{status.st_size}\0{status.st_mtime_ns}\n"
         digest.update(line.encode(errors="replace"))
     return {"pictures": len(pictures), "sha256": digest.hexdigest()}
+
+
+def content_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file, or of all pictures of an input in order, as hexadecimal digits.
+
+    Raises SourceError if there are no pictures, or if a file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        for one in pictures_at(Path(path)) or [Path(path)]:
+            with one.open("rb") as file:
+                while block := file.read(_HASHED_BYTES):
+                    digest.update(block)
+    except OSError as error:
+        why = f"cannot be read ({error.strerror or error})"
+        raise SourceError(str(path), why, "Leave out --hash.") from None
+    return digest.hexdigest()

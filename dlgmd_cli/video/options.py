@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.checks import shown
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.parameters import DEFAULT_WIDTH_PX
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
 from dlgmd_cli.video.opening import Openable, open_video
 from dlgmd_cli.video.source import SourceInfo, Video

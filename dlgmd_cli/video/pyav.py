@@ -3,11 +3,11 @@
 import itertools
 import math
 import re
-from collections.abc import Generator, Iterator
-from contextlib import closing
+import struct
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
@@ -22,6 +22,8 @@ from dlgmd_cli.video.base import (
     require_memory,
 )
 from dlgmd_cli.video.luma import Image, Levels, luma_plane
+from dlgmd_cli.video.orientation import UPRIGHT, Orientation
+from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -36,21 +38,24 @@ _PROGRESSIVE = 1  # AV_FIELD_PROGRESSIVE
 # One picture a frame, so that frames keep their numbers, times and rate; both fields' would be
 # twice as many as the models are made for.
 _BWDIF = "mode=send_frame:deint=all"
-_COVER = 0x400  # AV_DISPOSITION_ATTACHED_PIC
-_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+_DEFAULT, _COVER = 0x1, 0x400  # AV_DISPOSITION_DEFAULT, AV_DISPOSITION_ATTACHED_PIC
 
 
 class Details(NamedTuple):
     """How a stream is encoded; `pixel_format` is FFmpeg's name, `n_bits` is per sample.
 
-    The pictures are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270.
+    The pictures are turned clockwise by `turned_deg` to be upright: 0, 90, 180 or 270; then left
+    and right are swapped if `is_mirrored`.
+    `is_limited_grey` tells that they are grey, with black above 0.
     """
 
     codec: str
     pixel_format: str
     n_bits: int
+    is_limited_grey: bool
     is_interlaced: bool
     turned_deg: int
+    is_mirrored: bool
 
 
 class PyAVDecoder:
@@ -66,6 +71,8 @@ class PyAVDecoder:
         Pass the frames through FFmpeg's filter bwdif, which makes a picture of each.
     n_threads : int, optional
         Number of threads; chosen by the number of processors unless given.
+    measures : bool
+        Measure the frame rate between gaps, for which the file is opened once more.
 
     Notes
     -----
@@ -74,25 +81,27 @@ class PyAVDecoder:
     corrupt, so reading the file again may end a few frames earlier or later.
     """
 
+    kind = "pyav"
     takes_every_frame = False
 
     def __init__(
-        self, name: str, *, deinterlaces: bool = False, n_threads: int | None = None
+        self,
+        name: str,
+        *,
+        deinterlaces: bool = False,
+        n_threads: int | None = None,
+        measures: bool = True,
     ) -> None:
         av = import_av()
-        self.is_damaged = False
-        # From release 19 on, PyAV always replaces what is not UTF-8.
-        is_strict = int(av.__version__.partition(".")[0]) < 19
-        lenient = {"metadata_errors": "replace"} if is_strict else {}
+        self.is_damaged = self._has_begun = False
+        self._n_lost = 0
         try:
-            # The prefix "file:" keeps FFmpeg from interpreting the name.
-            self._container: InputContainer = av.open(
-                f"file:{name}", container_options=dict(FFMPEG_OPTIONS), **lenient
-            )
+            self._container: InputContainer = _open(av, name)
         except (av.FFmpegError, ValueError):
             require_memory()
             raise Unreadable from None
-        stream = self._stream = _video_stream(self._container)
+        streams = _video_streams(self._container)
+        stream = self._stream = streams[0]
         # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
         # which most videos do not have.
         stream.thread_type = "AUTO"
@@ -102,6 +111,8 @@ class PyAVDecoder:
             self._container.close()
             raise Unreadable(TOO_LARGE)
         self._frames = self._decoded(av, stream)
+        if self._container.format.name == "avi":
+            self._frames = self._in_steps(self._frames)
         if deinterlaces:
             self._frames = _deinterlaced(av, stream, self._frames)
         first = next(self._frames, None)
@@ -109,17 +120,27 @@ class PyAVDecoder:
             self.close()
             require_memory()
             raise Unreadable
-        self.is_damaged = False  # undecodable packets at the start of a stream are normal
         self._frame = first
-        found = _stream_info(self._container, stream, _shown_size(first))
-        self.stream_info = found._replace(is_interlaced=deinterlaces)
+        self._orientation = _orientation(first)
+        size = self._orientation.size(first.width, first.height)
+        found = _stream_info(self._container, stream, size)
+        # Of interlaced video, each packet may be a field.
+        is_measured = measures and not deinterlaces
+        fps = steady_fps(_first_stamps(av, name, stream.index)) if is_measured else None
+        self.stream_info = found._replace(
+            is_interlaced=deinterlaces,
+            steady_fps=fps,
+            first_index=self._n_lost,
+            remark=_choice(streams),
+        )
 
     def _decoded(self, av: Any, stream: "VideoStream") -> Generator["VideoFrame", None, None]:
-        """All intact frames."""
+        """All intact frames; `_n_lost` counts the damaged pictures before the first of them."""
         container = self._container
         n_bad = 0
         packets = container.demux(stream)
         while n_bad < _MAX_BAD_PACKETS:
+            packet = None
             try:
                 packet = next(packets, None)
                 if packet is None:
@@ -131,16 +152,35 @@ class PyAVDecoder:
                 self.is_damaged = True
                 return
             except av.FFmpegError:
-                self.is_damaged = True
+                # A stream cut from a longer one begins with pictures that refer to earlier ones.
+                is_cut = not self._has_begun and packet is not None and not packet.is_keyframe
+                self.is_damaged = self.is_damaged or not is_cut
                 n_bad += 1
                 packets = container.demux(stream)  # the error has ended the other iterator
                 continue
             for frame in frames:
                 if frame.is_corrupt:
                     self.is_damaged = True
+                    self._n_lost += not self._has_begun
                 else:
-                    n_bad = 0
+                    n_bad, self._has_begun = 0, True
                     yield frame
+
+    def _in_steps(
+        self, frames: Generator["VideoFrame", None, None]
+    ) -> Generator["VideoFrame", None, None]:
+        """The frames of an AVI at the times of their decoding, from 0.
+
+        It states no other times, and those that FFmpeg guesses jump to and fro with B-frames. The
+        last frames have none: they are one step apart, as all are.
+        """
+        step, first = -1, None
+        with closing(frames):
+            for frame in frames:
+                step = step + 1 if frame.dts is None else frame.dts
+                first = step - self._n_lost if first is None else first
+                frame.pts = step - first
+                yield frame
 
     def stamps(self) -> Iterator[float]:
         """The timestamp of each frame in seconds from the start of the stream, NaN if missing."""
@@ -155,10 +195,10 @@ class PyAVDecoder:
 
     def picture(self) -> tuple[Image, Levels]:
         """The frame of the latest timestamp; it keeps its own memory alive."""
-        size = _shown_size(self._frame)
+        size = self._orientation.size(self._frame.width, self._frame.height)
         if size != self.stream_info[:2]:
             raise Unreadable(f"the picture size changes to {size[0]}x{size[1]}")
-        return picture_of(self._frame)
+        return picture_of(self._frame, self._orientation)
 
     def details(self) -> Details:
         """How the stream is encoded; consumes the first few frames."""
@@ -169,8 +209,17 @@ class PyAVDecoder:
         is_interlaced = is_stated and any(frame.interlaced_frame for frame in some)
         pixels = self._frame.format
         n_bits = max(component.bits for component in pixels.components)
-        turned_deg = -_rotation_deg(self._frame) % 360
-        return Details(self.stream_info.codec, pixels.name, n_bits, is_interlaced, turned_deg)
+        _, levels = luma_plane(pixels.name, int(self._frame.color_range)) or (None, None)
+        is_limited_grey = pixels.name.startswith("gray") and levels is not None and levels[0] > 0
+        return Details(
+            self.stream_info.codec,
+            pixels.name,
+            n_bits,
+            is_limited_grey,
+            is_interlaced,
+            self._orientation.turned_deg,
+            self._orientation.is_mirrored,
+        )
 
     def close(self) -> None:
         """Free the file and all decoded frames; may be called twice."""
@@ -187,7 +236,7 @@ class PyAVDecoder:
 def details_of(name: str) -> Details | None:
     """How a file is encoded; None if PyAV is not installed or cannot open it."""
     try:
-        with closing(PyAVDecoder(name, n_threads=1)) as decoder:
+        with closing(PyAVDecoder(name, n_threads=1, measures=False)) as decoder:
             return decoder.details()
     except (MissingExtraError, Unreadable):
         return None
@@ -216,13 +265,13 @@ def _deinterlaced(
                     break
 
 
-def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
+def picture_of(frame: "VideoFrame", orientation: Orientation = UPRIGHT) -> tuple[Image, Levels]:
     """The luma plane of a frame (a view) or, if it has none, BGR; and its levels."""
     plane = frame.planes[0]
     luma = luma_plane(frame.format.name, int(frame.color_range))
     if luma is None or plane.line_size <= 0:
         try:
-            return _upright(frame, frame.to_ndarray(format="bgr24")), None
+            return orientation.upright(frame.to_ndarray(format="bgr24")), None
         except (ValueError, OSError):  # no conversion from this format
             raise Unreadable("the file is damaged") from None
     kind, levels = luma
@@ -233,11 +282,20 @@ def picture_of(frame: "VideoFrame") -> tuple[Image, Levels]:
         buffer=memoryview(plane),
         strides=(plane.line_size, np.dtype(kind).itemsize),
     )
-    return _upright(frame, image), levels
+    return orientation.upright(image), levels
 
 
-def import_av() -> Any:
-    """PyAV; raises MissingExtraError, which says how to install it."""
+def has_av() -> bool:
+    """Whether PyAV can be used."""
+    try:
+        import_av()
+    except MissingExtraError:
+        return False
+    return True
+
+
+def import_av(what: str = "--decoder pyav", reason: str = "") -> Any:
+    """PyAV; raises MissingExtraError, which says `what` needs it, for which reason."""
     try:
         import av
     except Exception as error:  # whatever a broken installation raises
@@ -246,18 +304,60 @@ def import_av() -> Any:
         why = f"cannot be loaded ({str(error) or type(error).__name__})"
         if isinstance(error, ModuleNotFoundError):
             why = NOT_INSTALLED
-        instead = "use --decoder opencv"
-        raise MissingExtraError.of("--decoder pyav", "av", why, instead) from None
+        instead = "use --decoder opencv" if what == "--decoder pyav" else ""
+        error = MissingExtraError.of(what, "av", why, instead)
+        why = f"{reason}, and {error.why}" if reason else error.why
+        raise MissingExtraError(what, why, error.mend) from None
     return av
 
 
-def _video_stream(container: "InputContainer") -> "VideoStream":
-    """The first decodable video stream that is not a cover picture."""
-    for stream in container.streams.video:
-        if not stream.disposition.value & _COVER and stream.codec_context is not None:
-            return stream
-    container.close()
-    raise Unreadable
+def _open(av: Any, name: str) -> "InputContainer":
+    """The file of this name, for reading."""
+    # From release 19 on, PyAV always replaces what is not UTF-8.
+    is_strict = int(av.__version__.partition(".")[0]) < 19
+    lenient = {"metadata_errors": "replace"} if is_strict else {}
+    # The prefix "file:" keeps FFmpeg from interpreting the name.
+    container: InputContainer = av.open(
+        f"file:{name}", container_options=dict(FFMPEG_OPTIONS), **lenient
+    )
+    return container
+
+
+def _first_stamps(av: Any, name: str, index: int) -> list[float]:
+    """The times of a stream's first packets in seconds, in the order of the file."""
+    stamps: list[float] = []
+    with suppress(av.FFmpegError, ValueError, IndexError), _open(av, name) as container:
+        for packet in container.demux(container.streams[index]):
+            if packet.pts is not None and packet.time_base is not None:
+                stamps.append(float(packet.pts * packet.time_base))
+            if len(stamps) == N_FIRST_STAMPS:
+                break
+    return stamps
+
+
+def _video_streams(container: "InputContainer") -> list["VideoStream"]:
+    """The decodable video streams that are no cover pictures, at least one, the default first."""
+    streams = [
+        stream
+        for stream in container.streams.video
+        if not stream.disposition.value & _COVER and stream.codec_context is not None
+    ]
+    if not streams:
+        container.close()
+        raise Unreadable
+    return sorted(streams, key=lambda stream: not stream.disposition.value & _DEFAULT)
+
+
+def _choice(streams: Sequence["VideoStream"]) -> str:
+    """Which of several video streams is read, in words; empty if there is only one."""
+    if len(streams) < 2:
+        return ""
+    number = sorted(stream.index for stream in streams).index(streams[0].index) + 1
+    one = streams[0].codec_context
+    return (
+        f"the file has {len(streams)} video streams; number {number} is read, the default "
+        f"({one.width}x{one.height})"
+    )
 
 
 def _stream_info(
@@ -266,6 +366,9 @@ def _stream_info(
     rates = (stream.average_rate, stream.guessed_rate, stream.base_rate)
     fps = next((float(rate) for rate in rates if rate and plausible_fps(float(rate))), None)
     length_s = _length_s(container, stream)
+    if "matroska" in container.format.name:  # its lengths count from 0, wherever it begins
+        length_s -= max(0, stream.start_time or 0) * float(stream.time_base or 0)
+        length_s = max(length_s, 0.0)
     n_frames = stream.frames or round(length_s * (fps or 0.0))
     has_edits = "mp4" in container.format.name.split(",") and length_s > 0.0
     shown_s = length_s if has_edits else math.inf
@@ -282,23 +385,10 @@ def _length_s(container: "InputContainer", stream: "VideoStream") -> float:
     return (container.duration or 0) / 1e6
 
 
-def _rotation_deg(frame: "VideoFrame") -> int:
-    """The angle, counterclockwise, that rotates the frame upright: 0, 90, 180 or 270."""
-    # PyAV truncates the angle, hence the rounding; other angles are ignored.
-    angle = round(frame.rotation, -1) % 360
-    return angle if angle in _TURNS else 0
-
-
-def _rotation_code(frame: "VideoFrame") -> int | None:
-    """OpenCV's code for rotating the frame upright; None if it is upright already."""
-    return _TURNS.get(_rotation_deg(frame))
-
-
-def _upright(frame: "VideoFrame", image: Image) -> Image:
-    turn = _rotation_code(frame)
-    return image if turn is None else cv2.rotate(image, turn)
-
-
-def _shown_size(frame: "VideoFrame") -> tuple[int, int]:
-    is_upright = _rotation_code(frame) in (None, cv2.ROTATE_180)
-    return (frame.width, frame.height) if is_upright else (frame.height, frame.width)
+def _orientation(frame: "VideoFrame") -> Orientation:
+    """How the frame is to be turned and mirrored."""
+    matrix: Any = frame.side_data.get("DISPLAYMATRIX")
+    if matrix is None:
+        return UPRIGHT
+    a, b, _, c, d, *_ = struct.unpack("=9i", bytes(matrix))
+    return Orientation.of_matrix(a, b, c, d)

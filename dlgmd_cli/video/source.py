@@ -15,6 +15,7 @@ from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
 from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
+from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
 
@@ -25,12 +26,13 @@ _MANY_REPEATS, _MANY_REPEATS_SHARE = 5, 0.05
 class Decoder(Protocol):
     """Reads an input once, from first to last.
 
-    `is_damaged` is set when a frame could not be decoded. `takes_every_frame` tells whether every
-    frame is processed by default, as of pictures and arrays. Of videos, at most the rate that a
-    model is designed for, and no repeats.
+    `kind` is opencv, pyav, or array. `is_damaged` is set when a frame could not be decoded.
+    `takes_every_frame` tells whether every frame is processed by default, as of pictures and
+    arrays. Of videos, at most the rate that a model is designed for, and no repeats.
     """
 
     stream_info: StreamInfo
+    kind: str
     is_damaged: bool
     takes_every_frame: bool
 
@@ -52,7 +54,8 @@ class SourceInfo:
     """Properties of a source.
 
     `path` is absolute. `name` is for its results: the stem of a file, the name of a folder. `width`
-    and `height` are the display size of its pictures, in px, and `fps` is the nominal frame rate.
+    and `height` are the display size of its pictures, in px, and `fps` is the nominal frame rate:
+    the stated one, or that between gaps if the stated one is an average that is lower.
     `n_frames` is the stated number of frames, often wrong: a hint for a progress bar. `decoder` is
     opencv, pyav, or array. `identity` identifies the content without decoding it, by `path` and
     what `fingerprint` gives. `given` is what the source was called when it was opened.
@@ -218,12 +221,15 @@ class Video:
         repeats = RepeatDetector(hidden) if self._skips_repeats else None
         progress.n_decoded, progress.last_time_s, progress.n_new = 0, math.nan, 0
         progress.n_repeats = None if repeats is None else 0
-        fault, after_gap = "", False
-        for index, stamp_s in enumerate(decoder.stamps()):
+        fault, after_gap, is_whole = "", False, False
+        first = self.stream_info.first_index
+        for index, stamp_s in enumerate(decoder.stamps(), start=first):
             if decoder.is_damaged:
                 fault = "the file is damaged"
                 if stamp_s > progress.last_time_s + 1.5 / fps:
                     break
+                # A gap that comes later has nothing to do with damage before the first frame.
+                decoder.is_damaged = index > first
             time_s = clock.time(index, stamp_s)
             times.append(time_s)
             if selection.is_over(time_s):
@@ -254,14 +260,17 @@ class Video:
                 yield Picture(index, time_s, image, levels, after_gap=after_gap)
                 after_gap = False
         else:
-            fault = fault or self._shortfall()
-        missing, ending = missing_frames(times, fps), fault and self._ending(fault)
+            fault, is_whole = fault or self._shortfall(), True
+        rates = progress.frame_rates = frame_rates(times)
+        n_short = (self.info.n_frames or 0) - progress.n_decoded if is_whole else 0
+        missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
         blind = spans.report()
+        if spans.throughout and decoder.kind == "opencv" and not decoder.takes_every_frame:
+            import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         reports = (clock.report(), missing, self._repetition(), blind, ending)
         progress.warnings += [line for line in reports if line]
         progress.damage = [line for line in (missing, ending) if line]
-        progress.frame_rates = frame_rates(times)
         decoder.close()
 
     def sampling(self) -> str:
@@ -295,13 +304,15 @@ class Video:
     def _shortfall(self) -> str:
         stated, fps = self.info.n_frames, self.info.fps
         if stated is not None and self.progress.n_decoded < stated:  # the count is often wrong
-            end_s = min(stated / fps, self._decoder.stream_info.shown_s)
+            # The stated number and the stated rate, an average, give the stated duration.
+            end_s = min(stated / (self.stream_info.fps or fps), self._decoder.stream_info.shown_s)
             if self.progress.last_time_s + 1.5 / fps < end_s:
                 return "frames are missing, the file is cut off or damaged"
         return "the file is damaged" if self._decoder.is_damaged else ""
 
     def _ending(self, fault: str) -> str:
-        n_frames, stated = self.progress.n_decoded, self.info.n_frames
+        n_frames = self.progress.n_decoded - self.stream_info.first_index
+        stated = self.info.n_frames
         of_stated = f" of about {stated}" if stated and stated > n_frames else ""
         until = f"{self.progress.last_time_s:.3f} s"
         return f"{fault}; decoded and used {n_frames}{of_stated} frames, up to {until}"

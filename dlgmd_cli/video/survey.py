@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli import cancel
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
 from dlgmd_cli.video.images import pictures_at
@@ -45,14 +45,16 @@ class Survey:
     `path` is as given; `width` and `height` are in px, and `frames` counts the decoded ones. The
     last frame ends at `duration_s`, in seconds. `fps_stated` is the frame rate that the input
     states, `fps_true` the mean rate of its frames, `fps_range` the rates of the longest and the
-    shortest interval, all None for pictures; `is_variable` tells whether the rate varies. `repeats`
+    shortest interval, all None for pictures; `is_variable` tells whether the rate varies. If it
+    does not, `fps_true` is the rate between gaps. `repeats`
     counts the frames that repeat the previous one, `gaps` the gaps with missing frames, after which
     models are reset.
 
     `codec` and `pixel_format` are FFmpeg's names; without PyAV, `pixel_format` is empty and `codec`
     is the FOURCC. `bits` is per sample. `is_interlaced` tells whether frames consist of two fields.
     `turned_deg` is the angle by which the pictures are turned clockwise to be upright, as the file
-    asks; `width` and `height` are those after it. All three are None if PyAV is not installed.
+    asks, and `is_mirrored` tells whether it then asks to swap left and right; `width` and `height`
+    are those after it. All four are None if PyAV is not installed.
     `damage` says where the input is damaged, `warnings` has other doubts about it.
 
     `crop` is the picture without its black borders; None if there are none. `still` has the pixels
@@ -75,6 +77,7 @@ class Survey:
     bits: int | None
     is_interlaced: bool | None
     turned_deg: int | None
+    is_mirrored: bool | None
     decoder: str
     damage: list[str]
     warnings: list[str]
@@ -143,6 +146,7 @@ def survey(
         bits=details.n_bits if details else None,
         is_interlaced=stream.is_interlaced or (None if is_video and details is None else False),
         turned_deg=details.turned_deg if details else None if is_video else 0,
+        is_mirrored=details.is_mirrored if details else None if is_video else False,
         decoder=info.decoder,
         damage=done.damage,
         warnings=[line for line in done.warnings if line not in done.damage],

@@ -1,7 +1,7 @@
 """Timestamps: repair of bad ones, detection of missing frames, and frame rates."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,13 +12,26 @@ MAX_PLAUSIBLE_TIME_S = 1e9
 HOLE_EDGE_FRAMES = 5
 # The frame rate varies if more than this share of the intervals is unusual.
 _ODD_SHARE = 0.05
+# So many stamps at the beginning of a stream tell its rate, at least `_MIN_FIRST_STAMPS`.
+N_FIRST_STAMPS, _MIN_FIRST_STAMPS = 100, 12
+# A measured rate this close to a usual one is that one: the stamps may be whole milliseconds.
+_NEAR = 2e-3
+# The measured rate counts if the stated one is lower by more than this.
+_LOWER = 1.01
 
 
-def missing_frames(times: Sequence[float], fps: float) -> str | None:
+def missing_frames(
+    times: Sequence[float], rates: "FrameRates | None", n_short: int = 0
+) -> str | None:
     """A warning about frames that a demuxer skipped in a stream of constant rate, or None.
 
-    Streams of variable rate have odd intervals everywhere; nothing is reported for them.
+    `rates` are those of the times. Streams of variable rate have odd intervals everywhere; nothing
+    is reported for them. Nor are single frames, which many recorders drop, unless the input states
+    so many frames more than were read: `n_short`.
     """
+    if rates is None or rates.varies:
+        return None
+    fps = rates.mean_fps
     intervals = np.diff(times) * fps
     is_steady = np.abs(intervals - 1.0) < 0.25 + 2e-3 * fps
     longs = np.flatnonzero(~is_steady & (intervals > 1.0))
@@ -32,11 +45,12 @@ def missing_frames(times: Sequence[float], fps: float) -> str | None:
     # Cutting can leave a video with irregular intervals at its end.
     is_end = n_holes == 1 and len(intervals) - longs[-1] <= HOLE_EDGE_FRAMES
     is_variable = n_odd > 0 or np.sum(is_steady) < 20 * n_holes
-    if is_end or is_variable or n_missing < 2 * n_holes:
+    if is_end or is_variable or (n_missing < 2 * n_holes and n_missing > n_short):
         return None
     more = f" and in {n_holes - 1} more places" if n_holes > 1 else ""
+    what = "1 frame is" if n_missing == 1 else f"about {n_missing} frames are"
     return (
-        f"about {n_missing} frames are missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
+        f"{what} missing after frame {longs[0]} ({times[longs[0]]:.3f} s)"
         f"{more}, damaged file or dropped frames; do not trust the response there"
     )
 
@@ -45,7 +59,8 @@ class FrameRates(NamedTuple):
     """The frame rates of a video, in frames per second.
 
     `min_fps` and `max_fps` are the rates of the longest and the shortest interval. The rate
-    `varies` if more than one interval in twenty differs clearly from the median.
+    `varies` if more than one interval in twenty differs clearly from the median. If it does not,
+    `mean_fps` is the rate between gaps: it leaves out the intervals that do.
     """
 
     mean_fps: float
@@ -61,13 +76,39 @@ def frame_rates(times: Sequence[float]) -> FrameRates | None:
     intervals = np.diff(times)
     usual_s = float(np.sort(intervals)[len(intervals) // 2])  # a median that really occurs
     # The margin allows for times in whole milliseconds.
-    n_odd = np.count_nonzero(np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3)
+    is_odd = np.abs(intervals - usual_s) > 0.25 * usual_s + 2e-3
+    varies = bool(np.count_nonzero(is_odd) > max(2, _ODD_SHARE * len(intervals)))
     return FrameRates(
-        len(intervals) / (times[-1] - times[0]),
+        1.0 / float((intervals if varies else intervals[~is_odd]).mean()),
         1.0 / float(intervals.max()),
         1.0 / float(intervals.min()),
-        bool(n_odd > max(2, _ODD_SHARE * len(intervals))),
+        varies,
     )
+
+
+def steady_fps(stamps: Iterable[float]) -> float | None:
+    """The frame rate between gaps, by the first stamps of a stream in any order, in seconds.
+
+    None if they are few, or if the rate varies.
+    """
+    times = sorted({one for one in stamps if math.isfinite(one)})
+    rates = frame_rates(times) if len(times) >= _MIN_FIRST_STAMPS else None
+    if rates is None or rates.varies:
+        return None
+    fps = rates.mean_fps
+    usual = min((round(fps), round(fps) / 1.001), key=lambda one: abs(one - fps))
+    return float(usual) if abs(usual - fps) < _NEAR * fps else fps
+
+
+def rate_between_gaps(stated_fps: float | None, steady_fps: float | None) -> float | None:
+    """The rate of a stream that states an average, and whose first frames come at `steady_fps`.
+
+    The average of a recording with pauses or missing frames is too low. One that is higher belongs
+    to a stream that becomes faster.
+    """
+    if stated_fps and steady_fps and steady_fps > _LOWER * stated_fps:
+        return steady_fps
+    return stated_fps
 
 
 class FrameClock:

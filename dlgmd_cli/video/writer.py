@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import OutputError
-from dlgmd_cli.files import staging
+from dlgmd_cli.errors import MissingExtraError, OutputError
+from dlgmd_cli.machine.files import staging
 from dlgmd_cli.video.base import openable
 from dlgmd_cli.video.opencv import count_frames
+from dlgmd_cli.video.pyav import import_av
 
 Image = npt.NDArray[np.uint8]
 Write = Callable[[Image], Any]
@@ -38,8 +39,8 @@ _LIMITED: Image = np.rint(16.0 + np.arange(256) * (219.0 / 255.0)).astype(np.uin
 def best_codec() -> str:
     """`h264`, which every player and browser supports, if PyAV has an encoder; else `mpeg4`."""
     try:
-        import av
-    except ImportError:
+        av = import_av()
+    except MissingExtraError:
         return "mpeg4"
     return "h264" if "libx264" in av.codecs_available else "mpeg4"
 
