@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from dlgmd_cli.lab.flights import textures
-from dlgmd_cli.lab.flights.camera import FloatArray, FloatImage
-from dlgmd_cli.lab.flights.furniture import catalogue, furniture, placement
-from dlgmd_cli.lab.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
-from dlgmd_cli.lab.flights.textures import Rng, reflectance
+from dlgmd_cli.scenes.flights import textures
+from dlgmd_cli.scenes.flights.camera import FloatArray, FloatImage
+from dlgmd_cli.scenes.flights.furniture import catalogue, furniture, placement
+from dlgmd_cli.scenes.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
+from dlgmd_cli.scenes.flights.textures import Rng, reflectance
 
 Size3 = tuple[float, float, float]
 

@@ -9,13 +9,13 @@ import math
 import cv2
 import numpy as np
 
-from dlgmd_cli.lab.flights.camera import FloatImage
-from dlgmd_cli.lab.flights.drone import PHASES, fly
-from dlgmd_cli.lab.flights.path import REACH_M, Stage
-from dlgmd_cli.lab.flights.rooms import walls
-from dlgmd_cli.lab.flights.solids import Body, Capsule, Solid, Texture, World
-from dlgmd_cli.lab.flights.stages import FRAME_S
-from dlgmd_cli.lab.flights.textures import Rng, reflectance, smooth_noise
+from dlgmd_cli.scenes.flights.camera import FloatImage
+from dlgmd_cli.scenes.flights.drone import PHASES, fly
+from dlgmd_cli.scenes.flights.path import REACH_M, Stage
+from dlgmd_cli.scenes.flights.rooms import walls
+from dlgmd_cli.scenes.flights.solids import Body, Capsule, Solid, Texture, World
+from dlgmd_cli.scenes.flights.stages import FRAME_S
+from dlgmd_cli.scenes.flights.textures import Rng, reflectance, smooth_noise
 
 CONTACT_FRAME = 61
 BALL_M, BALL_PX = 0.5, 25.0

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.camera import Camera, FloatArray, FloatImage, Pose
-from dlgmd_cli.lab.flights.solids import IntArray, Outline, Shade, Surfaces, Window, World
-from dlgmd_cli.lab.flights.visibility import PaintOrder, visible_outlines
+from dlgmd_cli.scenes.flights.camera import Camera, FloatArray, FloatImage, Pose
+from dlgmd_cli.scenes.flights.solids import IntArray, Outline, Shade, Surfaces, Window, World
+from dlgmd_cli.scenes.flights.visibility import PaintOrder, visible_outlines
 
 # Rounding tolerance for the height of a window.
 _ROUNDING = 1e-9

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from dlgmd_cli.lab.flights import textures
-from dlgmd_cli.lab.flights.camera import FloatArray, rotation
-from dlgmd_cli.lab.flights.solids import Body, Capsule, Face, Motion, Solid, Texture, quad
-from dlgmd_cli.lab.flights.textures import Rng
+from dlgmd_cli.scenes.flights import textures
+from dlgmd_cli.scenes.flights.camera import FloatArray, rotation
+from dlgmd_cli.scenes.flights.solids import Body, Capsule, Face, Motion, Solid, Texture, quad
+from dlgmd_cli.scenes.flights.textures import Rng
 
 # Visible faces of a box, by the values of `shows`.
 _SHOWN = {

@@ -14,12 +14,12 @@ from typing import Any
 
 import cv2
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import OutputExistsError
-from dlgmd_cli.lab.stimuli.base import ClipOptions, GreyImage, Scene, invalid
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import versions, yaml_text
 from dlgmd_cli.results.store import refuse_existing, replacing
+from dlgmd_cli.scenes.stimuli.base import ClipOptions, GreyImage, Scene, invalid
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
 
 N_STILLS = 12

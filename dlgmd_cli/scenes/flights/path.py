@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.camera import FloatArray, Pose, rotation
-from dlgmd_cli.lab.flights.solids import Solid, World
+from dlgmd_cli.scenes.flights.camera import FloatArray, Pose, rotation
+from dlgmd_cli.scenes.flights.solids import Solid, World
 
 # Distance from the camera to the drone's hull: contact is at this distance.
 REACH_M = 0.1
@@ -102,9 +102,7 @@ class Path:
         Before the start and after the end, it is the first and the last state, since an exposure
         may extend a little beyond the flight.
         """
-        time = min(max(time_s, 0.0), self.duration_s)
-        begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
-        position, velocity, angles, rates = (begun or self.stretches[:1])[-1].at(time)
+        position, velocity, angles, rates = self.at(time_s)
         _, pitch, yaw = angles
         cos, sin = math.cos(yaw), math.sin(yaw)
         about_nose = np.array([math.cos(pitch) * cos, math.cos(pitch) * sin, math.sin(pitch)])
@@ -112,6 +110,12 @@ class Path:
         spin[2] += rates[2]
         roll_deg, pitch_deg, yaw_deg = map(math.degrees, angles.tolist())
         return State(position, velocity, roll_deg, pitch_deg, yaw_deg, spin)
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The same as position, velocity, attitude and attitude rates, see `Stretch.at`."""
+        time = min(max(time_s, 0.0), self.duration_s)
+        begun = [stretch for stretch in self.stretches if stretch.start_s < time - _SAME_S]
+        return (begun or self.stretches[:1])[-1].at(time)
 
     def pose(self, time_s: float) -> Pose:
         """Position and attitude of the camera; see `state`."""

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.lab.flights.camera import FloatImage
-from dlgmd_cli.lab.flights.solids import Shade
+from dlgmd_cli.scenes.flights.camera import FloatImage
+from dlgmd_cli.scenes.flights.solids import Shade
 
 Rng = np.random.Generator
 Size = tuple[float, float]  # width and height, in m

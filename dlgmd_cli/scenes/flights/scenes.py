@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.ball import ball_and_capsules
-from dlgmd_cli.lab.flights.camera import Camera, FloatImage, Sensor
-from dlgmd_cli.lab.flights.painter import Renderer
-from dlgmd_cli.lab.flights.path import Stage
-from dlgmd_cli.lab.flights.random_flights import random_flight
-from dlgmd_cli.lab.flights.stages import named_flight
-from dlgmd_cli.lab.flights.truth import FlightTruth, ImageSpeed, truth_rows
-from dlgmd_cli.lab.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
-from dlgmd_cli.lab.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
+from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.scenes.flights.ball import ball_and_capsules
+from dlgmd_cli.scenes.flights.camera import Camera, FloatImage, Sensor
+from dlgmd_cli.scenes.flights.painter import Renderer
+from dlgmd_cli.scenes.flights.path import Path as FlightPath
+from dlgmd_cli.scenes.flights.path import Stage
+from dlgmd_cli.scenes.flights.random_flights import manners, random_flight
+from dlgmd_cli.scenes.flights.stages import named_flight
+from dlgmd_cli.scenes.flights.truth import FlightTruth, ImageSpeed, truth_rows
+from dlgmd_cli.scenes.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
+from dlgmd_cli.scenes.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
+from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
 
@@ -60,12 +63,46 @@ class FlightOptions(ClipOptions):
                 why = f"{value:g} ms is longer than a frame at {self.fps:g} frames/s"
                 raise invalid(flag, why, f"Choose {period_ms:.4g} or less, or a lower --fps.")
 
+    @property
+    def draws(self) -> tuple[Any, ...]:
+        """What determines the room and the flight."""
+        return self.seed, self.agile
+
+
+@dataclass(frozen=True)
+class RandomOptions(FlightOptions):
+    """Options of random flights, see `random_flight`; `speed_m_s` is one speed or a range."""
+
+    manner: str | None = option(None, "--manner", kind=str)
+    speed_m_s: tuple[float, ...] = option((), "--speed", 0.3, 8, unit="m/s")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.manner is not None and self.manner not in manners():
+            why = f"there is no manner {self.manner[:40]!r}"
+            raise invalid("--manner", why, f"Choose from {', '.join(manners())}.")
+        if len(self.speed_m_s) > 2:
+            raise invalid("--speed", "a random flight takes one speed, or a range", "Write 1:3.")
+        if self.speed_m_s and self.speed_m_s[0] > self.speed_m_s[-1]:
+            low, high = self.speed_m_s
+            why = f"{low:g}:{high:g} is not a range"
+            raise invalid("--speed", why, f"Write {high:g}:{low:g}.")
+
+    @property
+    def draws(self) -> tuple[Any, ...]:
+        """What determines the room and the flight."""
+        return self.seed, self.agile, self.manner, self.speed_m_s
+
+    def to_dict(self) -> dict[str, Any]:
+        """See `ClipOptions.to_dict`; the speed is written as on the command line."""
+        speed = ":".join(f"{one:g}" for one in self.speed_m_s)
+        return {**super().to_dict(), "speed": speed or None}
+
 
 class FlightScene(Scene[FlightOptions]):
     """A flight through a room.
 
-    `stage` builds the room and the flight from a seed and `FlightOptions.agile`; it must be
-    picklable.
+    `stage` builds the room and the flight from `FlightOptions.draws`; it must be picklable.
     """
 
     truth_type = FlightTruth
@@ -76,18 +113,18 @@ class FlightScene(Scene[FlightOptions]):
         name: str,
         description: str,
         defaults: FlightOptions,
-        stage: Callable[[int, bool | None], Stage],
+        stage: Callable[..., Stage],
     ) -> None:
         super().__init__(name, description, defaults)
         self._build = stage
-        self._built: tuple[tuple[int, bool | None], Stage] | None = None
+        self._built: tuple[tuple[Any, ...], Stage] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_built": None}
 
     def stage(self, options: FlightOptions) -> Stage:
         """The room and the flight; the latest is cached."""
-        wanted = options.seed, options.agile
+        wanted = options.draws
         if self._built is None or self._built[0] != wanted:
             self._built = wanted, self._build(*wanted)
         return self._built[1]
@@ -143,32 +180,45 @@ class FlightScene(Scene[FlightOptions]):
 
 
 def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyImage]:
-    """The frames of a flight in order, (H, W) uint8.
+    """The frames of a flight in order, (H, W) uint8."""
+    camera = FilmCamera(stage, options)
+    for index in range(n_frames):
+        yield camera.frame(index, stage.path)
+
+
+class FilmCamera:
+    """Films a flight frame by frame.
 
     Frame i is taken at i / fps: the middle of the exposure, and the time of the middle row with a
     rolling shutter.
     """
-    camera = Camera(options.shape, options.fov_deg)
-    sensor = Sensor(
-        camera,
-        vignette=options.vignette,
-        shot_noise=options.shot_noise,
-        read_noise=options.noise,
-        gamma=options.gamma,
-        seed=options.seed,
-    )
-    renderer = Renderer(stage.world, camera)
-    speeds = ImageSpeed(stage.world, camera, stage.target)
-    exposure_s, readout_s = options.exposure_ms / 1000.0, options.rolling_shutter_ms / 1000.0
-    n_rows = camera.shape[0]
-    for index in range(n_frames):
+
+    def __init__(self, stage: Stage, options: FlightOptions) -> None:
+        camera = Camera(options.shape, options.fov_deg)
+        self._options, self._n_rows = options, camera.shape[0]
+        self._sensor = Sensor(
+            camera,
+            vignette=options.vignette,
+            shot_noise=options.shot_noise,
+            read_noise=options.noise,
+            gamma=options.gamma,
+            seed=options.seed,
+        )
+        self._renderer = Renderer(stage.world, camera)
+        self._speeds = ImageSpeed(stage.world, camera, stage.target)
+        self._light = stage.world.light
+
+    def frame(self, index: int, path: FlightPath) -> GreyImage:
+        """A frame of the flight along a path, (H, W) uint8."""
+        options, n_rows = self._options, self._n_rows
         time_s = index / options.fps
-        half_s, light = (exposure_s + readout_s) / 2.0, stage.world.light
+        exposure_s, readout_s = options.exposure_ms / 1000.0, options.rolling_shutter_ms / 1000.0
+        half_s, light = (exposure_s + readout_s) / 2.0, self._light
         speed = 0.0
         if light(time_s - half_s) != light(time_s + half_s):
             speed = _TOO_FAST_PX_S
         elif half_s > 0.0:
-            speed = speeds.fastest(stage.path.state(time_s), time_s)
+            speed = self._speeds.fastest(path.state(time_s), time_s)
         n_pictures = max(1, min(math.ceil(speed * exposure_s / _BLUR_STEP_PX), _MAX_PICTURES))
         n_strips = math.ceil(speed * readout_s / _STRIP_STEP_PX)
         n_strips = max(1, min(n_strips, _MAX_STRIPS, n_rows))
@@ -176,12 +226,12 @@ def film(stage: Stage, options: FlightOptions, n_frames: int) -> Iterator[GreyIm
         strips = []
         for first, last in pairwise(borders):
             middle_s = time_s + ((first + last) / 2.0 / n_rows - 0.5) * readout_s
-            strip: FloatImage = np.zeros((last - first, camera.shape[1]), np.float32)
+            strip: FloatImage = np.zeros((last - first, options.shape[1]), np.float32)
             for picture in range(n_pictures):
                 time = middle_s + ((picture + 0.5) / n_pictures - 0.5) * exposure_s
-                strip += renderer.render(stage.path.pose(time), time, (first, last))
+                strip += self._renderer.render(path.pose(time), time, (first, last))
             strips.append(strip * np.float32(1.0 / n_pictures))
-        yield sensor.develop(np.concatenate(strips), index)
+        return self._sensor.develop(np.concatenate(strips), index)
 
 
 _AWAY = "a cube that goes straight away from the camera"
@@ -198,11 +248,15 @@ _FLAT: tuple[Scene[Any], ...] = (
 
 def _flights() -> Iterator[FlightScene]:
     """First-person flights: collisions, the paper's Fig. 8, near misses, and random ones."""
-    own = {"ball-and-capsules": ball_and_capsules, "random": random_flight}
+    own: dict[str, Callable[..., Stage]] = {
+        "ball-and-capsules": ball_and_capsules,
+        "random": random_flight,
+    }
     named = yaml.safe_load(Path(__file__).with_name("scenes.yaml").read_text("utf-8"))
     for name, spec in named.items():
         width, height = spec["size_wh"]
-        options = FlightOptions(shape=(height, width))
+        kind = RandomOptions if name == "random" else FlightOptions
+        options = kind(shape=(height, width))
         build = own.get(name, partial(named_flight, spec))
         yield FlightScene(name, spec["shows"], options, build)
 
@@ -227,6 +281,27 @@ def find_scene(name: str) -> Scene[Any]:
             "", f"there is no scene {name[:100]!r}", f"{hint}Choose from {', '.join(SCENES)}."
         )
     return SCENES[name]
+
+
+def recorded_stage(video: Path) -> Stage | None:
+    """The room and the flight of a video that was rendered, from the record beside it.
+
+    None if there is no record of a flight, or another version would fly another one.
+    """
+    facts = read_record(video.with_suffix(".yaml"))
+    scene, given = SCENES.get(str(facts.get("scene"))), dict(facts.get("options") or {})
+    if not isinstance(scene, FlightScene) or "collision_frame" not in facts:
+        return None
+    try:
+        given["size"] = parse_size(str(given.get("size")))[::-1]
+        if "speed" in given:
+            given["speed"] = tuple(float(one) for one in str(given["speed"]).split(":"))
+        options = scene.configure({f"--{name}": value for name, value in given.items()})
+    except (ParameterError, ValueError):
+        return None
+    found = scene.record(options)
+    facts = {key: facts.get(key) for key in found}
+    return scene.stage(options) if found == facts else None
 
 
 class _Frames:

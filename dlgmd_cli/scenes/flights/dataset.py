@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ResultError
-from dlgmd_cli.files import remove_leftovers
-from dlgmd_cli.lab.stimuli.clip import Rendering, check_codec, n_digits
-from dlgmd_cli.pool import results_of
+from dlgmd_cli.machine.files import remove_leftovers
+from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.store import refuse_existing, write_files
+from dlgmd_cli.scenes.stimuli.clip import Rendering, check_codec, n_digits
 
 # The kind of footage in the labels.
 RENDERED = "rendered"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.camera import Camera, FloatArray, Pose
-from dlgmd_cli.lab.flights.path import REACH_M, Path, Stage, State
-from dlgmd_cli.lab.flights.solids import Body, Face, IntArray, Surfaces, World
-from dlgmd_cli.lab.flights.visibility import is_outside
+from dlgmd_cli.scenes.flights.camera import Camera, FloatArray, Pose
+from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, State
+from dlgmd_cli.scenes.flights.solids import Body, Face, IntArray, Surfaces, World
+from dlgmd_cli.scenes.flights.visibility import is_outside
 
 # A solid with fewer faces is not closed.
 _LEAST_CLOSED = 4
@@ -143,20 +143,29 @@ def first_contact(path: Path, world: World) -> float | None:
     Whatever is that close at the start, such as the floor under the drone, counts only after it
     has been farther away.
     """
-    nearest = surroundings(world)
+    return contact_after(path, surroundings(world), 0.0, _LONGEST_S)
+
+
+def contact_after(
+    path: Path, nearest: Nearest, start_s: float, longest_s: float = math.inf
+) -> float | None:
+    """The first contact from a time on, as `first_contact` has it.
+
+    `longest_s` is the longest time step; it has to be short if the drone or a body speeds up.
+    """
 
     def distances(time_s: float) -> FloatArray:
         return nearest.distances(path.state(time_s).position_m, time_s)
 
     blows = [stretch.start_s for stretch in path.stretches[1:]]
-    time, was = 0.0, distances(0.0)
+    time, was = start_s, distances(start_s)
     clear = was > REACH_M
     while time < path.duration_s and len(was):
         velocities = nearest.surfaces.velocities(time)
         fastest = float(np.sqrt((velocities**2).sum(axis=-1)).max(initial=0.0))
         speed = float(np.linalg.norm(path.state(time).velocity_m_s)) + fastest + _MARGIN_M_S
         gap = float((was[clear] - REACH_M).min(initial=math.inf))
-        step = min(max(gap / speed, _SHORTEST_S), _LONGEST_S)
+        step = min(max(gap / speed, _SHORTEST_S), longest_s)
         later = min(time + step, path.duration_s, *(blow for blow in blows if blow > time))
         now = distances(later)
         touched = clear & (now <= REACH_M + _ROUNDING_M)

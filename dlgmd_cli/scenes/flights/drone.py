@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.lab.flights.camera import FloatArray
-from dlgmd_cli.lab.flights.path import Path, Stretch
+from dlgmd_cli.scenes.flights.camera import FloatArray
+from dlgmd_cli.scenes.flights.path import Path, Stretch
 
 # Time until the propellers carry the weight.
 SPIN_UP_S = 0.5
@@ -94,7 +94,8 @@ _MAX_THRUST_M_S2 = 2.5 * GRAVITY_M_S2
 # PX4 also limits the yaw acceleration (MPC_YAWRAUTO_ACC). ArduPilot lets an angle approach its
 # setpoint with a time constant (ATC_INPUT_TC: 0.15 s, or 0.1 s for a crisp response) and limits the
 # angular acceleration: with 250 degrees/s², 10 degrees take about 0.4 s.
-_LEAN_RAD_S = 8.0 / GRAVITY_M_S2
+JERK_M_S3 = 8.0
+_LEAN_RAD_S = JERK_M_S3 / GRAVITY_M_S2
 _LEAN_RAD_S2 = math.radians(250.0)
 _EASE_S = 0.1
 _YAW_RAD_S2 = math.radians(60.0)
@@ -103,7 +104,7 @@ _YAW_RAD_S2 = math.radians(60.0)
 _SPEED_GAIN, _PLACE_GAIN = 1.6, 0.7
 _CLIMB_GAIN, _HEIGHT_GAIN = 6.0, 2.0
 _HEADING_GAIN = 1.5
-_MAX_LEAN = math.radians(25.0)
+MAX_LEAN = math.radians(25.0)
 # Below this speed the drone counts as stopped.
 _SLOW_M_S = 0.1
 
@@ -134,6 +135,7 @@ def fly(
     seed: int = 0,
     jitter: float = 1.0,
     contact_s: float | None = None,
+    blow_m_s: npt.ArrayLike = (0.0, 0.0, 0.0),
     agile: bool = False,
 ) -> Path:
     """Simulate a flight; it begins on the floor if the first phase of the script does.
@@ -153,6 +155,8 @@ def fly(
         Time above 0 at which the drone hits something. It rebounds, and then hovers near by in a
         phase called "collision" instead of following the script. Up to and including that time, the
         flight is the same as without contact. A time at or after the end changes nothing.
+    blow_m_s : array_like, shape (3,)
+        Velocity of what it hits, or is hit by.
     agile : bool
         Whether commands are followed at once, as by a racing drone, instead of smoothed.
     """
@@ -170,7 +174,8 @@ def fly(
     first = Stretch(0.0, STEP_S, _simulated(drone, pilot, begins, gusts[:n_before]))
     if contact_s is None:
         return Path((first,), tuple(phases))
-    after = _after_contact(first, drone, contact_s, gusts[n_before:], seed, agile=agile)
+    blow = np.asarray(blow_m_s, float)
+    after = _after_contact(first, drone, contact_s, blow, gusts[n_before:], seed, agile=agile)
     kept = [(name, start, min(end, contact_s)) for name, start, end in phases if start < contact_s]
     return Path((first, after), (*kept, ("collision", contact_s, duration)))
 
@@ -287,6 +292,7 @@ def _after_contact(
     before: Stretch,
     drone: _Drone,
     contact_s: float,
+    blow_m_s: FloatArray,
     gusts: Sequence[_Gust],
     seed: int,
     *,
@@ -294,6 +300,7 @@ def _after_contact(
 ) -> Stretch:
     """The flight after contact at `contact_s`, with the gusts from then on."""
     position, velocity, angles, rates = (part.tolist() for part in before.at(contact_s))
+    velocity = [own - other for own, other in zip(velocity, blow_m_s.tolist(), strict=True)]
     drone.x, drone.y, drone.z = position
     drone.roll, drone.pitch, drone.yaw = angles
     speed = math.sqrt(sum(each * each for each in velocity))
@@ -366,7 +373,7 @@ class _Pilot:
         cos, sin = math.cos(drone.yaw), math.sin(drone.yaw)
         ahead = cos * drone.vx + sin * drone.vy
         left = cos * drone.vy - sin * drone.vx
-        most = _MAX_LEAN
+        most = MAX_LEAN
         if self._holds:
             ax, ay = self._stay(drone)
             forwards, leftwards = cos * ax + sin * ay, cos * ay - sin * ax
@@ -376,10 +383,10 @@ class _Pilot:
             forwards = _SPEED_GAIN * (self._speed - ahead) + DRAG_1_S * ahead
             # The first term is the centripetal acceleration.
             leftwards = drone.yaw_rate * ahead + (DRAG_1_S - _SPEED_GAIN) * left
-        pitch = min(max(-math.atan2(forwards, GRAVITY_M_S2), -_MAX_LEAN), most)
+        pitch = min(max(-math.atan2(forwards, GRAVITY_M_S2), -MAX_LEAN), most)
         if self._phase.forward == "tilt":
             pitch = self._pitch
-        roll = min(max(-math.atan2(leftwards, GRAVITY_M_S2), -_MAX_LEAN), _MAX_LEAN)
+        roll = min(max(-math.atan2(leftwards, GRAVITY_M_S2), -MAX_LEAN), MAX_LEAN)
         if self._phase.roll_deg is not None:
             roll = math.radians(self._phase.roll_deg)
         most_rad_s2 = math.inf

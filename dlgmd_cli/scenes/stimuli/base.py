@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters.checks import Spec
 
 GreyImage = npt.NDArray[np.uint8]
 FloatImage = npt.NDArray[np.float32]

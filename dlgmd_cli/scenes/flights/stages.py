@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.camera import FloatArray
-from dlgmd_cli.lab.flights.drone import PHASES, fly
-from dlgmd_cli.lab.flights.furniture import furniture, placement
-from dlgmd_cli.lab.flights.path import REACH_M, Path, Stage
-from dlgmd_cli.lab.flights.rooms import DAYLIGHT, cluttered_room, corridor, renamed, simple_room
-from dlgmd_cli.lab.flights.solids import Body, Motion, World, box_of
-from dlgmd_cli.lab.flights.textures import Rng
-from dlgmd_cli.lab.flights.truth import Nearest
+from dlgmd_cli.scenes.flights.camera import FloatArray
+from dlgmd_cli.scenes.flights.drone import PHASES, fly
+from dlgmd_cli.scenes.flights.furniture import furniture, placement
+from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage
+from dlgmd_cli.scenes.flights.rooms import DAYLIGHT, cluttered_room, corridor, renamed, simple_room
+from dlgmd_cli.scenes.flights.solids import Body, Motion, World, box_of
+from dlgmd_cli.scenes.flights.textures import Rng
+from dlgmd_cli.scenes.flights.truth import Nearest
 
 # Builds an obstacle at (x, y) on the floor with a yaw in degrees; its front faces along its x.
 Build = Callable[[tuple[float, float], float], Sequence[Body]]

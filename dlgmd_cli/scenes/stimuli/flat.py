@@ -1,13 +1,14 @@
 """Scenes of plain objects on a plain background, antialiased by exact pixel coverage."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from dlgmd_cli.lab.stimuli.base import (
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.scenes.stimuli.base import (
     MAX_FRAMES,
     MAX_SIDE_PX,
     ClipOptions,
@@ -336,3 +337,35 @@ def ball_approaches(width: int, height: int) -> Iterator[list[GreyImage]]:
             distance_m=speed_m_s * (_N_TEST_FRAMES + 1) / ApproachOptions.fps,
         )
         yield list(Approach("looming-ball", "", options, "ball").frames(options))
+
+
+def cube_clips(
+    speeds_px: Sequence[float],
+    side_px: float,
+    n_frames: int | None,
+    size_wh: tuple[int, int],
+    reach_px: int,
+) -> tuple[list[Iterator[Frame]], dict[str, Any]]:
+    """Black cubes that translate over white, a clip for each speed, and what they are.
+
+    Rows farther than `reach_px` from the cubes are cut off. By default, all clips are as long as
+    the fastest cube stays in the picture, 75 frames at most.
+    """
+    scene = Translation("translating-cubes", "", TranslationOptions())
+    width, height = size_wh
+    flags: dict[str, Any] = {"--size": (height, width), "--frames": n_frames}
+    flags |= {"--object-size": side_px, "--contrast": -1.0, "--background": 1.0}
+    each = [scene.configure({**flags, "--speed": (speed,)}) for speed in speeds_px]
+    if n_frames is None:
+        n_frames = min(map(scene.n_frames, each))
+        # With an odd number, cubes with whole px/frame stay aligned to pixels.
+        n_frames -= 1 - n_frames % 2
+    above = max(0, int((height - side_px) / 2) - reach_px - 1)
+
+    def frames(options: TranslationOptions) -> Iterator[Frame]:
+        for index, picture in enumerate(scene.frames(options)):
+            yield Frame(index, index / options.fps, picture[above : height - above])
+
+    clips = [frames(replace(options, n_frames=n_frames)) for options in each]
+    record = {"frames": n_frames, "width": width, "height": height}
+    return clips, {"speeds_px": list(speeds_px), "side_px": side_px, **record}
