@@ -11,15 +11,7 @@ __version__ = "1.0.0"
 # Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from dlgmd_cli.api.batch import batch as batch
-    from dlgmd_cli.api.calibrate import calibrate as calibrate
-    from dlgmd_cli.api.evaluate import evaluate as evaluate
-    from dlgmd_cli.api.layers import layers as layers
-    from dlgmd_cli.api.sweep import sweep as sweep
-    from dlgmd_cli.api.synth import synth as synth
     from dlgmd_cli.errors import DlgmdError as DlgmdError
-    from dlgmd_cli.keys import Parameters as Parameters
-    from dlgmd_cli.keys import key as key
     from dlgmd_cli.models.base import Layers as Layers
     from dlgmd_cli.models.base import Model as Model
     from dlgmd_cli.models.base import Photoreceptors as Photoreceptors
@@ -30,27 +22,40 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
     from dlgmd_cli.models.lgmd import LGMD as LGMD
     from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
-    from dlgmd_cli.parameters import ContrastParameters as ContrastParameters
-    from dlgmd_cli.parameters import DlgmdParameters as DlgmdParameters
-    from dlgmd_cli.parameters import OnOffParameters as OnOffParameters
-    from dlgmd_cli.parameters import load_config as load_config
-    from dlgmd_cli.parameters import load_set as load_set
+    from dlgmd_cli.parameters.keys import Parameters as Parameters
+    from dlgmd_cli.parameters.keys import key as key
+    from dlgmd_cli.parameters.presets import ContrastParameters as ContrastParameters
+    from dlgmd_cli.parameters.presets import DlgmdParameters as DlgmdParameters
+    from dlgmd_cli.parameters.presets import OnOffParameters as OnOffParameters
+    from dlgmd_cli.parameters.presets import load_config as load_config
+    from dlgmd_cli.parameters.presets import load_set as load_set
+    from dlgmd_cli.results.reading import read_comparison as read_comparison
+    from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.result import Result as Result
-    from dlgmd_cli.results.result import read_comparison as read_comparison
-    from dlgmd_cli.results.result import read_result as read_result
-    from dlgmd_cli.runs.run import run as run
+    from dlgmd_cli.tasks.batch import batch as batch
+    from dlgmd_cli.tasks.bench import bench as bench
+    from dlgmd_cli.tasks.calibrate import calibrate as calibrate
+    from dlgmd_cli.tasks.evaluate import evaluate as evaluate
+    from dlgmd_cli.tasks.info import info as info
+    from dlgmd_cli.tasks.kernels import kernels as kernels
+    from dlgmd_cli.tasks.layers import layers as layers
+    from dlgmd_cli.tasks.run import compare as compare
+    from dlgmd_cli.tasks.run import run as run
+    from dlgmd_cli.tasks.sweep import sweep as sweep
+    from dlgmd_cli.tasks.synth import synth as synth
     from dlgmd_cli.video.opening import open_video as open_video
 
 # Imported on first use: `dlgmd --help` must not wait for NumPy and OpenCV.
 _NAMES = {
-    "api.batch": "batch",
-    "api.calibrate": "calibrate",
-    "api.evaluate": "evaluate",
-    "api.layers": "layers",
-    "api.sweep": "sweep",
-    "api.synth": "synth",
+    "tasks.batch": "batch",
+    "tasks.bench": "bench",
+    "tasks.calibrate": "calibrate",
+    "tasks.evaluate": "evaluate",
+    "tasks.layers": "layers",
+    "tasks.sweep": "sweep",
+    "tasks.synth": "synth",
     "errors": "DlgmdError",
-    "keys": "Parameters key",
+    "parameters.keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",
     "models.contrast": "ContrastDLGMD",
     "models.detection": "Alarm",
@@ -58,9 +63,12 @@ _NAMES = {
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
-    "parameters": "ContrastParameters DlgmdParameters OnOffParameters load_config load_set",
-    "results.result": "Result read_comparison read_result",
-    "runs.run": "run",
+    "parameters.presets": "ContrastParameters DlgmdParameters OnOffParameters load_config load_set",
+    "results.reading": "read_comparison read_result",
+    "results.result": "Result",
+    "tasks.run": "compare run",
+    "tasks.info": "info",
+    "tasks.kernels": "kernels",
     "video.opening": "open_video",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

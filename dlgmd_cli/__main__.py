@@ -7,7 +7,7 @@ import sys
 def main() -> None:
     """Entry point of the `dlgmd` command."""
     try:  # before anything else is imported: until then, Ctrl-C prints a traceback
-        from dlgmd_cli import cancel
+        from dlgmd_cli.machine import cancel
 
         cancel.listen()
     except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """Errors that fit on one line: what is at fault, why, and how to fix it."""
 
 import logging
+import re
 
 # Programs that do not configure logging see nothing of ours.
 logging.getLogger("dlgmd_cli").addHandler(logging.NullHandler())
@@ -11,8 +12,33 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
+# An option, and commands that are quoted, whose options stay.
+_OPTION = re.compile(
+    r"('dlgmd [^']*')|(Invalid value for ')?(?<![\w./-])--([a-z][a-z-]*[a-z]|[xy])('?)"
+)
+# Arguments of the functions whose options have other names, and those that are either on or off.
+_ARGUMENTS = {"format": "formats", "video": "film", "radius": "radii"}
+_SWITCHES = ("overwrite", "force")
+
+
+def as_arguments(text: str) -> str:
+    """A text that names options, such as ``--input-fps``, with Python's arguments instead."""
+
+    def argument(found: re.Match[str]) -> str:
+        command, _, option, quote = found.groups()
+        if command:
+            return command
+        name = _ARGUMENTS.get(option, option).replace("-", "_")
+        return (f"{name}=True" if name in _SWITCHES else name) + quote * (not found[2])
+
+    return _OPTION.sub(argument, text)
+
+
 class DlgmdError(Exception):
     """Base of every error that a user can cause or fix.
+
+    Its texts name options as the command line writes them, and so does its `line`, which only
+    commands show. As text, it names the arguments of functions.
 
     Parameters
     ----------
@@ -26,8 +52,15 @@ class DlgmdError(Exception):
 
     def __init__(self, what: str, why: str, mend: str = "") -> None:
         self.what, self.why, self.mend = what, why, mend
-        line = f"{what}: {why}." if what else f"{why}."
-        super().__init__(f"{line} {mend}".strip())
+        self.line = f"{what}: {why}. {mend}".strip() if what else f"{why}. {mend}".strip()
+        super().__init__(self.line)
+
+    def __str__(self) -> str:
+        # A file may have any name.
+        is_option = self.what.startswith(("--", "Invalid value for "))
+        what = as_arguments(self.what) if is_option else self.what
+        said = f"{what}: " if what else ""
+        return f"{said}{as_arguments(f'{self.why}. {self.mend}')}".strip()
 
     def __reduce__(self) -> tuple[type["DlgmdError"], tuple[str, str, str]]:
         return type(self), (self.what, self.why, self.mend)
@@ -43,6 +76,7 @@ class SourceError(DlgmdError):
 
 # What installs a package, if that is not its own name.
 _EXTRAS = {
+    "av": "'dlgmd[fast]'",
     "distributed": "'dlgmd[cluster]'",
     "jinja2": "'dlgmd[view]'",
     "numba": "'dlgmd[fast]'",

@@ -4,14 +4,24 @@ import glob
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
+_ENDINGS = """
+    264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov
+    mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
+"""
+_VIDEOS = frozenset(f".{ending}" for ending in _ENDINGS.split())
 # The number in a pattern of pictures, such as %04d.
 PRINTF = re.compile(r"%(0?)(\d*)d")
 # What user names and passwords look like in a URL: before the host, or as a value with such a name.
 _USER = re.compile(r"(?<=://)[^/?#]*@")
 _SECRET = re.compile(r"(?i)((?:pass|pwd|pw|secret|token|key|auth|sig|cred)[^=&;/?#]*=)[^&;/#]*")
+
+
+def is_video(name: str) -> bool:
+    """Whether a file name has the suffix of a video."""
+    return PurePosixPath(name).suffix.lower() in _VIDEOS
 
 
 def is_pattern(text: str) -> bool:

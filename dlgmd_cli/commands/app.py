@@ -50,7 +50,7 @@ class LazyGroup(Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; the error for an unknown name suggests a similar one."""
-        from dlgmd_cli.checks import nearest
+        from dlgmd_cli.parameters.checks import nearest
 
         name = click.utils.make_str(args[0])
         near = None if name in COMMANDS else nearest(name, COMMANDS)
@@ -100,16 +100,28 @@ def main() -> None:
     # NumPy and OpenCV bring a BLAS each, which reserve memory and start threads for every processor
     # as they are loaded, and crash where the system refuses. Here, matrices are small.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Numba loads compiled code from a folder that a file in the working folder may name.
+    os.environ.setdefault("NUMBA_CACHE_DIR", "")
     sys.excepthook = show_traceback
     _occupy_standard_streams()
     _keep_stderr_to_python()
-    # For models of one's own; last, so that no file here replaces a library.
-    sys.path.append(os.path.abspath(""))
     # Not every terminal can encode the characters of file names and the model's symbols.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    _require_a_folder()
     cli(prog_name="dlgmd")
+
+
+def _require_a_folder() -> None:
+    """End if the working folder has been deleted: nothing could be found or written from it."""
+    try:
+        os.getcwd()  # noqa: PTH109, Path.cwd is the same
+    except OSError as error:
+        click.echo(
+            f"Error: the working folder is gone ({error.strerror}). Change to one.", err=True
+        )
+        sys.exit(2)
 
 
 def _keep_stderr_to_python() -> None:

@@ -1,13 +1,12 @@
 """`dlgmd calibrate`: find the parameters that announce labelled collisions best, as a preset."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli.commands.console import Command, print_json, print_path, print_table
-from dlgmd_cli.commands.evaluate import labels_argument, raise_failures, rule_options
+from dlgmd_cli.commands.console import Command
+from dlgmd_cli.commands.evaluate import labels_argument, rule_options
 from dlgmd_cli.commands.options import (
     complete_key,
     input_options,
@@ -18,11 +17,10 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.commands.show import show
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.calibration import Calibration
-    from dlgmd_cli.lab.evaluation.scoring import Scores
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
 
 
 @click.command(
@@ -97,11 +95,12 @@ def calibrate(
     With --search, Optuna also tries values of other parameters. Every trial runs the model over all
     videos. Trials are kept in OUT/trials.db: after an interruption, the same command continues.
 
-    Writes the preset, OUT/NAME.yaml, for --config. Its comments say what it was calibrated on.
+    Writes the preset, OUT/NAME.yaml, for --config, and the figure OUT/NAME.png. Comments and the
+    last line say what it was calibrated on, and whether it is better, held out.
     """
-    from dlgmd_cli.api import calibrate as api
+    from dlgmd_cli.tasks import calibrate as task
 
-    found = api.calibrate(
+    found = task.calibrate(
         labels_path,
         model=setup,
         **rules,
@@ -111,46 +110,9 @@ def calibrate(
         name=name,
         jobs=jobs,
         out=out,
+        formats=("png",),
         overwrite=overwrite,
         progress=progress,
         **given,
     )
-    path = Path(out) / f"{name}.yaml"
-    if as_json:
-        facts = {
-            "parameters": found.setup.settings(),
-            **{key: _json(one) for key, one in found.scores.items()},
-            "folds": [{"n_sp": one.n_sp, "excitation": one.threshold} for one in found.choices],
-        }
-        print_json({"preset": str(path), **facts, "failed": found.failed})
-    else:
-        _show(found)
-        print_path(path)
-    raise_failures(found.failed, len(found.experiment.cases))
-
-
-def _json(scores: "Mapping[str, Scores]") -> dict[str, Any]:
-    """The scores of all videos, and of each kind, as JSON values."""
-    from dlgmd_cli.lab.evaluation.report import ALL, scores_json
-
-    by_kind = {kind: scores_json(one) for kind, one in scores.items() if kind != ALL}
-    return {**scores_json(scores[ALL]), **({"by_kind": by_kind} if by_kind else {})}
-
-
-def _show(found: "Calibration") -> None:
-    from dlgmd_cli.api.calibrate import SHOWN
-    from dlgmd_cli.lab.evaluation.report import ALL, interval_text
-
-    experiment = found.experiment
-    names = {
-        "held_out": f"held out ({max(experiment.folds) + 1} folds)",
-        "same_videos": "on the same videos",
-        "before": f"before ({experiment.setup.label})",
-    }
-    rows = [
-        (title if kind == ALL else f"  {kind}", *(interval_text(own, name) for name in SHOWN))
-        for key, title in names.items()
-        for kind, own in found.scores[key].items()
-    ]
-    print_table(("", "recall", "false/min", "lead s", "AUC"), rows)
-    click.echo(f"Found: {', '.join(found.changes()) or 'the same parameters as before'}.")
+    show(found, as_json=as_json)

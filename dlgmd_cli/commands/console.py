@@ -16,17 +16,14 @@ from typing import Any
 
 import click
 
-from dlgmd_cli import __version__, cancel
+from dlgmd_cli import __version__
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, printable
-from dlgmd_cli.words import counted
+from dlgmd_cli.machine import cancel
 
 _log = logging.getLogger(__name__)
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
-INFINITE_DISTINGUISHABILITY = (
-    "inf: the membrane potential is 0 within 5 frames of the false positive."
-)
 
 # Sections of the help, each with its options in order, the common ones first. An option in none of
 # them is specific to its command, and comes before all sections.
@@ -73,7 +70,7 @@ def _use_defaults(ctx: click.Context, param: click.Parameter, value: str | None)
     try:
         defaults.apply(ctx, ctx.ensure_object(Settings).own_defaults)
     except ParameterError as error:
-        raise click.UsageError(str(error), ctx) from None
+        raise click.UsageError(error.line, ctx) from None
 
 
 _general_option = partial(click.option, expose_value=False, callback=_store)
@@ -201,10 +198,21 @@ class Command(_WithSections):
             warnings.filterwarnings("always", category=UserWarning, module="dlgmd_cli")
             once = cache(warn)
             warnings.showwarning = lambda message, *_, **__: once(str(message))
+            _tell_own_defaults(ctx)
             returned = super().invoke(ctx)
             if lines.has_error:
                 raise click.exceptions.Exit(EXIT_FAILED)
             return returned
+
+
+def _tell_own_defaults(ctx: click.Context) -> None:
+    """Say which options have their values from the user's own file."""
+    from dlgmd_cli.commands.options import own_defaults
+
+    used = own_defaults(ctx)
+    if used:
+        path = used.pop("file")
+        tell(f"Settings from {printable(path)}: {', '.join(used)}.")
 
 
 def _too_many(extra: list[str]) -> str:
@@ -252,7 +260,7 @@ def errors_as_one_line() -> Iterator[None]:
     except DlgmdError as error:
         if settings().debug:
             raise
-        message = printable(str(error))
+        message = printable(error.line)
         if isinstance(error, ParameterError):
             raise click.UsageError(message, click.get_current_context(silent=True)) from None
         code = EXIT_USAGE if isinstance(error, OutputExistsError) else EXIT_FAILED
@@ -329,6 +337,8 @@ def logged() -> Iterator[_Lines]:
     lines = _Lines(shown)
     handlers: list[logging.Handler] = [lines]
     if asked.log is not None:
+        if asked.log.is_fifo():  # opening it would wait for a reader
+            raise Failed(f"--log: {asked.log}: is a pipe, not a file.")
         try:
             handlers.append(logging.FileHandler(asked.log, encoding="utf-8", errors="replace"))
         except OSError as error:
@@ -358,15 +368,6 @@ def show_traceback(
     for part in traceback.format_exception(kind, error, trace):
         for line in part.rstrip("\n").split("\n"):
             say(line)
-
-
-def end_if_interrupted(target: Path | str, n_frames: int, *, complete: bool) -> None:
-    """If the user asked to stop, say what `target` holds and exit with code 130."""
-    if not cancel.requested():
-        return
-    kept = f"the {counted(n_frames, 'frame')} processed before the interruption"
-    say(f"Interrupted. {target} holds {'the whole result' if complete else kept}.")
-    raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
 
 
 def print_path(path: Path | str) -> None:

@@ -1,7 +1,8 @@
 """Own defaults of options: the file dlgmd.yaml in the working folder or in one above it.
 
 Only the command line reads it. Click takes the defaults from the context (`default_map`), so that
-an option that is given takes precedence, and the help shows what holds.
+an option that is given takes precedence, and the help shows what holds. A file that is found may be
+anybody's: what it may do is limited, and errors do not quote it.
 """
 
 import os
@@ -13,8 +14,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from dlgmd_cli.checks import nearest
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters.checks import nearest
 
 NAME, NONE = "dlgmd.yaml", "none"
 # The file if --settings is not given, for scripts.
@@ -23,7 +24,7 @@ VARIABLE = "DLGMD_SETTINGS"
 KEYS = {
     "size": "size of the processed frames, such as 240x180",
     "mask": "picture that is black where frames are ignored",
-    "decoder": "pyav or opencv",
+    "decoder": "library that decodes videos, opencv or pyav",
     "format": "formats of figures, such as [png, pdf]",
     "out": "folder for the results",
 }
@@ -44,31 +45,63 @@ class OwnDefault(click.Option):
 def find(given: str | None) -> Path | None:
     """The file of defaults: the one given, that of DLGMD_SETTINGS, or the nearest dlgmd.yaml.
 
-    None if there is none, or ``none`` is given. The one given need not exist.
+    None if there is none, or ``none`` is given. The one given need not exist. The search ends at
+    the home folder and at the edge of the file system. Raises ParameterError if the nearest file
+    belongs to another user.
     """
     given = given or os.environ.get(VARIABLE)
     if given is not None:
         return None if given == NONE else Path(given)
-    here = Path(os.path.abspath(""))
+    here, home = Path(os.path.abspath("")), os.path.realpath(_expanded("~"))
     for folder in (here, *here.parents):
         with suppress(OSError):  # a folder that may not be searched
+            if folder.stat().st_dev != here.stat().st_dev:
+                break
             if (folder / NAME).is_file():
-                return Path(NAME) if folder == here else folder / NAME
+                path = Path(NAME) if folder == here else folder / NAME
+                _require_own(path)
+                return path
+        if str(folder) == home:
+            break
     return None
+
+
+def _require_own(path: Path) -> None:
+    """Raise ParameterError if a file, or a link to it, is of another user; OSError passes."""
+    if not hasattr(os, "geteuid"):  # Windows
+        return
+    own = {os.geteuid()}
+    if own == {0} and os.environ.get("SUDO_UID", "").isdecimal():  # as Git does
+        own.add(int(os.environ["SUDO_UID"]))
+    if not {path.lstat().st_uid, path.stat().st_uid} <= own:
+        mend = f"If you trust it, add --settings {path}; --settings {NONE} leaves it out."
+        raise ParameterError(str(path), "belongs to another user", mend)
+
+
+def _expanded(path: str) -> str:
+    """A path with the home folder for ``~``; unchanged if that is unknown, where Path raises."""
+    return os.path.expanduser(path)  # noqa: PTH111
 
 
 def read(path: Path) -> dict[str, Any]:
     """The defaults in a file, by option: texts, and a list of texts for `format`.
 
-    Raises ParameterError if it is not plain YAML, or a key or the kind of a value is wrong.
+    Raises ParameterError if it is not plain YAML, or a key or the kind of a value is wrong. The
+    error does not quote the file, which may be a link to anything.
     """
-    from dlgmd_cli import plain_yaml
+    from dlgmd_cli.parameters import plain_yaml
 
     name = str(path)
     try:
-        found = plain_yaml.parse(name, plain_yaml.read(path))
+        text = plain_yaml.read(path)
     except ParameterError as error:
         raise ParameterError(name, error.why, _HINT) from None
+    try:
+        found = plain_yaml.parse(name, text)
+    except ParameterError as error:
+        where = re.search(r" in line \d+$", error.why)
+        why = f"is not plain YAML{where[0] if where else ''}"
+        raise ParameterError(name, why, _HINT) from None
     if not isinstance(found, dict | None):
         raise ParameterError(name, "does not consist of 'option: value' lines", _HINT)
     values: dict[str, Any] = {}
@@ -76,12 +109,14 @@ def read(path: Path) -> dict[str, Any]:
         if key not in KEYS:
             near = nearest(str(key)[:100], KEYS)
             hint = f"Did you mean {near!r}?" if near else f"Choose from {', '.join(KEYS)}."
-            raise ParameterError(name, f"there is no setting {str(key)[:100]!r}", hint)
+            raise ParameterError(name, "contains an unknown setting", hint)
         texts = value if key == "format" and isinstance(value, list) else [value]
         if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
             raise ParameterError(name, f"{key}: this is no text", f"It is the {KEYS[key]}.")
-        if key in _PATHS and "://" not in value:
-            value = str(path.parent / Path(value).expanduser())
+        if key in _PATHS:
+            if "://" in value:
+                raise ParameterError(name, f"{key}: a URL is not allowed here", f"Give --{key}.")
+            value = str(path.parent / _expanded(value))
         values[key] = texts if key == "format" else value
     return values
 
@@ -101,9 +136,10 @@ def apply(ctx: click.Context, given: str | None) -> None:
             chosen[str(option.name)] = values[option.key]
             try:
                 option.process_value(ctx, values[option.key])
-            except click.UsageError as error:
-                why = f"{option.key}: {error.message.rstrip('.')}"
-                raise ParameterError(str(path), why) from None
+            except click.UsageError:
+                why = f"{option.key}: this value cannot be used"
+                mend = f"It is the {KEYS[option.key]}."
+                raise ParameterError(str(path), why, mend) from None
     ctx.default_map, ctx.meta[NAME] = chosen, path
 
 

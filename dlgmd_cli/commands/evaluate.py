@@ -1,19 +1,13 @@
 """`dlgmd evaluate`: score how well alarms announce labelled collisions."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli.commands.batch import model_setups
-from dlgmd_cli.commands.console import (
-    Command,
-    Failed,
-    print_json,
-    print_path,
-    print_table,
-)
+from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
+from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     Output,
     engine_option,
@@ -26,14 +20,15 @@ from dlgmd_cli.commands.options import (
     setup_options,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.words import counted, threshold_text
+from dlgmd_cli.commands.show import show
+from dlgmd_cli.parameters.presets import parse_overrides
 
 if TYPE_CHECKING:
-    from dlgmd_cli.lab.evaluation.report import Report
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
 
 # Options that only matter when models are run, beside those of the input.
 _OF_MODELS = {"set_names", "configs", "models", "pairs", "formulation", "engine", "jobs"}
+_OF_MODELS |= {"variants", "labels"}
 
 labels_argument = click.argument(
     "labels_path", metavar="LABELS.csv", type=click.Path(path_type=Path)
@@ -61,13 +56,55 @@ rule_options = option_group(
     ),
 )
 
+answer_options = option_group(
+    "answer",
+    dict,
+    click.option(
+        "--react",
+        type=float,
+        default=0.1,
+        show_default=True,
+        metavar="S",
+        help="In rendered flights, the pilot reacts S seconds after an alarm.",
+    ),
+    click.option(
+        "--brake",
+        type=float,
+        metavar="M/S²",
+        help="... and the drone brakes with this deceleration at once.  [default: as it can]",
+    ),
+    click.option(
+        "--agile/--stabilised",
+        default=None,
+        help="... as a drone that leans at once, or as a camera drone, up to 25 degrees.  "
+        "[default: as that of each flight]",
+    ),
+)
+
+
+def _setups(
+    *,
+    variants: tuple[tuple[str, dict[str, Any]], ...] = (),
+    labels: tuple[str, ...] = (),
+    pairs: tuple[str, ...] = (),
+    **more: Any,
+) -> "list[Setup]":
+    """Every model with its variants; single parameters show in their names."""
+    from dlgmd_cli.tasks.setup import with_keys
+
+    found = with_keys(model_setups(pairs=pairs, **more), parse_overrides(pairs))
+    every = [each for one in found for each in (one, *variants_of(one, variants, len(found)))]
+    return labelled(every, labels)
+
 
 @click.command(
     cls=Command,
     epilog="Example: dlgmd evaluate flights/labels.csv --set 3 --set 9 --model lgmd --out results",
 )
 @labels_argument
-@setup_options(model_setups, param_option, formulation_option, engine_option)
+@setup_options(
+    _setups, param_option, formulation_option, engine_option, variant_option, label_option
+)
 @input_options
 @click.option(
     "--results",
@@ -76,11 +113,14 @@ rule_options = option_group(
     help="Score the results of 'dlgmd batch' in DIR instead of running models.",
 )
 @rule_options
+@answer_options
 @click.option(
     "--baselines/--no-baselines",
     default=True,
     show_default=True,
-    help="Also score two baselines: the sum of P, and the divergence of optical flow.",
+    help="Also score two baselines: the sum of P, and the divergence of optical flow. They get the "
+    "frames and the n_sp of the preset flight, whatever the models; with --results, those of the "
+    "first model.",
 )
 @jobs_option
 @report_options
@@ -90,6 +130,7 @@ def evaluate(
     given: dict[str, Any],
     results: Path | None,
     rules: dict[str, Any],
+    answer: dict[str, Any],
     baselines: bool,
     jobs: int | None,
     output: Output,
@@ -108,42 +149,39 @@ def evaluate(
 
     Each model is scored at its default threshold and at the best one: the threshold with the
     highest recall at no more than --max-false-per-min. The best threshold is chosen on the same
-    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos; that
-    of the false alarms is widened to the exact Poisson interval, which none at all has, too.
+    videos, so its scores are optimistic. Intervals are 95 % of 1000 resamples of the videos; those
+    of recall, precision and false alarms are widened to the exact ones (Clopper-Pearson and
+    Poisson), which 0 of 13 has, too. A best threshold of "none": none announces anything.
+
+    In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: at the first
+    alarm that is within --horizon before the collision or justified, the pilot reacts and the drone
+    brakes, straight on. It is saved if it stops before it touches anything. A stop is justified if
+    the drone would have hit something within 1.5 s, flying straight on; other alarms ask for an
+    unneeded stop, and the flight goes on.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
-    target, kind and manner), curves.csv (recall and false alarms at every threshold, for all videos
-    and for each kind), alarms.csv (every alarm and every missed collision of all videos; not the
-    columns of 'dlgmd run'), figures of the trade-off and of the leads, and evaluate.yaml.
+    target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
+    videos and for each kind), alarms.csv (every alarm and every missed collision of all videos; not
+    the columns of 'dlgmd run'), figures of the trade-off, of the leads and of the stops, and
+    evaluate.yaml.
     """
-    from dlgmd_cli.api import evaluate as api
+    from dlgmd_cli.tasks import evaluate as task
 
+    of_models = {"models": setups, "jobs": jobs, **given}
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
-    report = api.evaluate(
+        of_models = {}
+    found = task.evaluate(
         labels_path,
-        setups if results is None else None,
         results=results,
         **rules,
+        **answer,
         baselines=baselines,
-        jobs=jobs if results is None else None,
-        out=output.out,
-        formats=output.formats,
-        dpi=output.dpi,
-        width=output.width,
-        overwrite=output.overwrite,
         progress=progress,
-        **(given if results is None else {}),
+        **output.files,
+        **of_models,
     )
-    if output.as_json:
-        facts = {"result": str(output.out), **report.counts(), "models": report.to_json()}
-        print_json(facts)
-    else:
-        _show(report)
-        for name in api.file_names(output.formats):
-            if (output.out / name).exists():  # a figure that cannot be drawn does not
-                print_path(output.out / name)
-    raise_failures(report.evaluation.failed, len(report.evaluation.cases))
+    show(found, as_json=output.as_json)
 
 
 def _refuse(names: set[str]) -> None:
@@ -154,56 +192,3 @@ def _refuse(names: set[str]) -> None:
         is_given = source is click.core.ParameterSource.COMMANDLINE
         if parameter.name in names and is_given:
             raise click.UsageError(f"{parameter.opts[0]} does not work with --results.")
-
-
-def raise_failures(failed: "Mapping[str, str]", n_scored: int) -> None:
-    """Raise Failed, exit code 1, if some videos could not be scored."""
-    if failed:
-        raise Failed(
-            f"{len(failed)} of {len(failed) + n_scored} videos could not be scored and are left "
-            "out. Fix or remove them, then run again."
-        )
-
-
-def _show(report: "Report") -> None:
-    """Print the tables: all videos and each kind, then hits and false alarms by group."""
-    from dlgmd_cli.lab.evaluation.report import ALL, interval_text
-
-    header = ("threshold", "recall", "false/min", "precision", "lead s", "AUC", "contact")
-    names = ("recall", "false_alarms_per_min", "precision", "lead_s", "auc")
-    kinds = report.names("kind")
-    rows = [
-        (
-            row["model"],
-            *((row["kind"],) if kinds else ()),
-            f"{row['at']} {threshold_text(row['threshold'])}",
-            *(interval_text(row, name) for name in names),
-            str(row["at_contact"]),
-        )
-        for row in report.rows
-        if row["target"] == row["manner"] == ALL
-    ]
-    print_table(("model", *(("kind",) if kinds else ()), *header), rows)
-    first = report.rows[0]
-    click.echo(
-        f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
-        f"{first['minutes']:.2f} minutes before contact or the end."
-    )
-    for word in ("target", "manner"):
-        _show_groups(report, word)
-
-
-def _show_groups(report: "Report", word: str) -> None:
-    """Print the hits and false alarms by target or manner, if there are any."""
-    lines = []
-    for name in report.names(word):
-        mains = [report.main(label, **{word: name}) for label in report.curves]
-        cells = [
-            f"{'{hits}/{collisions}'.format(**row) if row['collisions'] else '–'}, "
-            f"{row['false_alarms_per_min']:.1f}"
-            for row in mains
-        ]
-        lines.append((name, str(mains[0]["videos"]), *cells))
-    if lines:
-        click.echo(f"Collisions announced, and false alarms per minute, by {word}:")
-        print_table((word, "videos", *report.curves), lines)

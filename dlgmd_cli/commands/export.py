@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dlgmd_cli.commands.console import Command, Group, print_json, print_path, print_table
-from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     ONE_MODEL,
     SIZE,
@@ -16,10 +15,10 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
     setup_of,
 )
-from dlgmd_cli.parameters import PRESETS, SMALL_WIDTH_PX
+from dlgmd_cli.parameters.presets import PRESETS, SMALL_WIDTH_PX
 
 if TYPE_CHECKING:
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
 
 
 def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]]":
@@ -29,6 +28,9 @@ def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]
         asked["config"] = PRESETS[-1]
     return setup_of(**asked), size
 
+
+# What the keys of a record are as options.
+_OPTIONS = {"set": "set", "preset": "config"}
 
 size_option = click.option(
     "--size",
@@ -86,14 +88,16 @@ def c(
     """
     from dlgmd_cli.export.folder import files
     from dlgmd_cli.export.project import Export
-    from dlgmd_cli.lab.stimuli.flat import ball_approaches
-    from dlgmd_cli.results.store import file_of
+    from dlgmd_cli.results.store import claimed, file_of
+    from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
     setup, size = sized
-    made = Export(setup.params, *size, is_fixed, setup.label)
+    named = ((_OPTIONS[key], value) for key, value in setup.named.items() if key in _OPTIONS)
+    options = "".join(f" --{option} {value}" for option, value in named)
+    made = Export(setup.params, *size, is_fixed, setup.label, setup.model_fps, options)
     contents = files(made, ball_approaches(*size))
-    writes = {out / name: file_of(data) for name, data in contents.items()}
-    write_files(writes, overwrite=overwrite, locks=True)
+    with claimed(out, names=contents, overwrite=overwrite) as claim:
+        claim.write({name: file_of(data) for name, data in contents.items()})
     if as_json:
         print_json({"folder": str(out), **made.costs})
         return

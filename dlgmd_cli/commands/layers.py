@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli import cancel
-from dlgmd_cli.commands.console import Command, print_path, say
-from dlgmd_cli.commands.frame import job
+from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     FRAME,
     Output,
@@ -20,9 +18,10 @@ from dlgmd_cli.commands.options import (
     output_options,
 )
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.commands.show import show
 
 if TYPE_CHECKING:
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
 
 
 def _frame_numbers(value: str) -> tuple[int, ...]:
@@ -102,37 +101,19 @@ def layers(
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
     if labels_path and collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
-    from dlgmd_cli.api import layers as api
-    from dlgmd_cli.results import store
-    from dlgmd_cli.runs.setup import input_options as recorded
+    from dlgmd_cli.tasks import layers as task
 
-    options = recorded(setup, given)
-    makes_sheet = bool(wanted) or film_path is None
-    frames = api.chosen_frames(wanted) if wanted else None if makes_sheet else ()
-    with job(input_path, [setup], options, output, store.LAYERS if makes_sheet else None) as one:
-        if film_path is not None:
-            if makes_sheet and film_path.resolve().parent == one.folder.resolve():
-                raise click.UsageError(
-                    f"--video lies in {one.folder}, where the sheet goes. Choose another place."
-                )
-            api.check_film(film_path, one.video, overwrite=output.overwrite)
-        whole = film_path is not None
-        contact = api.contact_of(input_path, collision_frame, labels_path)
-        found = api.layers_of(one.video, setup, options, frames, whole, progress, contact=contact)
-        one.warn(found.result.warnings)
-        if found.sheet is not None:
-            one.commit(found.files(output.formats, output.dpi, npz=npz))
-            print_path(one.folder)
-    if makes_sheet and cancel.requested():
-        n_kept = f"{len(found.result.record['frames'])} of {len(found.wanted)} frames"
-        unmade = f", no frame of {film_path} was rendered" if film_path else ""
-        say(f"Interrupted. {one.folder} holds {n_kept}{unmade}.")
-        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
-    if film_path is None:
-        return
-    n_rendered = found.film(film_path, overlay=overlay, overwrite=True, progress=progress)
-    print_path(film_path)
-    n_frames = len(found.result)
-    if cancel.requested() and n_rendered < n_frames:
-        say(f"Interrupted. {film_path} holds the first {n_rendered} of {n_frames} frames.")
-        raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
+    found = task.layers(
+        input_path,
+        wanted,
+        model=setup,
+        collision_frame=collision_frame,
+        collisions=labels_path,
+        npz=npz,
+        film=film_path,
+        overlay=overlay,
+        progress=progress,
+        **output.files,
+        **given,
+    )
+    show(found)

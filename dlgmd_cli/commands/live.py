@@ -4,7 +4,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dlgmd_cli import cancel
 from dlgmd_cli.commands.console import (
     EXIT_FAILED,
     Command,
@@ -33,6 +32,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.progress import is_lively
 from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.names import without_password
 from dlgmd_cli.video.base import PIXEL_FORMATS
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Output
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Statistics
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
 
@@ -64,6 +64,12 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     show_default=True,
     help="Pixel format of the frames of a pipe, as FFmpeg names it.",
 )
+@click.option(
+    "--rotate",
+    type=click.Choice(["90", "180", "270"]),
+    help="Turn the pictures clockwise, such as by 180 degrees for a camera that hangs.",
+)
+@click.option("--flip", is_flag=True, help="Mirror the pictures, left for right.")
 @click.option("--realtime", is_flag=True, help="Play a file at its own pace, to try things out.")
 @click.option("--loop", is_flag=True, help="With --realtime: play the file again and again.")
 @alarm_option(
@@ -76,7 +82,7 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     "--exec",
     metavar="CMD",
     help="Start a program at each event. The object is in its environment: DLGMD_EVENT is begin, "
-    "end, blind or sees, DLGMD_REASON is lost, black or frozen.",
+    "end, blind or sees, DLGMD_REASON is lost, black, flat, noise or frozen.",
 )
 @alarm_option("--udp", metavar="HOST:PORT", help="Send the JSON objects as UDP datagrams.")
 @alarm_option(
@@ -98,6 +104,11 @@ alarm_option = partial(click.option, cls=SectionOption, section="Alarm")
     metavar="DIR",
     help="Keep the result in DIR, as 'dlgmd run' writes it, but without figures.",
 )
+@click.option(
+    "--keep-video",
+    is_flag=True,
+    help="With --record: also keep the pictures that the model saw, for 'dlgmd view'.",
+)
 @overwrite_option
 def live(
     source: str,
@@ -117,23 +128,27 @@ def live(
 
     The JSON objects hold frame, time_s (since the first frame), utc (when the frame came, by this
     machine's clock, as 2026-05-01T09:30:00.125Z), mp, mp_abs, spike, alarm, g_x, g_y (the centroid
-    of the active cells, from -1 to 1) and latency_ms (from capture to answer).
+    of the active cells, from -1 to 1), ttc_s (the estimated time to contact; null where the picture
+    does not expand) and latency_ms (from capture to answer).
 
     Events have an event: begin and end of an alarm, blind where the source is lost or its pictures
-    are black or frozen, sees where it shows something again. The reason is lost, black or frozen as
-    long as it does not. With begin there is the side that the alarm comes from (left, ahead or
-    right third of the picture, with high or low), with end also duration_s and peak_mp_abs. Pauses
-    under 0.3 s do not end an alarm, so its end is told 0.3 s late.
+    show nothing, sees after half a second in which it shows something again. The reason is lost,
+    black, flat, noise or frozen as long as it does not, and since_s is when it began. With begin
+    there is the side that the alarm comes from (left, ahead or right third of the picture, with
+    high or low), with end also duration_s and peak_mp_abs. Pauses under 0.3 s do not end an alarm,
+    so its end is told 0.3 s late.
     """
     from dlgmd_cli.live.outputs import finish
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.watch import Sight, Statistics, answers
     from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.results import store
-    from dlgmd_cli.runs.setup import input_options
+    from dlgmd_cli.tasks.setup import input_options
 
     if asked["events"] and not (asked["jsonl"] or asked["udp"]):
         raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
+    if asked["keep_video"] and record is None:
+        raise ParameterError("", "--keep-video works only with --record", "Add --record DIR.")
     if asked["loop"] and not asked["realtime"]:
         raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
     options = input_options(setup, given)
@@ -145,22 +160,29 @@ def live(
         all_frames=True,  # so does it with the rate
         repeats=options.repeats or "skip",
         engine=setup.engine,
+        times="capture",  # the source recovers them
     )
+    alarm.tells_rate = False  # `answers` does, and why
     statistics, sight, recording = Statistics(), Sight(frames), None
     with ExitStack() as stack:
         outputs = _outputs(asked, frames)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
-            store.check(record, store.RUN, {"path": frames.name}, overwrite=overwrite)
+            identity = {"path": frames.name}
+            store.check(record, store.RUN, identity, overwrite=overwrite, option="--record")
             stack.enter_context(store.locked(record))
-            recording = Recording(record, frames, setup, options, alarm, sight)
+            recording = Recording(
+                record, frames, setup, options, alarm, sight, keeps_video=asked["keep_video"]
+            )
             receivers.append(stack.enter_context(recording))
         if asked["serve"] is not None:
             page = _page(asked["serve"], frames, statistics, setup.params.t_mp)
             receivers.append(stack.enter_context(page))
         import rich.table  # noqa: F401, which takes long on a busy machine: not after Ctrl-C
 
+        if asked["jsonl"]:  # whatever prints, readers get nothing but JSON
+            stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures):
                 if answer is not None:
@@ -185,20 +207,22 @@ def _source(
 
     size = asked["input_size"]
     design: Any = {"width_px": setup.width_px, "model_fps": setup.model_fps}
+    turns: Any = {"rotate": int(asked["rotate"] or 0), "flip": asked["flip"]}
     live.check_source(source, is_realtime=asked["realtime"], has_size=size is not None)
     if source == "-":
         pipe = partial(live.shots_of_pipe, sys.stdin.buffer, size, asked["pixel_format"])
-        return live.LiveSource("standard input", pipe, options, **design)
+        return live.LiveSource("standard input", pipe, options, **design, **turns)
     if asked["realtime"]:
         plain = replace(options, scale=None, size=None, crop=None, mask=None, repeats="keep")
         opened = partial(plain.open, source, **design)
         file = partial(live.shots_at_their_pace, opened, loops=asked["loop"])
-        return live.LiveSource(os.path.abspath(source), file, options, **design)
+        return live.LiveSource(os.path.abspath(source), file, options, **design, **turns)
     return live.LiveSource(
         without_password(source),
         partial(live.shots_of_capture, source, size),
         options,
         **design,
+        **turns,
         waits=False,
         tries_again=True,
         must_open=live.is_camera(source),

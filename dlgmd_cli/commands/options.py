@@ -1,7 +1,9 @@
 """Options that several commands share, and the types of their values."""
 
 import math
+import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.checks import Spec, require_known
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.checks import Spec, require_known
+from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
     ENGINES,
@@ -33,7 +35,7 @@ from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
 from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
-    from dlgmd_cli.runs.setup import Setup
+    from dlgmd_cli.tasks.setup import Setup
 
 
 class Parsed(click.ParamType):
@@ -52,7 +54,7 @@ class Parsed(click.ParamType):
         try:
             return self.parse(str(value))
         except ParameterError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(error.line, param, ctx)
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """The name as it is; click would write WXH."""
@@ -97,15 +99,28 @@ def _model_names() -> tuple[str, ...]:
 
 def _model(text: str) -> str:
     """A model's name; a class is imported later."""
-    if text not in MODELS and ":" not in text:
+    if ":" in text:
+        find_modules_here()
+    elif text not in MODELS:
         require_known("model", text, (*_model_names(), "your own as MODULE:CLASS"))
     return text
+
+
+def find_modules_here() -> None:
+    """Let Python find modules in the working folder, once the command line names one.
+
+    Not before: else a file there would be taken for an optional package that is not installed. And
+    last, so that no file there replaces a library.
+    """
+    here = os.path.abspath("")
+    if here not in sys.path:
+        sys.path.append(here)
 
 
 SIZE, RECTANGLE = Parsed("WxH", parse_size), Parsed("WxH+X+Y", parse_crop)
 TIME, FRAME = Parsed("TIME", _time), numeric(int, 0, 999_999_999)
 _SET = Parsed("set", lambda text: text.removeprefix("set"), preset_names)
-_MODEL = Parsed("model", _model, _model_names)
+MODEL = Parsed("model", _model, _model_names)
 # Formats of figures.
 FORMATS = ("png", "pdf", "svg")
 
@@ -255,6 +270,7 @@ def complete_config(
 input_argument = click.argument("input_path", metavar="INPUT", shell_complete=complete_file)
 collisions_option = click.option(
     "--collisions",
+    "--labels",
     "labels_path",
     type=click.Path(path_type=Path),
     metavar="LABELS.csv",
@@ -325,7 +341,7 @@ def _naming_options(*, many: bool) -> list[Option]:
         option(
             "--model",
             f"model{plural}",
-            type=_MODEL,
+            type=MODEL,
             metavar=f"[{'|'.join(MODELS)}|MODULE:CLASS]",
             help="A model with its published parameters; dlgmd means set 9. Your own is "
             f"package.module:Class.{note}",
@@ -359,13 +375,19 @@ def _given(**values: Any) -> dict[str, Any]:
     return {**values, **dict.fromkeys(_outdone(click.get_current_context()))}
 
 
+def own_defaults(ctx: click.Context) -> dict[str, Any]:
+    """The user's own file and its defaults that are in force; empty if there are none."""
+    own = {key: one for key, one in defaults.used(ctx).items() if key not in _outdone(ctx)}
+    return own if len(own) > 1 else {}  # nothing but the file's name
+
+
 def _recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
     """`collect` whose models have the user's own defaults that are in force, for their records."""
 
     def collected(**values: Any) -> Any:
         found, ctx = collect(**values), click.get_current_context()
-        own = {key: one for key, one in defaults.used(ctx).items() if key not in _outdone(ctx)}
-        if len(own) < 2:  # nothing but the file's name
+        own = own_defaults(ctx)
+        if not own:
             return found
         setups = found if isinstance(found, list) else [found]
         marked = [replace(one, named={**one.named, "settings": own}) for one in setups]
@@ -383,13 +405,25 @@ def setup_of(
     engine: str | None = None,
 ) -> "Setup":
     """The model that the options of `ONE_MODEL` name."""
-    from dlgmd_cli.runs.setup import choose  # brings in NumPy
+    from dlgmd_cli.tasks.setup import choose  # brings in NumPy
 
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 
 
 model_options = option_group("setup", _recorded(setup_of), *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", setup_of, *ONE_MODEL)
+
+
+def of_files(
+    configs: Iterable[Path], models: tuple[str, ...]
+) -> tuple[dict[Path, str | None], tuple[str, ...]]:
+    """The file of each --config with the --model that belongs to it, and the other models.
+
+    A --model of one's own belongs to a file that names it, which could not import it by itself.
+    """
+    named = {path: load_config(path).model for path in dict.fromkeys(configs)}
+    own = {path: name if name in models and ":" in name else None for path, name in named.items()}
+    return own, tuple(name for name in models if name not in own.values())
 
 
 def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
@@ -417,8 +451,8 @@ input_fps_option = _input_option(
 )
 decoder_option = _input_option(
     "decoder",
-    "Library that decodes videos; pictures are read by OpenCV, interlaced video by PyAV.  "
-    "[default: pyav]",
+    "Library that decodes videos; pyav needs dlgmd[fast]. Pictures are read by OpenCV, interlaced "
+    "video by PyAV.  [default: opencv]",
     cls=OwnDefault,
 )
 # What `live` has too.
@@ -489,7 +523,14 @@ class Output:
     dpi: int
     overwrite: bool
     as_json: bool = False
-    width: Any = "one"
+    width: Any = None
+
+    @property
+    def files(self) -> dict[str, Any]:
+        """The arguments of a task."""
+        width = {} if self.width is None else {"width": self.width}
+        named = {"out": self.out, "formats": self.formats, "dpi": self.dpi, **width}
+        return {**named, "overwrite": self.overwrite}
 
 
 def _output(out: str, formats: tuple[str, ...], no_plots: bool, **more: Any) -> Output:

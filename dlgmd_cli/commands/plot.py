@@ -13,7 +13,6 @@ import click
 
 from dlgmd_cli.commands.console import Command, note, print_path, warn, warn_outside
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.commands.frame import write_files
 from dlgmd_cli.commands.options import (
     FORMATS,
     FRAME,
@@ -30,8 +29,8 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.errors import ParameterError, ResultError, printable
 from dlgmd_cli.names import distinct_names, numbered
-from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.kinds import KINDS
+from dlgmd_cli.results.annotations import Annotations
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result
@@ -128,7 +127,7 @@ annotation_options = option_group(
     "--normalise",
     type=click.Choice(list(_COLUMNS)),
     help="Which normalised membrane potential (MP) to draw.  [default: the one that the spikes "
-    "follow; for comparisons, the one that 'dlgmd compare' drew]",
+    "follow]",
 )
 @width_option
 @click.option(
@@ -173,7 +172,7 @@ def plot(
         raise click.UsageError("--ylim is for one scale, and an overview has two.")
     if labels_path and annotations.collision_frame is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
-    from dlgmd_cli.results.store import SUMMARY, fitting, with_results
+    from dlgmd_cli.results.store import SUMMARY, claimed, fitting, with_results
 
     given = [
         path.absolute().parent if path.name in ("compare.csv", SUMMARY) else path for path in paths
@@ -183,7 +182,7 @@ def plot(
     # The names of all that was given, cut off if they get too long for a file name.
     names = "-".join(Path(os.path.abspath(folder)).name or "root" for folder in given)
     targets = _targets(out, f"{kind}-{fitting(names[:_MAX_NAME])}", formats)
-    found, are_compared = _read(paths, folders)
+    found = _read(paths, folders)
     require_one_each(labels, len(found), "result")
     shown = labels or numbered([name for name, _ in found])
     results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
@@ -197,7 +196,7 @@ def plot(
         label: result.until(max(collisions.get(label, ()), default=annotations.collision_frame))
         for label, result in results.items()
     }
-    column = _column(kind, normalise, results, are_compared)
+    column = _column(kind, normalise, results)
     from dlgmd_cli.plots.style import save_figure
     from dlgmd_cli.plots.timeline import Timeline
     from dlgmd_cli.plots.traces import plot as draw
@@ -211,7 +210,10 @@ def plot(
     look: Any = {"column": column, "width": width, "emphasise": emphasise}
     look |= {"collisions": collisions, "xlim": xlim, "ylim": ylim}
     figure = draw(kind, results, annotations, **look)
-    write_files(dict.fromkeys(targets, partial(save_figure, figure, dpi=dpi)), overwrite=overwrite)
+    files = dict.fromkeys((path.name for path in targets), partial(save_figure, figure, dpi=dpi))
+    place = targets[0].parent
+    with claimed(place, names=files, overwrite=overwrite, locks=False) as claim:
+        claim.write(files)
     for target in targets:
         print_path(target)
 
@@ -234,15 +236,13 @@ def _targets(out: Path, stem: str, formats: tuple[str, ...]) -> list[Path]:
     return [out]
 
 
-def _read(
-    paths: Sequence[Path], folders: Sequence[Path]
-) -> tuple[list[tuple[str, "Result"]], bool]:
-    """Every result with its name, and whether all are from comparisons.
+def _read(paths: Sequence[Path], folders: Sequence[Path]) -> list[tuple[str, "Result"]]:
+    """Every result with its name.
 
     With several comparisons, each name begins with that of its comparison.
     """
     from dlgmd_cli.results import store
-    from dlgmd_cli.results.result import read_comparison, read_result
+    from dlgmd_cli.results.reading import read_comparison, read_result
 
     are_compared = []
     for path, folder in zip(paths, folders, strict=True):
@@ -265,7 +265,7 @@ def _read(
             results += [(f"{prefix}{label}", result) for label, result in compared]
         else:
             results.append((name, read_result(folder)))
-    return results, all(are_compared)
+    return results
 
 
 def _collisions(path: Path, results: dict[str, "Result"]) -> dict[str, list[int]]:
@@ -283,16 +283,10 @@ def _collisions(path: Path, results: dict[str, "Result"]) -> dict[str, list[int]
     return found
 
 
-def _column(
-    kind: str, normalise: str | None, results: dict[str, "Result"], are_compared: bool
-) -> str:
+def _column(kind: str, normalise: str | None, results: dict[str, "Result"]) -> str:
     """The column of the potential to draw; warns if the results were normalised differently."""
     if normalise:
         return _COLUMNS[normalise]
-    if are_compared and kind in ("mp", "overview"):
-        options = [result.record.get("options") or {} for result in results.values()]
-        absolute = all(given.get("normalise") == "absolute" for given in options)
-        return "mp_abs" if absolute else "mp_seq"
     if kind != "attenuation" and len({result.by_sequence for result in results.values()}) > 1:
         warn(
             "the results were normalised in different ways before the threshold was applied; "

@@ -25,12 +25,12 @@ _IDLE = 0.5
     metavar="ID,ID",
     help="Figures, tables or claims, such as fig12,table4; repeatable.  [default: all]",
 )
-@click.option("--quick", is_flag=True, help="Flights at 480x270, with two seeds each.")
+@click.option("--quick", is_flag=True, help="Six seeds instead of 20, no check at 1920x1080.")
 @click.option(
     "--reference",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     metavar="DIR",
-    help="The authors' frames (looming_ball, ball_and_capsules) for Figs. 8, 10 and 12.",
+    help="The authors' frames (looming_ball, ball_and_capsules), to show beside ours.",
 )
 @click.option(
     "--out",
@@ -56,27 +56,20 @@ def reproduce(
     """Regenerate the evidence of the paper, and say of each claim whether it holds.
 
     Writes OUT/report.html, one page that loads nothing from elsewhere; OUT/claims.csv, one row per
-    claim and version of the model; and every figure as PNG and PDF. A version is a latency with
-    or without saturation, or the released code; each claim is checked under all of them, and
+    claim, version of the model and seed; and every figure as PNG and PDF. A version is a latency
+    with or without saturation, or the released code; each claim is checked under all of them, and
     without inhibition. Needs Jinja2, which comes with 'dlgmd[view]'.
 
-    The exit code is 0 whether claims hold or not.
+    After Ctrl-C, the same command continues. The exit code is 0 whether claims hold or not.
     """
-    from dlgmd_cli.lab.reproduce import flights, stimuli
-    from dlgmd_cli.lab.reproduce.claims import (
-        EMPTY,
-        NO,
-        UNDECIDED,
-        YES,
-        counts,
-        load_claims,
-        select,
-    )
-    from dlgmd_cli.lab.reproduce.clips import check_reference
-    from dlgmd_cli.lab.reproduce.plan import Plan, compute, needed, shown_by
-    from dlgmd_cli.lab.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
+    from dlgmd_cli.machine.threads import n_processors
+    from dlgmd_cli.reproduce import exhibits
+    from dlgmd_cli.reproduce.claims import EMPTY, NO, UNDECIDED, YES, counts, load_claims, select
+    from dlgmd_cli.reproduce.clips import check_reference
+    from dlgmd_cli.reproduce.finished import FOLDER, Finished
+    from dlgmd_cli.reproduce.plan import Plan, Started, compute, needed
+    from dlgmd_cli.reproduce.report import REPORT, TABLE, Report, Section, require_jinja
     from dlgmd_cli.results.store import locked, refuse_existing
-    from dlgmd_cli.threads import n_processors
 
     specs, remarks = load_claims()
     specs = select(specs, [name for text in only for name in text.split(",")])
@@ -84,16 +77,28 @@ def reproduce(
     require_jinja()
     for name in (REPORT, TABLE):
         refuse_existing(out / name, overwrite=overwrite)
-    plan, known = Plan(quick, reference, _is_idle()), stimuli.EXHIBITS | flights.EXHIBITS
-    started = {name: known[name](plan) for name in specs}
-    tasks = needed(started.values())
+    plan = Plan(quick, is_idle=_is_idle())
+    plans = {name: exhibits.plans_of(name, plan, reference) for name in specs}
+    started = {
+        name: [Started.of(exhibits.EXHIBITS[name](one)) for one in each]
+        for name, each in plans.items()
+    }
+    tasks = needed(one for each in started.values() for one in each)
     with locked(out):
+        finished = Finished(out / FOLDER)
         with progress("reproduce", len(tasks), "clip") as on_result:
-            data = compute(tasks, jobs or n_processors(), on_result)
-        sections = [Section(spec, shown_by(started[name], data)) for name, spec in specs.items()]
+            data = compute(tasks, jobs or n_processors(), on_result, finished)
+        sections = []
+        for name, spec in specs.items():
+            first, *others = [
+                (one, exhibit.evidence(data))
+                for one, exhibit in zip(plans[name], started[name], strict=True)
+            ]
+            sections.append(Section(spec, first[1], first[0], others))
         report = Report(sections, remarks, plan, _command(only, quick, reference))
         with progress("figures", len(specs), "figure") as on_figure:
             paths = report.write(out, dpi, on_figure)
+        finished.remove()
     rows = [
         (name, *(str(count[kind]) for kind in (YES, EMPTY, NO, UNDECIDED)))
         for name, count in counts(report.found).items()

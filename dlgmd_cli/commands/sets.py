@@ -3,10 +3,11 @@
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.checks import nearest
 from dlgmd_cli.commands.console import Command, Group, print_table
+from dlgmd_cli.commands.options import find_modules_here
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.presets import (
     MODELS,
     PRESETS,
     Config,
@@ -104,6 +105,8 @@ def show(name: str) -> None:
         config = load_model_preset(name)
         origin = f"{MODELS[name].source}, and defaults."
     elif ":" in name or name in installed_models():
+        if ":" in name:
+            find_modules_here()
         config, origin = Config(name, model=find_model(name).model), "The defaults."
     else:
         config = _paper_set(name)

@@ -4,14 +4,7 @@ from typing import Any
 
 import click
 
-from dlgmd_cli.commands.console import (
-    INFINITE_DISTINGUISHABILITY,
-    Command,
-    end_if_interrupted,
-    print_json,
-    print_path,
-    print_table,
-)
+from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     FRAME,
     ONE_MODEL,
@@ -25,7 +18,8 @@ from dlgmd_cli.commands.options import (
     report_options,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.parameters import parse_overrides
+from dlgmd_cli.commands.show import show
+from dlgmd_cli.parameters.presets import parse_overrides
 
 _AXIS_HELP = "First parameter and its values: KEY=FROM:TO:STEP or KEY=VALUE,VALUE."
 
@@ -109,12 +103,9 @@ def sweep(
     Writes OUT/sweep-NAME/ with sweep.csv (one row per grid point and speed), a figure, and
     sweep.yaml. After an interruption, the same command continues where it stopped.
     """
-    import numpy as np
+    from dlgmd_cli.tasks import sweep as task
 
-    from dlgmd_cli.api import sweep as api
-    from dlgmd_cli.results.store import fitting
-
-    result = api.sweep(
+    found = task.sweep(
         input_path,
         x=x,
         y=y,
@@ -122,21 +113,8 @@ def sweep(
         false_positive_frame=false_positive_frame,
         **asked,
         jobs=jobs,
-        out=output.out,
-        formats=output.formats,
-        dpi=output.dpi,
-        width=output.width,
-        overwrite=output.overwrite,
         progress=progress,
+        **output.files,
         **given,
     )
-    folder, n_points = output.out / f"sweep-{fitting(result.name)}", len(result.done)
-    if output.as_json:
-        facts = {"result": str(folder), "complete": True, "points": n_points}
-        print_json({**facts, "warnings": result.warnings, "measures": result.facts()})
-    else:
-        print_table(("", "least", "at", "greatest", "at"), result.extremes())
-        if np.isinf(result.columns.get("distinguishability", 0.0)).any():
-            click.echo(INFINITE_DISTINGUISHABILITY)
-        print_path(folder)
-    end_if_interrupted(folder, n_points, complete=True)
+    show(found, as_json=output.as_json)

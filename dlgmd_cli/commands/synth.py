@@ -1,15 +1,17 @@
 """`dlgmd synth`: render stimuli with their ground truth."""
 
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from dlgmd_cli.commands.console import Command, Failed, print_path, print_table
+from dlgmd_cli.commands.console import Command, print_table
 from dlgmd_cli.commands.options import (
     SIZE,
+    Parsed,
     SectionOption,
     complete_folder,
     dpi_option,
@@ -19,8 +21,17 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
+from dlgmd_cli.commands.show import show
+from dlgmd_cli.parameters.checks import Spec
 
 _PICTURE, _FLIGHTS = "Picture", "Flights only"
+
+
+def _speed(text: str) -> tuple[float, ...]:
+    """`1:3` -> (1.0, 3.0), and `5` -> (5.0,)."""
+    return tuple(Spec().parse(part) for part in text.split(":", 1))
+
+
 # The options of scenes by section of the help: type, metavar and help of each. The scenes check the
 # ranges, and have the defaults.
 _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
@@ -35,6 +46,10 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
         "noise": (float, "SD", "Standard deviation of the noise in each pixel, as a fraction "
             "of white: of linear light in flights, of luminance in flat scenes.  "
             "[default: flights 0.002, flat scenes 0]"),
+        "speed": (Parsed("speed", _speed), "V|MIN:MAX", "Speed in m/s; in 'random', the cruising "
+            "speed, or that of what comes at the drone. In translating-cubes: px/frame, negative "
+            "to the left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 px/frame; "
+            "'random': 0.6 to 2.9 m/s mostly]"),
         "seed": (int, "N", "Seed of the noise and, in flights, of everything that is random.  "
             "[default: 0]"),
     },
@@ -46,13 +61,13 @@ _SCENE_OPTIONS: dict[str, dict[str, tuple[Any, str | None, str]]] = {
             "[default: 0.3]"),
         "shot-noise": (float, "SD", "Standard deviation of the shot noise at full light; its "
             "variance is proportional to the light.  [default: 0.01]"),
+        "manner": (str, "NAME", "In 'random': how it is flown, such as hit, pass, approached or "
+            "crossed.  [default: drawn by the seed]"),
         "gamma": (float, "G", "Grey levels are light to the power of 1/G.  [default: 2.2]"),
     },
     "Flat scenes only": {
         "object-size": (float, "S", "Side or diameter of the object in m; in px for "
             "translating-cubes.  [default: 0.5 m; a ninth of the height]"),
-        "speed": (float, "V", "Speed in m/s. In translating-cubes: px/frame, negative to the "
-            "left, one cube for each --speed.  [default: 3 m/s; 1, 2, 3 and 4 px/frame]"),
         "distance": (float, "D", "Distance in m at the first frame.  [default: 7.5; "
             "receding-cube 0.1]"),
         "contrast": (float, "C", "Weber contrast: the object is 1 + C times as bright as the "
@@ -68,7 +83,7 @@ _flight_option = partial(click.option, cls=SectionOption, section=_FLIGHTS)
 def _complete_scene(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    from dlgmd_cli.lab.flights.scenes import SCENES
+    from dlgmd_cli.scenes.flights.scenes import SCENES
 
     scenes = [scene for name, scene in SCENES.items() if name.startswith(incomplete)]
     return [CompletionItem(scene.name, help=scene.description) for scene in scenes]
@@ -135,6 +150,12 @@ def _scene_options(command: Any) -> Any:
     help="Render N flights with consecutive seeds, and write DIR/labels.csv.",
 )
 @_flight_option(
+    "--avoid",
+    metavar="PRESET",
+    help="Stop the drone at the alarm of a preset (flight), a set (9) or a file, and film the "
+    "flight without and with it.",
+)
+@_flight_option(
     "--jobs",
     type=numeric(int, 1, 512),
     metavar="N",
@@ -152,6 +173,7 @@ def synth(
     overwrite: bool,
     count: int | None,
     jobs: int | None,
+    avoid: str | None,
     **given: Any,
 ) -> None:
     """Render a stimulus with its ground truth.
@@ -166,37 +188,35 @@ def synth(
     With --count, writes DIR/NAME-0000.mp4 and so on, and DIR/labels.csv. Flights that already exist
     are kept: after an interruption, run the same command again to continue.
 
+    With --avoid, writes DIR/NAME-avoid.mp4 instead, a film of the flight without and with the
+    alarm: the model sees each frame, and at its first alarm the drone brakes, as 'dlgmd evaluate'
+    has it. DIR/NAME-avoid.png is its picture at the collision, and DIR/NAME-avoid.csv has a row for
+    each frame of both flights.
+
     Half of the flights of 'random' hit something. The others are as hard as real footage. Column
-    manner of the labels says how each is flown: pass, stop (miss an obstacle), gusts, storm, turns,
-    close (past things), low (over tiles and lines), people (who walk past), light (shadows and
-    exposure) or walk (a camera in the hand).
+    manner of the labels says how each is flown: hit, wall, pass, stop (miss an obstacle), gusts,
+    storm, turns, close (past things), low (over tiles and lines), people (who walk past), light
+    (shadows and exposure), walk (a camera in the hand), approached (a ball, a person or another
+    drone comes and hits a drone that hovers) or crossed (it passes).
     """
     if lists:
         _list()
         return
     if scene_name is None:
         raise click.UsageError("Missing argument 'SCENE'. 'dlgmd synth --list' lists the scenes.")
-    from dlgmd_cli.api import synth as api
+    from dlgmd_cli.tasks import synth as task
 
-    more: dict[str, Any] = {"lossless": lossless, "png": png, "sheet": sheet, "dpi": dpi, **given}
-    more |= {"name": name, "jobs": jobs, "overwrite": overwrite, "progress": progress}
-    if count is None:
-        for path in api.synth(scene_name, out, **more).paths:
-            print_path(path)
-        return
-    flights = api.synth(scene_name, out, count=count, **more)
-    n_present = len(flights.labels)
-    if n_present:
-        print_path(flights.path)
-    if n_present < count:
-        raise Failed(
-            f"{count - n_present} of {count} flights failed; the other {n_present} are in {out}. "
-            "Fix what is named above, then run the same command again."
-        )
+    given["speed"] = tuple(chain.from_iterable(given["speed"]))
+    files = {"lossless": lossless, "png": png, "sheet": sheet, "dpi": dpi, "overwrite": overwrite}
+    many: dict[str, Any] = {"count": count, "jobs": jobs}
+    found = task.synth(
+        scene_name, out, name=name, avoid=avoid, progress=progress, **many, **files, **given
+    )
+    show(found)
 
 
 def _list() -> None:
-    from dlgmd_cli.lab.flights.scenes import SCENES
+    from dlgmd_cli.scenes.flights.scenes import SCENES
 
     width = max(map(len, SCENES))
     for kind, is_flight in (("flight", True), ("flat scene", False)):

@@ -13,6 +13,7 @@ from dlgmd_cli.commands.console import Command, print_path, tell, warn, warn_out
 from dlgmd_cli.commands.defaults import OwnDefault
 from dlgmd_cli.commands.options import (
     FRAME,
+    MODEL,
     complete_file,
     file_or_folder,
     is_file_name,
@@ -22,6 +23,7 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.errors import DlgmdError, printable
 from dlgmd_cli.names import numbered, recorded_name
+from dlgmd_cli.parameters.presets import find_model
 from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
@@ -86,6 +88,14 @@ _MAX_NAME, _LARGE_BYTES = 80, 25_000_000
     metavar="PX",
     help="Greatest width of the film.",
 )
+@click.option(
+    "--model",
+    "models",
+    type=MODEL,
+    multiple=True,
+    metavar="MODULE:CLASS",
+    help="A model of your own in the results: its module is imported to make the film. Repeatable.",
+)
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
     paths: tuple[Path, ...],
@@ -95,6 +105,7 @@ def view(
     labels_path: Path | None,
     input_path: str | None,
     width_px: int,
+    models: tuple[str, ...],
     no_film: bool,
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
@@ -113,6 +124,8 @@ def view(
     from dlgmd_cli.results.store import fitting, refuse_existing
 
     require_packages()
+    for model in models:
+        find_model(model, "Invalid value for '--model'")
     gathered = gather(paths, read_by_video(labels_path) if labels_path else {})
     is_one = len(gathered.inputs) == 1 and not gathered.is_batch
     if frames and len(gathered.inputs) > 1:
@@ -123,7 +136,7 @@ def view(
         raise click.UsageError("--input works only with results of one input.")
     first = gathered.inputs[0].results[0].result
     name = recorded_name(first.record["input"]) if is_one else paths[0].absolute().name
-    stem = fitting(name[:_MAX_NAME]) or "results"
+    stem = fitting(printable(name[:_MAX_NAME]).replace("\\", "-")) or "results"
     out = out if is_file_name(out) else out / f"view-{stem}.html"
     refuse_existing(out, overwrite=overwrite)
     request = _Request(frames, input_path, width_px, no_film)
@@ -153,7 +166,8 @@ def _write_index(gathered: "Gathered", out: Path, request: _Request, *, overwrit
     from dlgmd_cli.results.store import fitting, locked, refuse_existing, write_text
 
     folder = out.with_name(f"{out.stem}-pages")
-    flat = [one.name.replace("/", "-").replace("\\", "-") for one in gathered.inputs]
+    named = [printable(one.name) for one in gathered.inputs]  # names may be of any bytes
+    flat = [name.replace("/", "-").replace("\\", "-") for name in named]
     pages = [
         folder / f"{fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])
     ]
@@ -201,9 +215,10 @@ def _write_page(
 def _score(result: "Result", collisions: list[int]) -> "Score | None":
     """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
     from dlgmd_cli.errors import SourceError
-    from dlgmd_cli.lab.evaluation.cases import Case, signal_of
-    from dlgmd_cli.lab.evaluation.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
     from dlgmd_cli.pages.page import Score
+    from dlgmd_cli.results.candidates import signal_of
+    from dlgmd_cli.results.labels import Case
+    from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
 
     try:
         signal = signal_of(result, Case("", "", tuple(collisions), ()))
@@ -223,7 +238,7 @@ def _parts(one: "Input", request: _Request) -> "Sequence[Part]":
 
     parts, no_film = [], "--no-film was given." if request.no_film else ""
     if not no_film and best_codec() != "h264":
-        no_film = "PyAV is not installed. Run: pip install av."
+        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
         warn(f"{one.name}: no film: {no_film.rstrip('.')}")
     for labelled in one.results:
         why, film = no_film, None
@@ -240,8 +255,8 @@ def _parts(one: "Input", request: _Request) -> "Sequence[Part]":
                         on_frame,
                     )
             except DlgmdError as error:
-                warn(f"{one.name} · {labelled.label}: no film: {str(error).rstrip('.')}")
+                warn(f"{one.name} · {labelled.label}: no film: {error.line.rstrip('.')}")
                 # Pages are shared: they do not name the folder of the file.
-                why = f"{PurePath(error.what).name}: {error.why}." if error.what else str(error)
+                why = f"{PurePath(error.what).name}: {error.why}." if error.what else error.line
         parts.append(Part(labelled.label, labelled.result, film, why))
     return parts

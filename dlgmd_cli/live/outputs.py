@@ -3,6 +3,7 @@
 import ipaddress
 import json
 import logging
+import math
 import os
 import re
 import shlex
@@ -14,11 +15,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
 from typing import Any
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import MissingExtraError, ParameterError
 from dlgmd_cli.live.watch import BEGIN, BLIND, END, SEES, Answer
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.live import started_thread
 
 Deliver = Callable[[Answer], None]
@@ -29,6 +33,10 @@ _MAX_WAITING = 64
 # Programs that may run at once.
 _MAX_RUNNING = 8
 _HEARTBEAT_S = 1.0
+# Pause before a lost serial port is opened again.
+_AGAIN_S = 1.0
+# MAVLink's number of the drone that this is a part of.
+_SYSTEM = 1
 # How long the last deliveries may take at the end, after Ctrl-C and without it.
 _INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
@@ -196,6 +204,9 @@ class Programs:
             raise ParameterError("--exec", f"{error}", "Check the quotation marks.") from None
         name = self._arguments[0] if self._arguments else ""
         if shutil.which(name) is None:
+            if Path(name).is_file():
+                why, mend = f"{name!r} is not executable", f"Allow it: chmod +x {shlex.quote(name)}"
+                raise ParameterError("--exec", why, mend)
             raise ParameterError("--exec", f"there is no program {name!r}", "Check the path.")
         self._running: list[subprocess.Popen[bytes]] = []
 
@@ -227,18 +238,19 @@ class Mavlink:
     """Sends MAVLink: COLLISION with a threat level, STATUSTEXT at events, and a heartbeat.
 
     The threat level of a frame is HIGH while the alarm is on, LOW at a spike, else NONE; frames
-    without a threat are sent only after one with it. Times and distances are unknown, and NaN.
+    without a threat are sent only after one with it. The time to contact is the model's estimate,
+    NaN where it has none; distances are unknown, and NaN.
 
     Parameters
     ----------
     url : str
-        ``udp://HOST:PORT`` or ``serial:///dev/ttyACM0:57600``. There is no TCP: pymavlink waits
-        where nobody answers, and prints to stdout.
+        ``udp://HOST:PORT`` or ``serial:///dev/ttyACM0:57600``. A serial port that is lost is opened
+        again.
 
     Raises
     ------
     MissingExtraError
-        If pymavlink is not installed.
+        If pymavlink is not installed, or pyserial for a serial port.
     ParameterError
         If the connection cannot be opened.
     """
@@ -250,16 +262,14 @@ class Mavlink:
             raise MissingExtraError.of("--mavlink", "pymavlink") from None
         self._names = names = mavutil.mavlink
         try:
-            self._link = mavutil.mavlink_connection(
-                **_connection(url),
-                source_system=1,
-                source_component=names.MAV_COMP_ID_OBSTACLE_AVOIDANCE,
-            )
-        except Exception as error:  # of sockets, of serial lines, and pymavlink's own
+            # pymavlink's own links print to stdout, and stay dead once they fail.
+            link = _link(url)
+        except (OSError, ValueError) as error:  # the latter for what is no address
             why = f"{url!r} cannot be opened ({error})"
             mend = "Write, for example, udp://127.0.0.1:14550."
             raise ParameterError("--mavlink", why, mend) from None
-        self.close = self._link.close
+        self._mav = names.MAVLink(link, _SYSTEM, names.MAV_COMP_ID_OBSTACLE_AVOIDANCE)
+        self.close = link.close
         self._level, self._beat_s = 0, -_HEARTBEAT_S
         self._texts = {
             BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
@@ -270,7 +280,7 @@ class Mavlink:
 
     def __call__(self, answer: Answer) -> None:
         """Send an answer."""
-        names, found, send = self._names, answer.detection, self._link.mav
+        names, found, send = self._names, answer.detection, self._mav
         if (now_s := time.monotonic()) - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
             kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
@@ -285,10 +295,10 @@ class Mavlink:
             unknown = float("nan")
             send.collision_send(
                 names.MAV_COLLISION_SRC_MAVLINK_GPS_GLOBAL_INT,
-                self._link.source_system,
+                _SYSTEM,
                 names.MAV_COLLISION_ACTION_REPORT,
                 self._level,
-                *(unknown, unknown, unknown),
+                *(found.ttc_s, unknown, unknown),
             )
         if answer.event:
             severity, text = self._texts[answer.event]
@@ -298,12 +308,83 @@ class Mavlink:
             send.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
 
 
-def _connection(url: str) -> dict[str, Any]:
-    """The arguments of pymavlink for a URL; raises ValueError."""
+class _Socket:
+    """Sends datagrams to ``HOST:PORT``; raises OSError or ValueError."""
+
+    def __init__(self, place: str) -> None:
+        host, port = split_address(place, "--mavlink")
+        self._target: Any
+        family, kind, protocol, _, self._target = socket.getaddrinfo(
+            host, port, type=socket.SOCK_DGRAM
+        )[0]
+        self._socket = socket.socket(family, kind, protocol)
+        self.close = self._socket.close
+
+    def write(self, data: bytes) -> None:
+        """Send a message."""
+        self._socket.sendto(data, self._target)
+
+
+class _SerialPort:
+    """Writes to a serial port, and opens it again after it was lost; raises OSError at first.
+
+    A message that cannot be written is dropped. That the port is lost, and that it is back, are
+    warnings.
+    """
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            import serial
+        except ImportError:
+            raise MissingExtraError.of("--mavlink", "pyserial") from None
+        self._open = partial(serial.Serial, device, baud, timeout=0.0, write_timeout=1.0)
+        self._too_slow, self._device = serial.SerialTimeoutException, device
+        self._port: Any = self._open()
+        self._tried_s = -math.inf
+
+    def write(self, data: bytes) -> None:
+        """Write a message."""
+        if self._port is None and not self._is_back():
+            return
+        try:
+            self._port.write(bytes(data))
+        except self._too_slow:
+            raise TimeoutError(f"{self._device} takes nothing") from None
+        except OSError as error:  # which the package's own are, too
+            _log.warning("--mavlink: %s is lost (%s); trying again", self._device, error)
+            self.close()
+
+    def close(self) -> None:
+        """Free the port."""
+        port, self._port = self._port, None
+        if port is not None:
+            with suppress(OSError):
+                port.close()
+
+    def _is_back(self) -> bool:
+        """Try to open the port again, once a second."""
+        if time.monotonic() - self._tried_s < _AGAIN_S:
+            return False
+        self._tried_s = time.monotonic()
+        try:
+            self._port = self._open()
+        except OSError:
+            return False
+        _log.warning("--mavlink: %s is back", self._device)
+        return True
+
+
+def _link(url: str) -> _Socket | _SerialPort:
+    """What a URL leads to; raises ValueError or OSError."""
     scheme, _, place = url.partition("://")
     if scheme == "udp":
-        return {"device": f"udpout:{place}"}
+        return _Socket(place)
     if scheme != "serial":
         raise ValueError("only udp:// and serial:// are links")
+    return _SerialPort(*serial_place(place))
+
+
+def serial_place(place: str) -> tuple[str, int]:
+    """``/dev/ttyACM0:57600`` as a device and its rate, which is 57600 if it is not given."""
     device, _, baud = place.rpartition(":")
-    return {"device": device or place, "baud": int(baud) if device else 57600}
+    return (device, int(baud)) if device else (place, 57600)

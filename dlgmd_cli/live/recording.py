@@ -2,10 +2,17 @@
 
 import logging
 import math
+import threading
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.errors import OutputError
 from dlgmd_cli.live.watch import BLIND, END, SEES, Answer, Sight
@@ -14,14 +21,19 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList
-from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.tasks.setup import Setup
 from dlgmd_cli.video.base import FALLBACK_FPS
-from dlgmd_cli.video.live import LiveSource
+from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.writer import playable_fps
 
+BgrImage = npt.NDArray[np.uint8]
 _log = logging.getLogger(__name__)
 
-# Some three hours: 26 MB, and mp.csv takes a third of a second to write again.
+VIDEO = "video.mkv"
+# Pictures that wait for the encoder, and how long it may take at the end.
+_MAX_PICTURES, _CLOSING_S = 60, 5.0
+# Some three hours: 29 MB, and mp.csv takes a third of a second to write again.
 _MAX_HELD = 300_000
 _HEADER = "# Written by 'dlgmd live'; frames that the model did not see have no row.\n"
 
@@ -47,6 +59,8 @@ class Recording:
         The model with its parameters, the options of its input, and its alarm.
     sight : Sight
         Of the source, for warnings.
+    keeps_video : bool
+        Also write video.mkv, a picture with each row, and name it as the input.
 
     Attributes
     ----------
@@ -62,13 +76,17 @@ class Recording:
         options: InputOptions,
         alarm: Alarm,
         sight: Sight,
+        *,
+        keeps_video: bool = False,
     ) -> None:
+        self._film = KeptVideo(folder / VIDEO) if keeps_video else None
+        source.keeps_pictures = keeps_video
         self._folder, self._source, self._setup = folder, source, setup
         self._options, self._alarm, self._sight = options, alarm, sight
         self.has_failed = False
         self._summary: dict[str, Any] = {}
         self._rows, self._n_rows, self._last = RowList(), 0, (-1, 0.0)
-        self._files: dict[str, TextIO] = {}
+        self._files: dict[str, IO[str]] = {}
 
     @property
     def has_begun(self) -> bool:
@@ -101,6 +119,8 @@ class Recording:
         with self._failing():
             for file in self._files.values():
                 file.close()
+            if self._film is not None:
+                self._film.close()
             if self._n_rows <= _MAX_HELD:
                 self._write_whole()
             self._write_record(complete=kind is None)
@@ -124,9 +144,9 @@ class Recording:
     def _begin(self) -> None:
         """Create the files, in place of those of an earlier result."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        store.remove(self._folder, store.files_of(store.RUN))
+        store.remove(self._folder, store.files_of(store.RUN) | {VIDEO})
         for name, header in {**csv.TABLES, csv.ALARMS: csv.ALARM_COLUMNS}.items():
-            self._files[name] = (self._folder / name).open("w", encoding="utf-8", newline="")
+            self._files[name] = store.created(self._folder / name)
             self._write_line(name, header)
 
     def _write_line(self, name: str, cells: Iterable[str]) -> None:
@@ -145,6 +165,8 @@ class Recording:
             "level": found.mp_abs,
             "threshold": self._setup.params.t_mp,
         }
+        if self._film is not None:
+            self._film.put(answer.frame.picture, self._source.fps)
         for name, header in csv.TABLES.items():
             values = (others[key] if key in others else getattr(found, key) for key in header)
             self._write_line(name, map(csv.cell, values))
@@ -186,9 +208,12 @@ class Recording:
         processed = {"width": size_wh[0], "height": size_wh[1], "frames": self._n_rows}
         if (hidden := source.hidden()) is not None:
             processed["cells"] = int((~hidden).sum())
+        kept = {} if self._film is None else {"path": str(self._film.path), "source": source.name}
+        turns = {"rotate": source.rotate, "flip": source.flip}
         return {
             "input": {
                 "path": source.name,
+                **kept,
                 "width": width,
                 "height": height,
                 "fps": round(fps, 3),
@@ -197,11 +222,73 @@ class Recording:
                 "decoder": "live",
                 "dropped": source.n_dropped,
                 "left_out": source.n_left_out,
+                **{key: value for key, value in turns.items() if value},
             },
             "processed": processed,
             **self._setup.named,
             **self._setup.settings(),
             "engine": alarm.model.engine_name,
-            "options": self._options.to_record(),
+            "options": (self._options if not kept else _of_kept(self._options)).to_record(),
             "warnings": self._sight.warnings(),
         }
+
+
+def _of_kept(options: InputOptions) -> InputOptions:
+    """The options with which the kept video is read again: all of it was seen."""
+    return replace(options, crop=None, fps="all", repeats="keep")
+
+
+class KeptVideo:
+    """A video of the pictures that a model saw, written in a thread of its own, one for each row.
+
+    A picture that the encoder has no time for is the one before again. The file can be played even
+    if the process is killed.
+
+    Attributes
+    ----------
+    path : Path
+        The file, absolute.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        self._waiting: deque[BgrImage | None] = deque()
+        self._changed, self._is_closed = threading.Condition(), False
+        self._thread: threading.Thread | None = None
+
+    def put(self, picture: BgrImage | None, fps: float) -> None:
+        """Queue a picture; returns at once. The first one starts the file, at this frame rate."""
+        if self._thread is None:
+            if picture is None:
+                return
+            rate = playable_fps(fps) if fps > 0.0 else FALLBACK_FPS
+            self._thread = started_thread(lambda: self._write(picture, rate), "dlgmd-keep-video")
+        with self._changed:
+            n_pictures = sum(one is not None for one in self._waiting)
+            self._waiting.append(picture if n_pictures < _MAX_PICTURES else None)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Write what waits, for five seconds at most, and complete the file."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(_CLOSING_S)
+
+    def _write(self, shown: BgrImage, fps: float) -> None:
+        height, width = (n // 2 * 2 for n in shown.shape[:2])
+        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
+        writer = cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, fourcc, fps, (width, height))
+        if not writer.isOpened():
+            _log.error("--keep-video: %s cannot be written", self.path)
+            return
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                if not self._waiting:
+                    break
+                picture = self._waiting.popleft()
+            shown = shown if picture is None else picture
+            writer.write(shown[:height, :width])
+        writer.release()

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli import cancel
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
+from dlgmd_cli.models.health import BLIND_S, SOUND_S
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.words import counted
@@ -26,9 +27,12 @@ Image = npt.NDArray[Any]
 _log = logging.getLogger(__name__)
 
 BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"
+LOST = "lost"
 BLIND_WORDS = {
-    "lost": "the source is lost, or sends no frames",
+    LOST: "the source is lost, or sends no frames",
     "black": "its pictures are black",
+    "flat": "its pictures have no contrast",
+    "noise": "its pictures are nothing but noise",
     "frozen": "its picture is frozen, the same again and again",
 }
 # How often the loop looks at the stop flag while no frame comes.
@@ -36,6 +40,10 @@ _WAIT_S = 0.1
 # A source is lost when no frame has come for so long, or before the first one. With the time to
 # notice it, the former is a second.
 _SILENT_S, _OPENING_S = 0.9, 5.0
+# Half a second of frames, one soon after the other, ends that.
+_SOON_S = 0.3
+# The rate of answers is measured over so many of them, and differs by more than this factor.
+_N_RATE, _OTHER_RATE = 60, 1.25
 # Latencies that percentiles are taken over: those of the last hour at 30 frames a second.
 _N_LATENCIES = 108_000
 _N_LATELY = 300
@@ -60,9 +68,12 @@ class Answer:
     latency_ms : float
         Time from the frame's arrival to the answer; NaN for an event between frames.
     reason : str
-        Why the source shows nothing: `lost`, `black` or `frozen`; empty if it does.
+        Why the source shows nothing: `lost`, or see `Detection.blind`; empty if it does.
     span : AlarmSpan or None
         With `begin` and `end`, the alarm, as far as it is known.
+    time_s, since_s : float
+        Time of an event between frames, and with `blind` that from which on nothing was seen, in
+        seconds since the first frame; NaN of others, and before the first frame.
     utc_s : float
         When the frame came, or the event, in seconds since 1970 by the system's clock.
     """
@@ -74,6 +85,8 @@ class Answer:
     latency_ms: float = math.nan
     reason: str = ""
     span: AlarmSpan | None = None
+    time_s: float = math.nan
+    since_s: float = math.nan
     utc_s: float = field(default_factory=time.time)
 
     @property
@@ -88,9 +101,11 @@ class Answer:
         its peak.
         """
         frame, found = self.frame, self.detection
+        time_s = math.nan if frame is None else frame.time_s
+        time_s = time_s if math.isnan(self.time_s) else self.time_s
         facts: dict[str, object] = {
             "frame": None if frame is None else frame.index,
-            "time_s": None if frame is None else round(frame.time_s, 6),
+            "time_s": None if math.isnan(time_s) else round(time_s, 6),
             "utc": utc_text(self.utc_s),
             "mp": _number(found.mp),
             "mp_abs": _number(found.mp_abs),
@@ -98,6 +113,7 @@ class Answer:
             "alarm": found.alarm,
             "g_x": _number(found.g_x),
             "g_y": _number(found.g_y),
+            "ttc_s": _number(found.ttc_s),
             "latency_ms": _number(round(self.latency_ms, 2)),
         }
         if self.event:
@@ -109,6 +125,8 @@ class Answer:
             facts["peak_mp_abs"] = _number(self.span.peak_mp_abs)
         if self.reason:
             facts["reason"] = self.reason
+        if not math.isnan(self.since_s):
+            facts["since_s"] = round(self.since_s, 6)
         return facts
 
     def to_json(self) -> str:
@@ -158,7 +176,7 @@ class Events:
             self.span = None
         self._was_on = found.alarm
         if found.alarm and self.span is None:
-            level, place = found.mp_abs, (found.g_x, found.g_y)
+            level, place = found.mp_abs, (found.g_x, found.g_y, found.ttc_s)
             self.span = AlarmSpan(index, time_s, index, time_s, level, *place)
             told.append((BEGIN, self.span))
         elif found.alarm and self.span is not None:
@@ -189,9 +207,10 @@ def answers(
     Yields
     ------
     Answer or None
-        None where no frame has come for a tenth of a second. Where a source is lost, silent, black
-        or frozen, the event `blind` comes within a second, and `sees` when it shows something
-        again. An alarm that is on when the source is over, or silent, ends with an event.
+        None where no frame has come for a tenth of a second. Where a source is lost, silent, or
+        shows nothing, the event `blind` comes within a second, and `sees` half a second after it
+        shows something again. An alarm that is on when the source is over, or silent, ends with an
+        event.
 
     Raises
     ------
@@ -200,12 +219,24 @@ def answers(
     ParameterError
         If the options do not fit its pictures.
     """
-    events = Events()
+    events, rate = Events(), _Rate(source)
     last = Answer(None, Detection())
 
     def between_frames(event: str, *, alarm: bool = False, span: AlarmSpan | None = None) -> Answer:
-        nothing = Detection(alarm=alarm)
-        return Answer(last.frame, nothing, event=event, reason=sight.reason, span=span)
+        now_s, time_s, since_s = time.monotonic(), math.nan, math.nan
+        if last.frame is not None:
+            time_s = last.frame.time_s + now_s - last.frame.captured_s
+            since_s = time_s - now_s + sight.since_s if event == BLIND else math.nan
+        nothing, reason = Detection(alarm=alarm), sight.reason
+        return Answer(
+            last.frame,
+            nothing,
+            event=event,
+            reason=reason,
+            span=span,
+            time_s=time_s,
+            since_s=since_s,
+        )
 
     # The decoder is busy on the other processor.
     with opencv_threads(1):
@@ -228,23 +259,28 @@ def answers(
             frame = source.take(_WAIT_S)
             if frame is None and source.is_over:
                 break
-            event = sight.step()
+            found = None
+            if frame is not None:
+                found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
+                latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
+            event = sight.step(found)
             if sight.is_silent and (span := events.over()):
                 yield between_frames(END, span=span)
             if event:
                 yield between_frames(event, alarm=events.span is not None)
-            if frame is None:
+            if frame is None or found is None:
                 yield None
                 continue
-            found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
-            latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
+            rate.step(frame)
             is_repeat = found is last.detection
             told = events.step(found, frame)
             for event, span in told[:-1]:
                 yield between_frames(event, span=span)
             event, span = told[-1] if told else ("", None)
             utc_s = time.time() - latency_ms / 1e3
-            last = Answer(frame, found, is_repeat, event, latency_ms, sight.reason, span, utc_s)
+            last = Answer(
+                frame, found, is_repeat, event, latency_ms, sight.reason, span, utc_s=utc_s
+            )
             yield last
     if span := events.over():
         yield between_frames(END, span=span)
@@ -274,6 +310,37 @@ def warm_up(alarm: Alarm, sample: Image) -> None:
     alarm.reset()
 
 
+class _Rate:
+    """Tells once where frames come, or are answered, at a rate that the model is not made for."""
+
+    def __init__(self, source: LiveSource) -> None:
+        self._source, self._has_told = source, False
+        self._answered: deque[tuple[float, int]] = deque(maxlen=_N_RATE + 1)
+
+    def step(self, frame: Frame) -> None:
+        """Count the answer to a frame."""
+        source, design = self._source, self._source.model_fps
+        self._answered.append((frame.time_s, source.n_dropped))
+        if self._has_told or len(self._answered) <= _N_RATE:
+            return
+        (from_s, dropped), (to_s, all_dropped) = self._answered[0], self._answered[-1]
+        fps, n_dropped = _N_RATE / max(to_s - from_s, 1e-6), all_dropped - dropped
+        if design / _OTHER_RATE <= fps <= design * _OTHER_RATE:
+            return
+        self._has_told = True
+        came = f"{source.name}: frames come at {fps:.3g} a second, but the parameters are made for"
+        if fps > design:
+            _log.warning("%s %g; leave some out (--fps)", came, design)
+        elif fps * (1.0 + n_dropped / _N_RATE) < design / _OTHER_RATE:
+            _log.warning("%s %g; an approach looks faster than it is", came, design)
+        else:
+            what = (
+                "%s: this machine is too slow for the model: it answers %.3g frames a second, and"
+            )
+            mend = "%s drops %d of %d; give it smaller frames (--size)"
+            _log.warning(mend, what % (source.name, fps), n_dropped, n_dropped + _N_RATE)
+
+
 class Sight:
     """Whether a source shows something, and for how long it did not.
 
@@ -281,37 +348,49 @@ class Sight:
     ----------
     reason : str
         Why it shows nothing, see `Answer`; empty if it does.
+    since_s : float
+        From when on, by `time.monotonic`; NaN at first.
     is_silent : bool
         Whether no frame has come for so long that the source counts as lost.
     """
 
     def __init__(self, source: LiveSource) -> None:
         self._source, self.reason, self.is_silent = source, "", False
-        self._since_s, self._before = math.nan, dict[str, tuple[int, float]]()
+        self._blind, self._back_s = "", math.nan
+        self.since_s, self._before = math.nan, dict[str, tuple[int, float]]()
 
-    def step(self) -> str:
+    def step(self, found: Detection | None = None) -> str:
         """`blind` where it begins, or for another reason, `sees` where it ends, or nothing.
 
-        To be called with each frame, and some ten times a second while none comes. Each event is
-        logged as a warning.
+        To be called with the response to each frame, and some ten times a second while none comes.
+        Each event is logged as a warning.
         """
         now_s, source = time.monotonic(), self._source
         usual_s = 2.5 / source.fps if source.fps > 0.0 else 0.0
         silent_s = now_s - source.heard_s
         self.is_silent = silent_s > (max(_SILENT_S, usual_s) if source.n_frames else _OPENING_S)
-        reason = source.blind or ("lost" if self.is_silent else "")
+        if found is not None:
+            self._blind = found.blind or ""
+        is_lost = source.is_lost or self.is_silent
+        if is_lost or silent_s > max(_SOON_S, usual_s) or not source.n_frames:
+            self._back_s = math.nan
+        elif math.isnan(self._back_s):
+            self._back_s = source.heard_s
+        is_back = source.heard_s - self._back_s >= SOUND_S
+        is_lost = is_lost or (self.reason == LOST and not is_back)
+        reason = LOST if is_lost else self._blind
         if reason == self.reason:
             return ""
-        self._before, was_s = self._so_far(), now_s - self._since_s
+        self._before, was_s = self._so_far(), now_s - self.since_s
         self.reason = reason
         if not reason:
             _log.warning("%s: sees again, after %.1f s", source.name, was_s)
             return SEES
-        self._since_s = source.heard_s if reason == "lost" else source.blind_since_s
-        if reason != source.blind:
-            _log.warning("%s: blind, no frame for %.1f s", source.name, silent_s)
-        elif reason != "lost":  # the source itself says why it is lost
+        self.since_s = source.heard_s if reason == LOST else now_s - BLIND_S
+        if reason != LOST:
             _log.warning("%s: blind, %s", source.name, BLIND_WORDS[reason])
+        elif not source.is_lost:  # otherwise the source itself says why
+            _log.warning("%s: blind, no frame for %.1f s", source.name, silent_s)
         return BLIND
 
     def _so_far(self) -> dict[str, tuple[int, float]]:
@@ -319,7 +398,7 @@ class Sight:
         if not self.reason:
             return self._before
         n_times, total_s = self._before.get(self.reason, (0, 0.0))
-        now = n_times + 1, total_s + time.monotonic() - self._since_s
+        now = n_times + 1, total_s + time.monotonic() - self.since_s
         return {**self._before, self.reason: now}
 
     def warnings(self) -> list[str]:

@@ -9,14 +9,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.presets import runnable
 from dlgmd_cli.plots.heat import BgrImage
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.runs.layers import run_layers
-from dlgmd_cli.runs.run import OnFrame, open_input, responses, stepper_on
-from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.tasks.call import OnFrame
+from dlgmd_cli.tasks.layers import run_layers
+from dlgmd_cli.tasks.run import responses, stepper_on
+from dlgmd_cli.tasks.setup import Asked, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
@@ -82,7 +84,7 @@ def render(
     SourceError
         If the input cannot be decoded, or its frames are not those of the result.
     ParameterError
-        If the options in the record are not valid.
+        If the options in the record are not valid, or its model may not be imported.
     Interrupted
         If the user asked to stop.
     """
@@ -92,17 +94,19 @@ def render(
         scale=None,
         size=(processed["width"], processed["height"]),
     )
-    setups = [_setup(one) for one in (result, *peers)]
+    # The peers only tell the frame rate.
+    own = replace(result, params=runnable(result.params))
     n_expected = int(result.record["input"].get("frames") or len(result))
-    with open_input(path, setups, options) as video:
-        again, _, ranges, _ = run_layers(video, setups[0], options, on_frame=on_frame)
-    is_as_stored = _is_same(again, result, path)
-    strongest_g = max(abs(bound) for bound in ranges["g"])
+    asked = Asked(tuple(map(_setup, (own, *peers))), options)
+    with asked.open(path) as video:
+        found = run_layers(video, asked, on_frame=on_frame)
+    again, is_as_stored = found.result, _is_same(found.result, result, path)
+    strongest_g = max(abs(bound) for bound in found.ranges["g"])
     if not np.isfinite(strongest_g):  # G is undefined in every frame
         strongest_g = 0.0
     thumbnail = b""
     with (
-        open_input(path, setups, options) as video,
+        asked.open(path) as video,
         tempfile.TemporaryDirectory(prefix="dlgmd-") as folder,
     ):
         size_wh = _film_size(*video.source_wh, width_px)
@@ -110,7 +114,7 @@ def render(
         fps, file = playable_fps(video.rate_fps), Path(folder) / "film.mp4"
         steps = responses(
             video,
-            [stepper_on(video, setups[0], options)],
+            [stepper_on(video, asked.setup, options)],
             layers=lambda frame: True,
             picture_wh=size_wh,
             on_frame=lambda n_done: on_frame(n_expected + n_done),
@@ -138,8 +142,12 @@ def _is_same(again: Result, result: Result, path: str) -> bool:
     if cancel.requested():
         raise cancel.Interrupted
     n_rows = len(result)
-    if not np.array_equal(again.frame[:n_rows], result.frame):
-        raise SourceError(path, "its frames are not those of the result", "Run again.")
+    # The video of a live recording has a picture for each row, whatever was dropped.
+    is_kept = "source" in result.record["input"]
+    if len(again) < n_rows or not (is_kept or np.array_equal(again.frame[:n_rows], result.frame)):
+        is_live = result.record["input"].get("decoder") == "live"
+        mend = "Record with --keep-video, or view it with --no-film." if is_live else "Run again."
+        raise SourceError(path, "its frames are not those of the result", mend)
     tolerance = _MP_TOLERANCE * float(np.nanmax(result.mp, initial=0.0))
     return np.allclose(
         again.mp[:n_rows], result.mp, rtol=_MP_TOLERANCE, atol=tolerance, equal_nan=True

@@ -9,12 +9,13 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.files import open_regular
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.names import distinct_names, numbered, picture_folder
-from dlgmd_cli.pool import DONE
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
-from dlgmd_cli.results.result import Result, read_comparison, read_result
+from dlgmd_cli.results.reading import read_comparison, read_result
+from dlgmd_cli.results.result import Result
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def gather(paths: Sequence[Path], known: ByVideo | None = None) -> Gathered:
     for name, results in zip(distinct_names(places), by_input.values(), strict=True):
         facts = results[0].result.record["input"]
         path, n_bytes = facts["path"], facts.get("bytes")
-        key = hashlib.sha256(f"{path}|{n_bytes}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(f"{path}|{n_bytes}".encode(errors="backslashreplace")).hexdigest()[:16]
         in_labels = path
         if labels_folder:
             in_labels = Path(os.path.relpath(path, labels_folder)).as_posix()

@@ -224,6 +224,11 @@ def _labelled(one: Input) -> dict[str, Any]:
         "key": one.key,
         "video": text_cell(one.in_labels),
         "targets": {label.collision_frame: label.target for label in labels if label.target},
+        "further": {
+            label.collision_frame: {text_cell(name): text for name, text in label.further}
+            for label in labels
+            if label.further
+        },
         "kind": labels[0].kind,
         "manner": labels[0].manner,
     }

@@ -45,7 +45,7 @@ LOOKS: tuple[tuple[str, Any], ...] = (
     (ORANGE, (0, (5, 1.2, 1, 1.2, 1, 1.2))),
 )
 # The look of an emphasised line, beside that of the others.
-STRONG: dict[str, Any] = {"linewidth": 1.7, "marker": "o", "markersize": 3.5, "markevery": 0.08}
+STRONG: dict[str, Any] = {"linewidth": 2.0}
 _WEAK: dict[str, Any] = {"linewidth": 0.8}
 # Height of a row of marks below the break of an axis, and of the break.
 _MARKS_IN, _BREAK_IN = 0.09, 0.08

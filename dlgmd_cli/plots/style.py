@@ -40,6 +40,8 @@ Entries = list[tuple[Any, str]]
 _MAX_LABEL = 44
 _MAX_COLUMNS = 6
 _RC: Any = {
+    # Matplotlib reads a file of settings in the working folder, and this one starts LaTeX.
+    "text.usetex": False,
     "font.family": "DejaVu Sans",
     "font.size": 8,
     "axes.labelsize": 8,

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.style import BLACK, GREY, VERMILION, plain
+from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.result import Result, Series
 
 ROW_IN = 0.135

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dlgmd_cli.plots.annotations import NONE, Annotations
 from dlgmd_cli.plots.curves import (
     COLUMNS,
     DRAWS,
@@ -36,6 +35,7 @@ from dlgmd_cli.plots.style import (
     plain,
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
+from dlgmd_cli.results.annotations import NONE, Annotations
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each.
@@ -84,7 +84,7 @@ def plot(
     width : "one" or "two"
         Columns of the paper that the figure takes.
     emphasise : str, optional
-        Label of the result whose line is the strongest: blue, thick, with dots.
+        Label of the result whose line is the strongest: blue and thick.
     collisions : mapping of str to sequence of int, optional
         Frames of collisions by label: black lines, dashed as the result's own line unless all
         results have the same.

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ResultError, printable
-from dlgmd_cli.files import open_regular
+from dlgmd_cli.machine.files import open_regular
 
 Series = npt.NDArray[np.float64]
 # A table with named columns.
@@ -23,7 +23,7 @@ Table = npt.NDArray[np.void]
 
 # The tables of a result. Attributes of `Result` have these names, but plural for flags.
 TABLES = {
-    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y"),
+    "mp.csv": ("frame", "time_s", "mp", "mp_abs", "mp_seq", "g_x", "g_y", "ffi", "t_de", "ttc_s"),
     "attenuation.csv": ("frame", "time_s", "p_sum", "s_sum", "attenuation_db"),
     "spikes.csv": ("frame", "time_s", "level", "threshold", "spike", "alarm"),
 }
@@ -31,7 +31,7 @@ TABLES = {
 # and other columns, as it is about many videos.
 ALARMS = "alarms.csv"
 ALARM_COLUMNS = (
-    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side"),
+    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side", "ttc_s"),
 )
 # Columns without which a table is not read; others are undefined where an older file lacks them.
 _NEEDED = {"frame", "time_s", "mp", "level", "attenuation_db"}
@@ -119,7 +119,7 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray]) -> None:
 
 def alarm_cells(alarm: Any) -> list[str]:
     """The row of an `AlarmSpan` in alarms.csv."""
-    return [*map(cell, alarm), alarm.side]
+    return [*map(cell, alarm[:-1]), alarm.side, cell(alarm.ttc_s)]
 
 
 def write_comparison(path: Path, columns: Mapping[str, Mapping[str, npt.NDArray]]) -> None:
@@ -204,7 +204,7 @@ def _checked(path: Path, header: tuple[str, ...], rows: list[list[str]]) -> dict
     if (
         not is_in_order
         or (table[np.isfinite(table)] > _MAX_NUMBER).any()
-        or np.isposinf(table).any()
+        or any(np.isposinf(one).any() for name, one in columns.items() if name != "ffi")
     ):
         raise ResultError(str(path), "its rows are not frames in order", _REMAKE)
     return columns

@@ -1,18 +1,32 @@
-"""Labels: which videos show a collision, and at which frame."""
+"""Labels: which videos show a collision, and at which frame; and the videos that they list."""
 
+import logging
 import os
+import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from dlgmd_cli.errors import ResultError
-from dlgmd_cli.results.csv import read_rows, write_values
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.models.detection import Flags
+from dlgmd_cli.parameters.checks import shown
+from dlgmd_cli.results.csv import write_values
+from dlgmd_cli.results.foreign import read_table
+from dlgmd_cli.results.store import is_url
+
+_log = logging.getLogger(__name__)
 
 LABELS = "labels.csv"
 COLUMNS = ("video", "collision_frame", "target", "kind", "manner")
 # The columns that are required, and those of words, which may be missing or empty.
 _NEEDED, WORDS = COLUMNS[:2], COLUMNS[2:]
+# Programs without empty whole numbers write 32.0, or 32,0; R writes NA.
+_FRAME = re.compile(r"([0-9]{1,9})(?:[.,]0*)?")
+_NO_FRAME = ("", "na", "nan")
+_MOST_NAMED = 12
 
 
 @dataclass(frozen=True)
@@ -22,7 +36,8 @@ class Label:
     `video` is the path of the video or folder of pictures, relative to the table.
     `collision_frame` is the first frame at or after the collision; None if there is none. `target`
     is the object that is hit or approached, `kind` the kind of footage, such as `rendered` or
-    `real`, and `manner` how it was flown; empty if unknown.
+    `real`, and `manner` how it was flown; empty if unknown. `further` has the names and cells of
+    the other columns.
     """
 
     video: str
@@ -30,6 +45,7 @@ class Label:
     target: str = ""
     kind: str = ""
     manner: str = ""
+    further: tuple[tuple[str, str], ...] = ()
 
 
 # Labels by the path or name of their video.
@@ -42,30 +58,69 @@ def write_labels(path: Path, labels: Iterable[Label]) -> None:
 
 
 def read_labels(path: Path) -> list[Label]:
-    """Read the labels from a CSV, in its order; further columns are ignored.
+    """Read the labels from a table, in its order, and log how, if it is no plain one.
 
     Raises ResultError if the file cannot be read, or is not a table of labels.
     """
-    rows = read_rows(path)
-    header = [name.strip() for name in rows[0]] if rows else []
+    table = read_table(path)
+    header = table.header
     if not set(_NEEDED) <= set(header):
         mend = f"Its first line should be {','.join(_NEEDED)}."
-        raise ResultError(str(path), "contains no labels", mend)
+        found = f": its columns are {_listed(header)} ({table})" if any(header) else ""
+        raise ResultError(str(path), f"contains no labels{found}", mend)
+    for name in COLUMNS:
+        if header.count(name) > 1:
+            raise ResultError(str(path), f"has the column {name} twice", "Remove one of them.")
+    further = [name for name in header if name not in COLUMNS and name]
+    if further or not table.is_plain:
+        kept = f"; further columns: {_listed(further)}" if further else ""
+        _log.info("Note: %s: read as %s%s.", path, table, kept)
     return [
-        _label(path, number, dict(zip(header, row, strict=False)))
-        for number, row in enumerate(rows[1:], start=2)
-        if row
+        _label(path, number, dict(zip(header, row, strict=False)), further)
+        for number, row in enumerate(table.rows, start=2)
+        if any(row)
     ]
+
+
+def _listed(names: list[str]) -> str:
+    """Names of columns, in words."""
+    return printable(", ".join(names[:_MOST_NAMED]) + (", …" if names[_MOST_NAMED:] else ""))
+
+
+def by_path(path: Path) -> ByVideo:
+    """Read the labels of each video, by its absolute path, in the order of the table.
+
+    Raises ResultError if `path` is not a table of labels, or if they contradict each other.
+    """
+    found: ByVideo = {}
+    for label in read_labels(path):
+        where = label.video
+        if not is_url(where):
+            where = os.path.abspath(path.parent / where)
+        found.setdefault(where, []).append(label)
+    for labels in found.values():
+        _require_agreement(path, labels)
+    return found
+
+
+def _require_agreement(path: Path, labels: list[Label]) -> None:
+    """Raise ResultError if the labels of one video contradict each other."""
+    video, frames = labels[0].video, [one.collision_frame for one in labels]
+    for frame in frames:
+        if frames.count(frame) > 1:
+            what = "no frame" if frame is None else f"frame {frame}"
+            raise ResultError(str(path), f"{video} is listed twice with {what}", "Remove one line.")
+    if None in frames and len(frames) > 1:
+        why = f"{video} is listed with a collision and without one"
+        raise ResultError(str(path), why, "Remove one of the lines.")
 
 
 def read_by_video(path: Path) -> ByVideo:
     """Read the labels of each video, by its absolute path, and by its name if that is unique.
 
-    Raises ResultError if `path` is not a table of labels.
+    Raises ResultError as `by_path` does.
     """
-    found: ByVideo = {}
-    for label in read_labels(path):
-        found.setdefault(os.path.abspath(path.parent / label.video), []).append(label)
+    found = by_path(path)
     n_named = Counter(PurePath(where).name for where in found)
     unique = {PurePath(where).name: labels for where, labels in found.items()}
     return {name: unique[name] for name, n in n_named.items() if n == 1} | found
@@ -76,19 +131,94 @@ def labels_of(known: ByVideo, input_path: str) -> list[Label] | None:
     return known.get(input_path, known.get(PurePath(input_path).name))
 
 
+def first_collision(path: Path, video: str | os.PathLike[str]) -> int | None:
+    """The first labelled collision of a video, None if there is none; logs if it is not listed.
+
+    Raises ResultError as `by_path` does.
+    """
+    listed = labels_of(read_by_video(path), os.path.abspath(video))
+    if listed is None:
+        _log.warning("%s does not list %s", path, video)
+    return min(collision_frames(listed or ()), default=None)
+
+
 def collision_frames(labels: Iterable[Label]) -> list[int]:
     """The frames of the collisions."""
     return [one.collision_frame for one in labels if one.collision_frame is not None]
 
 
-def _label(path: Path, number: int, row: dict[str, str]) -> Label:
-    video, frame = row.get("video", ""), row.get("collision_frame")
+def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
+    video, frame = row.get("video", "").strip(), row.get("collision_frame")
     if video and frame is not None:
-        words = (row.get(word, "").strip() for word in WORDS)
-        if not frame:
-            return Label(video, None, *words)
-        if frame.isascii() and frame.isdigit() and len(frame) <= 9:
-            return Label(video, int(frame), *words)
+        target, kind, manner = (row.get(word, "").strip() for word in WORDS)
+        more = tuple((name, row.get(name, "").strip()) for name in further)
+        if frame.strip().lower() in _NO_FRAME:
+            return Label(video, None, target, kind, manner, more)
+        if whole := _FRAME.fullmatch(frame.strip()):
+            return Label(video, int(whole[1]), target, kind, manner, more)
     why = f"line {number} is not a label"
     mend = "Write a video and the number of a frame, or nothing after the comma."
     raise ResultError(str(path), why, mend)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A labelled video.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the labels.
+    path : str
+        Its path.
+    collisions : tuple of int
+        The frames of its collisions, increasing; empty if there is none.
+    targets : tuple of str
+        The target of each label, in the order of the collisions.
+    kind, manner : str
+        The kind of footage, and how it was flown, see `Label`.
+    """
+
+    name: str
+    path: str
+    collisions: tuple[int, ...]
+    targets: tuple[str, ...]
+    kind: str = ""
+    manner: str = ""
+
+    def of_target(self, wanted: Collection[str]) -> Flags:
+        """Which collisions are with one of these targets."""
+        targets = self.targets[: len(self.collisions)]
+        return np.array([target in wanted for target in targets], np.bool_)
+
+
+def read_cases(path: Path) -> list[Case]:
+    """The videos that labels list, in their order; raises ResultError."""
+    found = by_path(path)
+    if not found:
+        raise ResultError(str(path), "lists no video", "Add a line for each, as flight.mp4,120.")
+    return [_case(path, where, labels) for where, labels in found.items()]
+
+
+def _case(path: Path, where: str, labels: Sequence[Label]) -> Case:
+    """The labels of one video as a case."""
+    video = labels[0].video
+    ordered = sorted(labels, key=lambda one: one.collision_frame or 0)
+    collisions = tuple(one.collision_frame for one in ordered if one.collision_frame is not None)
+    where = where if is_url(where) else str(path.parent / video)
+    targets = tuple(one.target for one in ordered)
+    return Case(video, where, collisions, targets, ordered[0].kind, ordered[0].manner)
+
+
+def of_kind(cases: Sequence[Case], kind: str | None) -> Flags:
+    """Which videos are of a kind; all of them for None. Raises ParameterError if none is."""
+    if kind is None:
+        return np.ones(len(cases), np.bool_)
+    kinds = {case.kind for case in cases} - {""}
+    if kind not in kinds:
+        mend = (
+            f"Choose from {', '.join(sorted(kinds))}." if kinds else "Add the column kind to them."
+        )
+        why = f"no video in the labels is of the kind {shown(kind)}"
+        raise ParameterError("Invalid value for '--max-false-per-min'", why, mend)
+    return np.array([case.kind == kind for case in cases], np.bool_)

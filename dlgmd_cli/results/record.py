@@ -13,10 +13,12 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from dlgmd_cli import __version__, plain_yaml
+from dlgmd_cli import __version__
 from dlgmd_cli.errors import ParameterError, ResultError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.parameters import reformulated
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.parameters import plain_yaml
+from dlgmd_cli.parameters.presets import reformulated
+from dlgmd_cli.results.provenance import ffmpeg_of, provenance
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,10 +88,16 @@ def yaml_text(document: Mapping[str, Any], header: str = _HEADER, **look: Any) -
 
 
 def record_text(record: Mapping[str, Any], engines: Iterable[str], header: str = _HEADER) -> str:
-    """A record with the schema number and the versions, as YAML."""
-    known = {key: value for key, value in record.items() if key not in ("schema", "versions")}
-    used = versions(str(known.get("input", {}).get("decoder")), *engines)
-    return yaml_text({"schema": SCHEMA, **known, "versions": used}, header)
+    """A record with the schema number, the versions and the machine, as YAML."""
+    ours = ("schema", "versions", "machine")
+    known = {key: value for key, value in record.items() if key not in ours}
+    decoder, made_by = str(known.get("input", {}).get("decoder")), provenance()
+    used = versions(decoder, *engines)
+    used |= {key: made_by[key] for key in ("commit",) if key in made_by}
+    if ffmpeg := ffmpeg_of(decoder):
+        used["ffmpeg"] = ffmpeg
+    machine = {key: made_by[key] for key in ("cpu", "os") if key in made_by}
+    return yaml_text({"schema": SCHEMA, **known, "versions": used, "machine": machine}, header)
 
 
 def read_record(path: "Path | UPath") -> dict[str, Any]:
@@ -117,6 +125,19 @@ def require(path: object, record: Mapping[str, Any], *names: str) -> None:
         section, _, key = name.rpartition(".")
         if (record.get(section, {}) if section else record).get(key) is None:
             raise ResultError(str(path), f"does not state a valid {name}", "Run again.")
+
+
+# What the item `input` of a record says of the input beside what identifies it.
+_ABOUT_INPUT = {
+    *("name", "width", "height", "fps", "frames", "duration_s", "decoder", "deinterlaced"),
+    *("repeats", "repeated_rows", "dropped", "left_out"),
+}
+
+
+def identity_in(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What identifies the input that a record is about."""
+    known = record.get("input") or {}
+    return {key: value for key, value in known.items() if key not in _ABOUT_INPUT}
 
 
 def differences(
@@ -191,6 +212,7 @@ _KINDS: dict[str, _Kind] = {
     "wall_s": _is_number,
     "input": {
         **dict.fromkeys(("path", "decoder", "deinterlaced", "sha256", "repeated_rows"), _is_text),
+        "content_sha256": _is_text,
         **dict.fromkeys(("width", "height"), _is_side),
         **dict.fromkeys(("frames", "bytes", "repeats", "dropped", "left_out"), _is_count),
         "mtime_ns": _is_whole,
@@ -203,6 +225,7 @@ _KINDS: dict[str, _Kind] = {
     },
     "options": {_EACH: lambda value: isinstance(value, str | bool) or _is_number(value)},
     "versions": {_EACH: _is_text},
+    "machine": {_EACH: _is_text},
     "summary": {
         _EACH: lambda value: value is None or _is_number(value),
         "first_alarm_side": lambda value: value is None or _is_text(value),

@@ -1,31 +1,29 @@
 """`Result`: the response of a model to a video, and everything derived from it."""
 
-import logging
 import math
-import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import MissingExtraError, ParameterError, ResultError
-from dlgmd_cli.keys import recorded_parameters
 from dlgmd_cli.models.detection import LEAST_PEAK, AlarmSpan, absolute, detect, sequence, spans
 from dlgmd_cli.names import recorded_name
-from dlgmd_cli.parameters import Parameters, find_model
+from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import csv, store
-from dlgmd_cli.results.record import read_record, record_text, require, unpacked_flags
-from dlgmd_cli.results.rows import ROW, Rows, rows_of
-from dlgmd_cli.words import counted
+from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
+from dlgmd_cli.results.record import (
+    identity_in,
+    record_text,
+)
+from dlgmd_cli.results.rows import ROW, Rows
+from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
-    from dlgmd_cli.plots.style import Figure
-
-_log = logging.getLogger(__name__)
+    from matplotlib.figure import Figure
 
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -37,11 +35,13 @@ FIRST_COMMON_ROW = 3
 # Models whose weights hold at a frame rate are unreliable below this one.
 MIN_FPS = 15.0
 _HEADER = "# Written by dlgmd. 'dlgmd run INPUT --config' with this file repeats the run.\n"
+# Alarms that a terminal lists.
+_MAX_LISTED = 5
 _FLAGS = {"spike": "spikes", "alarm": "alarms"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result:
+class Result(Outcome):
     """The response of a model to a video.
 
     Every column of the rows is an attribute, an array of shape (n,) with one entry per processed
@@ -55,6 +55,8 @@ class Result:
     p_sum, s_sum        sums of the photoreceptor and the summation layer, in the model's own units
     attenuation_db      10 lg(ΣS/ΣP) in dB; -inf where ΣS = 0, NaN while undefined
     g_x, g_y            centroid of the active cells, from -1 (left, top) to 1; NaN where none is
+    ffi, t_de           feed-forward inhibition and the threshold of G, Eqs. (12) and (11)
+    ttc_s               estimated time to contact, in seconds; NaN where nothing expands
     ==================  ===========================================================================
 
     Attributes
@@ -71,6 +73,10 @@ class Result:
     If the record has a `collision_frame`, the peak, `mp_seq`, `sharpness` and `distinguishability`
     use only the frames up to it: later frames show the recoil.
     """
+
+    RECORD = store.RUN
+    TABLES = store.TABLES[store.RUN]
+    FIGURES = dict.fromkeys((*store.FIGURES[store.RUN], "overview"), "traces.plot")
 
     rows: Rows
     params: Parameters
@@ -188,7 +194,7 @@ class Result:
     def alarms(self) -> Flags:
         """Where the alarm is on: the last n_sp frames at least were spikes, Eq. (15).
 
-        n_sp is 2 by default, and 3 in the preset `flight`.
+        n_sp is 2 by default, and 1 in the preset `flight`.
         """
         return self._detected[1]
 
@@ -218,7 +224,7 @@ class Result:
                 *(int(self.frame[first]), float(self.time_s[first])),
                 *(int(self.frame[last]), float(self.time_s[last])),
                 float(level[first : last + 1].max()),
-                *(float(self.g_x[first]), float(self.g_y[first])),
+                *(float(self.g_x[first]), float(self.g_y[first]), float(self.ttc_s[first])),
             )
             for first, last in self.alarm_spans.tolist()
         ]
@@ -285,6 +291,12 @@ class Result:
                 "the membrane potential never changes by more than rounding, so it cannot be "
                 "normalised by its own sequence; there are no spikes"
             )
+        if not self.by_sequence and self._has_foreign_kappa():
+            found.append(
+                f"kappa {self.params.kappa:g} was calibrated for --formulation default; with other "
+                "latencies or limits mp_abs and alarms mean little. Use --normalise sequence, or "
+                "the kappa that 'dlgmd calibrate' finds"
+            )
         # Not NumPy's median, which would import masked arrays.
         intervals_s = np.sort(np.diff(self.time_s[~self.is_repeat]))
         rate_fps = 1.0 / intervals_s[intervals_s.size // 2] if intervals_s.size else math.inf
@@ -295,57 +307,112 @@ class Result:
             )
         return found
 
+    def _has_foreign_kappa(self) -> bool:
+        """Whether κ is that of a set, whose latency or limits are not those of the set."""
+        if type(self.params) is not DlgmdParameters or "set" not in self.record:
+            return False
+        own, usual = self.params, load_set(self.record["set"])
+        is_same = (own.latency, own.saturate) == (usual.latency, usual.saturate)
+        return own.kappa == usual.kappa and not is_same
+
     def columns(self, names: Iterable[str]) -> dict[str, npt.NDArray]:
         """Columns of the CSVs by name, shape (n,)."""
         found = {name: getattr(self, _FLAGS.get(name, name)) for name in names}
         return {name: np.broadcast_to(values, len(self)) for name, values in found.items()}
 
-    def files(self, formats: Iterable[str] = (), dpi: int | None = None) -> dict[str, store.Write]:
-        """File name -> function that writes the file, for all files of the result."""
+    @property
+    def complete(self) -> bool:  # type: ignore[override]
+        """Whether the input was read to the requested end."""
+        return bool(self.record.get("complete", True))
+
+    @property
+    def table(self) -> csv.Table:
+        """All columns of the CSVs, with a row a frame: a structured array, shape (n,)."""
+        names = dict.fromkeys(name for header in csv.TABLES.values() for name in header)
+        columns = self.columns(names)
+        table = np.empty(len(self), [(name, values.dtype) for name, values in columns.items()])
+        for name, values in columns.items():
+            table[name] = values
+        return table
+
+    def tables(self) -> dict[str, store.Write]:
+        """File name -> function that writes the table."""
         found: dict[str, store.Write] = {
             name: partial(csv.write_columns, columns=self.columns(header))
             for name, header in csv.TABLES.items()
         }
         rows = [csv.alarm_cells(one) for one in self.alarm_list]
         found[csv.ALARMS] = partial(csv.write_rows, header=csv.ALARM_COLUMNS, rows=rows)
-        formats = tuple(formats)
-        if formats:
-            from dlgmd_cli.plots.pictures import result_files
-
-            found |= result_files(self, formats, dpi)
-        record = {**self.record, "summary": self.summary}
-        text = record_text(record, [str(self.record.get("engine"))], _HEADER)
-        found[store.RUN] = store.file_of(text)
         return found
 
-    def save(self, folder: str | Path, formats: Iterable[str] = (), dpi: int | None = None) -> None:
-        """Write the CSVs, plots in `formats`, and `run.yaml`; replaces an earlier result.
+    def figure_files(
+        self, formats: tuple[str, ...], dpi: int | None, **look: Any
+    ) -> dict[str, store.Write]:
+        """File name -> function that draws the figure; PNGs of one drawing."""
+        files: dict[str, store.Write] = drawn_by("pictures.result_files")(self, formats, dpi)
+        return files
 
-        `dpi` is the resolution of PNG; 200 unless given. A figure that cannot be drawn is left
-        out, with a warning.
+    @classmethod
+    def figure_names(cls) -> dict[str, str]:
+        """Kind of each figure that is written -> file name without suffix; not of the overview."""
+        return {kind: kind for kind in store.FIGURES[store.RUN]}
 
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written.
-        """
-        place = store.place(folder)
-        store.log_undrawn(place, store.commit(place, store.RUN, self.files(formats, dpi)))
+    def record_text(self) -> str:
+        """The text of run.yaml."""
+        record = {**self.record, "summary": self.summary}
+        return record_text(record, [str(self.record.get("engine"))], _HEADER)
 
-    def plot(self, kind: str = "mp", **options: Any) -> "Figure":
+    def identity(self) -> dict[str, Any]:
+        """What identifies the input, in the record."""
+        return identity_in(self.record)
+
+    def plot(self, kind: str = "mp", **options: Any) -> "Figure":  # type: ignore[override]
         """A figure: `mp`, `attenuation`, `spikes` or `overview`; options as in `plots.traces`."""
-        from dlgmd_cli.plots.traces import plot
+        return super().plot(kind, **options)
 
-        return plot(kind, {self.name: self}, **options)
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The kind, and this result by its name."""
+        return kind, {self.name: self}
 
-    def to_dataframe(self) -> Any:
-        """All columns of the CSVs with a row a frame as a pandas DataFrame, which needs pandas."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtraError.of("to_dataframe", "pandas") from None
-        names = dict.fromkeys(name for header in csv.TABLES.values() for name in header)
-        return pd.DataFrame(self.columns(names))
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        return {
+            "result": str(self.paths[0]) if self.paths else None,
+            "complete": self.complete,
+            "warnings": self.warnings,
+            "frames": self.record["processed"]["frames"],
+            **self.summary,
+            "alarm_list": [one.to_dict() for one in self.alarm_list],
+        }
+
+    def shown(self) -> Iterator[Shown]:
+        """The summary, and where the files are."""
+        summary, processed = self.summary, self.record["processed"]
+        peak = spikes = attenuation = "none"
+        if summary["mp_max"] == 0.0:
+            peak = "0: everything was suppressed"
+        elif summary["mp_max"] is not None:
+            peak = "{mp_max:.6g} at frame {mp_max_frame}, {mp_max_time_s:.3f} s".format(**summary)
+        if summary["spikes"]:
+            spikes = "{spikes}, the first at {first_spike_time_s:.3f} s".format(**summary)
+        if summary["mean_attenuation_db"] is not None:
+            form = "{mean_attenuation_db:.2f} dB, over {attenuation_frames} of {frames} frames"
+            attenuation = form.format(**summary, **processed)
+        rows = [
+            ("frames", "{} at {width}x{height}".format(frames_text(self.record), **processed)),
+            ("peak MP", peak),
+            ("spikes", spikes),
+            ("alarms", f"{summary['alarms'] or 'none'}"),
+            *(("", line) for line in listed(self.alarm_list)),
+            ("mean attenuation", attenuation),
+        ]
+        yield ("", ""), rows
+        yield from self.paths
+
+    def kept(self) -> str:
+        """What there is after an interruption."""
+        part = f"the {counted(len(self), 'frame')} processed before the interruption"
+        return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
 
     @cached_property
     def _peak_row(self) -> int | None:
@@ -360,116 +427,12 @@ class Result:
         return float(valid.mean()) if valid.size else math.nan
 
 
-def read_result(folder: str | Path) -> Result:
-    """Read a result that `Result.save` or `dlgmd run` wrote; numbers have nine digits.
-
-    Raises
-    ------
-    ResultError
-        If there is no result, or one of its files is missing or damaged.
-    """
-    folder = _existing(folder)
-    record = read_record(folder / store.RUN)
-    if not record:
-        raise ResultError(
-            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
-        )
-    require(folder / store.RUN, record, "input.fps", "input.frames")
-    columns: dict[str, Series] = {}
-    names = ("mp.csv", "attenuation.csv")
-    whole = record.get("complete") is not False
-    tables = [csv.read_columns(folder / name, csv.TABLES[name], complete=whole) for name in names]
-    if not whole:
-        # 'dlgmd live' may have been killed when a row was in the first file only.
-        n_rows = min(len(table["frame"]) for table in tables)
-        tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
-    for name, table in zip(names, tables, strict=True):
-        if columns and not np.array_equal(columns["frame"], table["frame"]):
-            raise ResultError(str(folder / name), "its frames are not those of mp.csv")
-        columns.update(table)
-    return _result(folder / store.RUN, columns, record, record)
-
-
-def read_comparison(folder: str | Path) -> dict[str, Result]:
-    """Read the results that `dlgmd compare` wrote, by label, in its order.
-
-    A comparison stores neither sums nor centroids nor repeats: these are undefined.
-
-    Raises
-    ------
-    ResultError
-        If there is no comparison, or one of its files is missing or damaged.
-    """
-    folder = _existing(folder)
-    record = read_record(folder / store.COMPARISON)
-    models = record.get("models")
-    if not isinstance(models, list):
-        why = f"contains no comparison (no {store.COMPARISON})"
-        raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
-    by_label = csv.read_comparison_columns(folder / "compare.csv")
-    described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
-    if by_label.keys() != described.keys():
-        raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
-    results = {}
-    for label, columns in by_label.items():
-        own = described[label]
-        shared = ("input", "options", "collision_frame")
-        common: dict[str, Any] = {key: record[key] for key in shared if key in record}
-        size = {key: own[key] for key in ("width", "height", "cells") if key in own}
-        results[label] = _result(
-            folder / store.COMPARISON,
-            columns,
-            {**common, **own, "processed": size},
-            own,
-        )
-    return results
-
-
-def _existing(folder: str | Path) -> Path:
-    """The folder as a path; raises ResultError if it does not exist."""
-    if not isinstance(folder, str | os.PathLike):
-        why = f"expected the folder of a result, not {type(folder).__name__}"
-        raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
-    folder = Path(folder)
-    try:
-        if folder.is_file():
-            why = "is a file, not the folder of a result"
-            mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
-            raise ResultError(str(folder), why, mend)
-        if not folder.is_dir():
-            raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
-    return folder
-
-
-def _params(own: Mapping[str, Any]) -> Parameters:
-    """The parameters in a record; unchecked if the model is not ours and cannot be imported."""
-    name = str(own.get("model"))
-    try:
-        kind = find_model(name)
-        return kind.from_mapping({key: own[key] for key in kind.specs() if key in own})
-    except ParameterError as error:
-        if ":" not in name:
-            raise
-        _log.warning("%s; its parameters are read as recorded", error.why)
-        return recorded_parameters(own)
-
-
-def _result(
-    path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
-) -> Result:
-    """A result from stored columns and a record; `own` holds the model and its parameters."""
-    require(path, record, "processed.width", "processed.height")
-    try:
-        params = _params(own)
-    except ParameterError as error:
-        raise ResultError(str(path), str(error).rstrip("."), "Run again.") from None
-    repeated = record.get("input", {}).get("repeated_rows")
-    flags = {}
-    try:
-        if repeated is not None:
-            flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
-    except ValueError:
-        raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
-    return Result(rows_of({**columns, **flags}), params, record)
+def listed(alarms: list[AlarmSpan]) -> list[str]:
+    """The first alarms, one line each, and how many more there are."""
+    lines = [
+        f"{one.start_s:.3f} to {one.end_s:.3f} s, frames {one.start_frame} to {one.end_frame}"
+        f"{', ' if one.side else ''}{one.side}, peak MP {one.peak_mp_abs:.2f}"
+        for one in alarms[:_MAX_LISTED]
+    ]
+    n_more = len(alarms) - len(lines)
+    return [*lines, f"and {n_more} more in {csv.ALARMS}"] if n_more else lines

@@ -10,11 +10,11 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import (
     DlgmdError,
     MissingExtraError,
@@ -23,7 +23,8 @@ from dlgmd_cli.errors import (
     ParameterError,
     ResultError,
 )
-from dlgmd_cli.files import LOCK, PREFIX, staging
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.files import LOCK, PREFIX, staging
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ RUN, COMPARISON, LAYERS = "run.yaml", "compare.yaml", "layers.yaml"
 # The table in the top folder of a batch.
 SUMMARY = "summary.csv"
 # The files that belong to each record: tables, and figures without their suffixes.
-_TABLES = {
+TABLES = {
     RUN: ("mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
     COMPARISON: ("compare.csv",),
     LAYERS: ("layers.npz",),
@@ -56,7 +57,7 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 def files_of(record: str) -> frozenset[str]:
     """Names of all files that may belong to a record, itself included."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
-    return frozenset({record, *_TABLES[record], *figures})
+    return frozenset({record, *TABLES[record], *figures})
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
@@ -84,6 +85,9 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
     except ValueError:
         kind = url.partition("://")[0]
         raise ParameterError(url, f"there is no kind of URL called {kind}://") from None
+    except (OSError, EOFError) as error:  # the latter from a server that hangs up
+        why = f"cannot be reached ({failure_text(error)})"
+        raise OutputError(url, why, "Check the URL, and that its server is up.") from None
 
 
 def is_url(text: str | os.PathLike[str]) -> bool:
@@ -135,7 +139,12 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
 
 
 def check(
-    folder: "Path | UPath", record: str, identity: Mapping[str, Any], *, overwrite: bool
+    folder: "Path | UPath",
+    record: str,
+    identity: Mapping[str, Any],
+    *,
+    overwrite: bool,
+    option: str = "--out",
 ) -> bool:
     """Check that a result may be written; returns whether results of another input are replaced.
 
@@ -152,21 +161,23 @@ def check(
         Identifies the input: `path`, and the items of `fingerprint`.
     overwrite : bool
         Whether existing results may be replaced.
+    option : str
+        What gave the folder, for messages.
     """
     with writing(folder):
         if not folder.exists():
             return False
         if not folder.is_dir():
-            raise OutputExistsError(str(folder), "is not a folder", "Choose another --out.")
+            raise OutputExistsError(str(folder), "is not a folder", f"Choose another {option}.")
         names = names_in(folder)
     records = names & {RUN, COMPARISON, LAYERS}
-    ours = frozenset().union(*map(files_of, _TABLES))
+    ours = frozenset().union(*map(files_of, TABLES))
     strays = sorted(n for n in names - ours if not n.startswith(PREFIX))
     if strays and not records:
         raise OutputExistsError(
-            str(folder), f"contains other files, such as {strays[0]}", "Choose another --out."
+            str(folder), f"contains other files, such as {strays[0]}", f"Choose another {option}."
         )
-    mend = "Add --overwrite to replace it, or choose another --out."
+    mend = f"Add --overwrite to replace it, or choose another {option}."
     if record in records and not overwrite:
         raise OutputExistsError(str(folder), "a result already exists here", mend)
     others = [
@@ -220,41 +231,83 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
                 path.rmdir()
 
 
-def is_locked(folder: str | os.PathLike[str]) -> bool:
-    """Whether a folder is visible from this machine and locked by some process."""
-    return (Path(folder) / LOCK).exists()
+@dataclass(frozen=True)
+class Claim:
+    """A folder that is checked and locked for what one task writes; see `claimed`.
+
+    `is_new_input` says that the files of other commands belong to another input.
+    """
+
+    folder: "Path | UPath"
+    record: str = ""
+    is_new_input: bool = False
+    option: str = "--out"
+
+    def commit(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> dict[str, str]:
+        """Write files together, in place of earlier ones, the record last; see `write_files`.
+
+        Others that are `stale` are removed.
+
+        Returns the figures that could not be drawn, each with the reason. Raises OutputError if a
+        file cannot be written; what stood in the folder is then unchanged.
+        """
+        if self.record in TABLES:
+            kinds = [self.record, *(TABLES if self.is_new_input else ())]
+            stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
+        return write_files(self.folder, files, record=self.record, stale=stale, option=self.option)
+
+    def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
+        """As `commit`, but logs the figures that could not be drawn; returns the other files."""
+        undrawn = self.commit(files)
+        for name, why in undrawn.items():
+            _log.error("%s: %s cannot be drawn (%s)", self.folder, name, why)
+        return tuple(Path(self.folder / name) for name in files if name not in undrawn)
 
 
-def commit(
-    folder: "Path | UPath", record: str, files: Mapping[str, Write], *, is_new_input: bool = False
-) -> dict[str, str]:
-    """Write a result by the commit rule, in place of an earlier one.
+@contextmanager
+def claimed(
+    folder: "Path | UPath",
+    record: str = "",
+    identity: Mapping[str, Any] | None = None,
+    *,
+    names: Iterable[str] = (),
+    overwrite: bool = False,
+    option: str = "--out",
+    locks: bool = True,
+) -> Iterator[Claim]:
+    """Check that files may be written into a folder, and lock it; for every command and function.
 
     Parameters
     ----------
     folder : Path or UPath
         Created if necessary.
     record : str
-        `RUN`, `COMPARISON` or `LAYERS`; one of `files`, written last.
-    files : mapping of str to callable
-        File name -> function that writes the file at a given local path; figures as in
-        `write_files`.
-    is_new_input : bool
-        Also remove the files of other commands, which belong to another input.
-
-    Returns
-    -------
-    dict of str to str
-        The figures that could not be drawn, each with the reason.
+        The record of what is written. For `RUN`, `COMPARISON` and `LAYERS`, see `check`.
+    identity : mapping, optional
+        Of the input, as `check` takes it.
+    names : iterable of str
+        Files that may not exist.
+    overwrite : bool
+        Whether earlier results and files may be replaced.
+    option : str
+        The option that names the folder, for errors.
+    locks : bool
+        Whether other processes are kept out.
 
     Raises
     ------
+    OutputExistsError
+        If the folder holds what may not be replaced, or another process is writing there.
     OutputError
-        If a file cannot be written. What stood in the folder is then unchanged.
+        If the folder cannot be written.
     """
-    kinds = [record, *(_TABLES if is_new_input else ())]
-    stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
-    return write_files(folder, files, record=record, stale=stale)
+    is_new = False
+    if record in TABLES:
+        is_new = check(folder, record, identity or {}, overwrite=overwrite)
+    for name in names:
+        refuse_existing(Path(folder / name), overwrite=overwrite, option=option)
+    with locked(folder) if locks else nullcontext():
+        yield Claim(folder, record, is_new, option)
 
 
 def write_files(
@@ -367,20 +420,29 @@ def names_in(folder: "Path | UPath") -> set[str]:
     return set()
 
 
-def log_undrawn(folder: "Path | UPath", undrawn: Mapping[str, str]) -> None:
-    """Log an error for each figure that `write_files` could not draw."""
-    for name, why in undrawn.items():
-        _log.error("%s: %s cannot be drawn (%s)", folder, name, why)
-
-
 def write_text(path: "Path | UPath", text: str) -> None:
     """Write a text file atomically; raises OutputError."""
     write_files(path.parent, {path.name: file_of(text)})
 
 
+@contextmanager
+def appending(path: Path) -> Iterator[IO[str]]:
+    """Open a table of a claimed folder to append rows as they are computed."""
+    with writing(path.parent), path.open("a", newline="", encoding="utf-8") as file:
+        yield file
+
+
+def created(path: Path) -> IO[str]:
+    """A new table of a claimed folder that is open for rows; OSError passes through."""
+    return path.open("w", encoding="utf-8", newline="")
+
+
 def file_of(content: str | bytes) -> Write:
-    """A function that writes a text, in UTF-8, or bytes into a file."""
-    data = content.encode() if isinstance(content, str) else content
+    """A function that writes a text, in UTF-8, or bytes into a file.
+
+    What is no character, as in file names of any bytes, is escaped.
+    """
+    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     return lambda path: path.write_bytes(data)
 
 

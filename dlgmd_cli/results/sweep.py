@@ -5,20 +5,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from dlgmd_cli.checks import Spec
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.parameters import Parameters
-from dlgmd_cli.results.csv import Table, cell, table_of
-from dlgmd_cli.results.result import Flags, Series
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.results import store
+from dlgmd_cli.results.comparison import INFINITE_DISTINGUISHABILITY
+from dlgmd_cli.results.csv import Table, cell, table_of, write_rows
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import SCHEMA, versions, yaml_text
+from dlgmd_cli.results.result import Result
 
 if TYPE_CHECKING:
-    from dlgmd_cli.plots.style import Figure, Width
+    from matplotlib.figure import Figure
 
 MAX_VALUES, MAX_POINTS = 1000, 100_000
 # TO belongs to a range if a whole number of steps reaches it within this share of a step.
@@ -104,16 +110,28 @@ class Grid:
         return dict(zip((self.x.key, self.y.key), self.values(point), strict=True))
 
 
+ATTENUATION_COLUMNS = ("attenuation_db",)
+RESPONSE_COLUMNS = (
+    *("mp_max", "mp_max_frame", "sharpness", "distinguishability"),
+    *("first_alarm_frame", "first_alarm_time_s", "mean_attenuation_db"),
+)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class SweepResult:
+class SweepResult(Outcome):
     """Measures at every point of a grid, filled in as points are computed.
 
     `speeds_px` holds the speed of the cube in each clip, in px/frame; it is empty for a video.
     `columns` has the measures by name, (n_clips, n_y, n_x): NaN where undefined or not computed
     yet, perhaps infinite. `is_possible`, (n_y, n_x) bool, tells where the values of x and y are a
     valid combination. `done` has the numbers of the computed points. `name` is that of the video or
-    the clips, and `warnings` are doubts about it.
+    the clips, and `warnings` are doubts about it. `about` has what else the record says: of the
+    `input`, the `model`, the `settings`, and the `decoder`.
     """
+
+    RECORD = "sweep.yaml"
+    TABLES = ("sweep.csv",)
+    FIGURES = {"sweep": "sweeps.plot_sweep"}  # noqa: RUF012
 
     grid: Grid
     speeds_px: tuple[float, ...]
@@ -122,6 +140,7 @@ class SweepResult:
     done: set[int]
     name: str = ""
     warnings: list[str] = field(default_factory=list)
+    about: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         axes = " x ".join(f"{axis.key} ({len(axis)})" for axis in (self.grid.x, self.grid.y))
@@ -137,11 +156,62 @@ class SweepResult:
         )
         return table_of(self.header, rows)
 
-    def plot(self, width: "Width" = "one") -> "Figure":
+    def plot(self, width: Literal["one", "two"] = "one", **look: Any) -> "Figure":  # type: ignore[override]
         """Heat maps of the measures; `width` in columns of a paper."""
-        from dlgmd_cli.plots.sweeps import plot_sweep
+        return self.figure("sweep", width=width)
 
-        return plot_sweep(self, width)
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes sweep.csv, with all points in order."""
+        return self._table(range(len(self.grid)))
+
+    def so_far(self) -> dict[str, store.Write]:
+        """The function that writes each file of an unfinished sweep."""
+        text = self.record_text(complete=False)
+        return {**self._table(sorted(self.done)), self.RECORD: store.file_of(text)}
+
+    def _table(self, points: Iterable[int]) -> dict[str, store.Write]:
+        rows = self.rows(points)
+        return {self.TABLES[0]: partial(write_rows, header=self.header, rows=rows)}
+
+    def record_text(self, *, complete: bool = True) -> str:
+        """The text of sweep.yaml."""
+        axes = {"x": self.grid.x, "y": self.grid.y}
+        swept, model = [axis.key for axis in axes.values()], self.about.get("model", {})
+        record: dict[str, Any] = {
+            "schema": SCHEMA,
+            **self.about.get("input", {}),
+            **{key: value for key, value in model.items() if key not in swept},
+            "sweep": {
+                **{name: {"key": a.key, "values": list(a.values)} for name, a in axes.items()},
+                **self.about.get("settings", {}),
+            },
+            "warnings": self.warnings,
+            "complete": complete,
+            "summary": {
+                "points": len(self.grid),
+                "computed": len(self.done),
+                "impossible": int(np.count_nonzero(~self.is_possible)),
+            },
+            "versions": versions(str(self.about.get("decoder")), str(model.get("engine"))),
+        }
+        return yaml_text(record, default_flow_style=None)
+
+    def shown(self) -> Iterator[Shown]:
+        """The least and the greatest values, and where the files are."""
+        yield ("", "least", "at", "greatest", "at"), self.extremes()
+        if np.isinf(self.columns.get("distinguishability", np.zeros(1))).any():
+            yield INFINITE_DISTINGUISHABILITY
+        yield from self.paths
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints: None where undefined, infinity as text."""
+        return {
+            "result": str(self.paths[0]) if self.paths else None,
+            "complete": True,
+            "points": len(self.done),
+            "warnings": self.warnings,
+            "measures": self.measures(),
+        }
 
     @classmethod
     def empty(
@@ -204,7 +274,7 @@ class SweepResult:
     def extremes(self) -> list[tuple[str, ...]]:
         """The least and the greatest value of each measure with their points, as table rows."""
         rows = []
-        for one in self.facts():
+        for one in self.measures():
             speed = f", {one['speed_px']:g} px/frame" if "speed_px" in one else ""
             row = [f"{one['measure']}{speed}"]
             for word in ("least", "greatest"):
@@ -214,7 +284,7 @@ class SweepResult:
             rows.append(tuple(row))
         return rows
 
-    def facts(self) -> list[dict[str, Any]]:
+    def measures(self) -> list[dict[str, Any]]:
         """The same as data for JSON: None where undefined, infinity as text."""
         found = []
         for name, clips in self.columns.items():
@@ -237,6 +307,29 @@ class SweepResult:
     def _keys(self, clip: int, point: int) -> tuple[Any, ...]:
         """The values of x and y, and the speed of the cube if there is one."""
         return (*self.grid.values(point), *self.speeds_px[clip : clip + 1])
+
+
+def measured(
+    result: Result, columns: Sequence[str], false_positive_frame: int | None
+) -> tuple[float, ...]:
+    """The values of the columns at one point, from the result there; NaN where undefined."""
+    attenuation = _mean_attenuation(result.attenuation_db)
+    if tuple(columns) == ATTENUATION_COLUMNS:
+        return (attenuation,)
+    facts = {**result.summary, "sharpness": result.sharpness, "distinguishability": None}
+    if false_positive_frame is not None:
+        facts["distinguishability"] = result.distinguishability(false_positive_frame)
+    facts["mean_attenuation_db"] = attenuation
+    values = (facts[name] for name in columns)
+    return tuple(math.nan if value is None else float(value) for value in values)
+
+
+def _mean_attenuation(attenuation_db: Series) -> float:
+    """Mean over frames with S above zero; -inf if there are none, NaN if no frame is valid."""
+    passing = attenuation_db[np.isfinite(attenuation_db)]
+    if passing.size:
+        return math.fsum(passing) / passing.size
+    return -math.inf if np.isneginf(attenuation_db).any() else math.nan
 
 
 def _parameter(value: Any) -> str:

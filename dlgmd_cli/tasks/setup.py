@@ -1,14 +1,15 @@
 """The models of a run: from a set, a file or a name to checked parameters and options."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dlgmd_cli.checks import blame, require_known
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters import (
+from dlgmd_cli.names import numbered
+from dlgmd_cli.parameters.checks import blame, require_known
+from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
     DEFAULT_WIDTH_PX,
     ENGINES,
@@ -24,7 +25,7 @@ from dlgmd_cli.parameters import (
     load_preset,
     merge,
 )
-from dlgmd_cli.video.opening import processed_size
+from dlgmd_cli.video.opening import Openable, processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
 
@@ -68,6 +69,33 @@ class Setup:
         return {"model": self.params.model, **design, **self.params.to_dict()}
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What a task is asked for: one model or several, and how the input is read."""
+
+    setups: tuple[Setup, ...]
+    options: InputOptions
+
+    @property
+    def setup(self) -> Setup:
+        """The only model, or the first one."""
+        return self.setups[0]
+
+    def open(self, source: Openable) -> Video:
+        """Open an input for the models; raises what `open_video` raises.
+
+        By default, the frame size is that of the first model and the frame rate that of the
+        fastest. If one has the formulation `released`, every frame is read, repeats included.
+        """
+        formulations = [one.params.to_dict().get("formulation") for one in self.setups]
+        model_fps = max(one.model_fps for one in self.setups)
+        return self.options.open(
+            source,
+            width_px=self.setup.width_px,
+            model_fps=None if "released" in formulations else model_fps,
+        )
+
+
 # A model by its name, its class, its parameters, or as it was chosen before.
 ModelName = str | type | Parameters | Setup
 
@@ -106,7 +134,7 @@ def choose(
             mend = f"Leave out --set or --model {model}."
             raise ParameterError("", "--set works only with the D-LGMD model", mend)
         file, label = _named_config(set, DEFAULT_PRESET if is_default else config, given)
-        kind = given or find_model(file.model or DLGMD, file.name)
+        kind = given or find_model(file.model or DLGMD, file.name, in_file=True)
     chosen = engine or file.engine
     if chosen not in (None, "auto"):
         require_known("engine", str(chosen), ENGINES, file.name if engine is None else "")
@@ -158,6 +186,34 @@ def choose_all(
             named = {"set": one}
         found.append(choose(**named, overrides=overrides, formulation=formulation, engine=engine))
     return found
+
+
+def with_keys(setups: Sequence[Setup], keys: Iterable[str]) -> list[Setup]:
+    """The setups with some of their parameters in their labels, as ``set9 kappa=0.1``."""
+    found = []
+    for one in setups:
+        values = one.params.to_dict()
+        words = [f"{key}={_short(values[key])}" for key in keys if key in values]
+        found.append(replace(one, label=" ".join([one.label, *words])))
+    return found
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def with_folder_labels(setups: Sequence[Setup]) -> list[Setup]:
+    """The setups with distinct labels that are valid names of folders."""
+    labels = [_as_folder(one.label) for one in setups]
+    if len({label.casefold() for label in labels}) < len(labels):
+        labels = numbered([label.lower() for label in labels])
+    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
+
+
+def _as_folder(label: str) -> str:
+    """A label as a valid name of a folder."""
+    name = label.replace("/", "_").replace("\\", "_")
+    return name if name.strip(". ") and not name.startswith(".") else f"model{name}"
 
 
 def label_of(kind: type[Parameters]) -> str:

@@ -1,41 +1,51 @@
-"""The main loop: decode a video once and step every model. `run` is the library's entry point."""
+"""`run` and `compare`: decode a video once and step every model."""
 
+import logging
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any, overload
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, overload
 
 import numpy as np
 
-from dlgmd_cli import cancel
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.names import numbered
+from dlgmd_cli.results import store
+from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.comparison import Comparison
+from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList, Rows
-from dlgmd_cli.runs.setup import ModelName, Setup, choose_all, common_options
-from dlgmd_cli.video.opening import Openable
+from dlgmd_cli.tasks.call import (
+    OnFrame,
+    Progress,
+    fold,
+    no_progress,
+    opened,
+    silent,
+    tell,
+    watched,
+    write_clips,
+)
+from dlgmd_cli.tasks.setup import DEFAULT_PRESET, Asked, ModelName, Setup
+from dlgmd_cli.video.clips import refuse_clips
+from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
 from dlgmd_cli.words import counted
 
-OnFrame = Callable[[int], None]
-# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
-# may be followed by another name.
-Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
+_log = logging.getLogger(__name__)
 
-
-def silent(*_: Any) -> None:
-    """The default callback."""
-
-
-def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
-    """The default `Progress`."""
-    return nullcontext(silent)
+# The models with which the default is compared.
+COMPARED_MODELS = ("lgmd", "emd-lgmd")
 
 
 @overload
@@ -57,6 +67,13 @@ def run(
     param: Mapping[str, Any] | None = None,
     engine: str | None = None,
     on_frame: OnFrame = silent,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    overwrite: bool = False,
+    clips: str | os.PathLike[str] | None = None,
+    hashed: bool = False,
+    progress: Progress = no_progress,
     **options: Any,
 ) -> Result | list[Result]:
     """Run one model, or several, over a video that is decoded once.
@@ -83,6 +100,15 @@ def run(
         `opencv` or `numba`; chosen by frame size unless given.
     on_frame : callable, optional
         Called after each frame with the number of input frames done.
+    out : str or path, optional
+        Write ``out/NAME`` with what `dlgmd run` writes, for one model, with figures in `formats`
+        (PNG with `dpi`); `overwrite` replaces an earlier result, and earlier clips.
+    clips : str or path, optional
+        Write a clip of each alarm into this folder.
+    hashed : bool
+        Record the SHA-256 of the input, which reads all of it once more.
+    progress
+        As in `batch`.
     options
         `scale`, `size`, `fps`, `repeats`, `input_fps`, `decoder`, `start`, `end` (seconds), `crop`,
         `mask` and `normalise`, see `dlgmd run --help`.
@@ -100,6 +126,8 @@ def run(
         If a parameter or an option is not valid.
     MissingExtraError
         If an engine or a decoder needs a package that is not installed.
+    OutputError, OutputExistsError
+        If `out` cannot be written, or has what may not be replaced.
 
     Examples
     --------
@@ -107,39 +135,174 @@ def run(
     >>> result.summary["alarms"]  # doctest: +SKIP
     1
     """
-    setups = choose_all(models, set, config, model, param, formulation, engine)
-    shared = common_options(setups, given_options(video, options))
-    results = run_input(video, setups, shared, on_frame=on_frame)
+    asked = fold(models, set, config, model, formulation, param, engine, options, video)
+    if models is not None and (out is not None or clips is not None):
+        mend = "Give a single model, or call batch or compare."
+        raise ParameterError("", "out and clips work only with one model", mend)
+    with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
+        if clips is not None and not overwrite:
+            refuse_clips(Path(clips), source.info.name)
+        results = _answers(source, asked, progress, on_frame)
+        if hashed:
+            digest = {"content_sha256": content_sha256(source.info.path)}
+            for result in results:
+                result.record["input"] |= digest
+        for result in results if models is None else ():
+            tell(source, asked, result.warnings)
+            _log_details(result)
+        require_response(source, asked, results)
+        if claim is not None:
+            results[0].write(claim, formats, dpi)
+        if clips is not None and results[0].complete:
+            onsets_s, rate = [one.start_s for one in results[0].alarm_list], asked.options.input_fps
+            info = source.info
+            made = write_clips(info.given, info.name, onsets_s, Path(clips), rate)
+            _log.info("%s in %s.", counted(len(made), "clip"), clips)
     return results[0] if models is None else results
 
 
-def given_options(video: Openable, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options as they are given, but `fps` is the rate of images in memory that have none."""
-    found = dict(options)
-    if not isinstance(video, str | os.PathLike) and found.get("input_fps") is None:
-        found["input_fps"] = found.pop("fps", None)
-    return found
-
-
-def run_input(
-    source: Openable, setups: Sequence[Setup], options: InputOptions, *, on_frame: OnFrame = silent
+def _answers(
+    video: Video, asked: Asked, progress: Progress, on_frame: OnFrame = silent
 ) -> list[Result]:
-    """Open an input, run every model on it and close it; raises what `run` raises."""
-    with open_input(source, setups, options) as video:
-        results = run_models(video, setups, options, on_frame=on_frame)
-        require_response(video, setups, results, options)
+    """The results of all models, with the failure if there was nothing to see."""
+    with watched(video, asked, progress) as advance:
+
+        def both(n_done: int) -> None:
+            advance(n_done)
+            on_frame(n_done)
+
+        results = run_models(video, asked, on_frame=both)
+    if video.progress.blind:
+        for result in results:
+            vars(result)["failure"] = SourceError(video.info.given, video.progress.blind)
     return results
 
 
-def open_input(source: Openable, setups: Sequence[Setup], options: InputOptions) -> Video:
-    """Open an input for models; raises what `open_video` raises.
+def _log_details(result: Result) -> None:
+    """Log the input, the processed frames, and the model with its parameters."""
+    record = result.record
+    form = "Input: {path}, {width}x{height}, {fps:.6g} frames a second, decoded by {decoder}."
+    _log.debug("%s", form.format(**record["input"]))
+    form = "Processed: {frames} frames of {width}x{height}."
+    _log.debug("%s", form.format(**record["processed"]))
+    values = ", ".join(f"{key} = {value}" for key, value in result.params.to_dict().items())
+    said = record["model"], record["engine"], values
+    _log.debug("Model: %s, computed by %s, with %s.", *said)
 
-    By default, the frame size is that of the first model and the frame rate that of the fastest. If
-    one of the models has the formulation `released`, every frame is read, repeats included.
+
+def compare(
+    video: Openable,
+    models: Sequence[ModelName | int] | None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    marks: Iterable[tuple[int, str]] = (),
+    spans: Iterable[tuple[int, int, str]] = (),
+    collision_frame: int | None = None,
+    false_positive_frame: int | None = None,
+    collisions: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    width: Literal["one", "two"] = "one",
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Comparison:
+    """Run several models over a video, as `dlgmd compare` does.
+
+    Parameters
+    ----------
+    video : str, path, or iterable of ndarray
+        The input, as in `run`.
+    models, set, config, model, formulation, param, engine
+        The models, as in `run`. Without any, the preset `flight` is compared with the LGMD and the
+        EMD-LGMD.
+    marks, spans : iterable of (int, str), of (int, int, str)
+        Labels of frames and of ranges of frames in the figures.
+    collision_frame, false_positive_frame : int, optional
+        Frame of the true collision, and of a false alarm, to measure the distinguishability.
+    collisions : str or path, optional
+        A table of labels, as for `evaluate`: the video's first one is the `collision_frame`.
+    out : str or path, optional
+        Write ``out/NAME`` with what `dlgmd compare` writes, with figures in `formats` (PNG with
+        `dpi`, `width` in columns of a paper); `overwrite` replaces an earlier comparison.
+    progress
+        As in `batch`.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Comparison
+        `results` has the result of each model by its label; `table` has the rows of compare.csv.
+
+    Raises
+    ------
+    SourceError, ParameterError, MissingExtraError, OutputError, OutputExistsError
+        As in `run`.
+
+    Examples
+    --------
+    >>> found = compare("flight.mp4", [3, 9, "lgmd"])  # doctest: +SKIP
+    >>> found.results["lgmd"].summary["alarms"]  # doctest: +SKIP
+    1
     """
-    is_released = any(one.params.to_dict().get("formulation") == "released" for one in setups)
-    model_fps = None if is_released else max(one.model_fps for one in setups)
-    return options.open(source, width_px=setups[0].width_px, model_fps=model_fps)
+    if collisions is not None:
+        if collision_frame is not None or not isinstance(video, str | os.PathLike):
+            why = "collisions are for a path, and exclude collision_frame"
+            raise ParameterError("", why, "Leave one of them out.")
+        collision_frame = first_collision(Path(collisions), video)
+    if all(one is None for one in (models, set, config, model)):
+        models = [DEFAULT_PRESET, *COMPARED_MODELS]
+    named = models, set, config, model, formulation, param, engine
+    asked = fold(*named, options, video, repeats_record=False)
+    asked = replace(asked, setups=tuple(with_labels(asked.setups)))
+    notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
+    with opened(video, asked, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
+        found = _answers(source, asked, progress)
+        failure = found[0].failure
+        found = [result.until(collision_frame) for result in found]
+        results = {one.label: result for one, result in zip(asked.setups, found, strict=True)}
+        require_response(source, asked, found)
+        compared = Comparison(results, notes, _unused(asked.setups))
+        vars(compared)["failure"] = failure
+        tell(source, asked, compared.warnings)
+        if claim is not None:
+            compared.write(claim, formats, dpi, width=width)
+    return compared
+
+
+def with_labels(setups: Sequence[Setup]) -> list[Setup]:
+    """The setups with distinct labels."""
+    labels = numbered([one.label for one in setups])
+    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
+
+
+def _unused(setups: Sequence[Setup]) -> list[str]:
+    """A warning for each file whose recorded options are not used."""
+    lines = []
+    for one in setups:
+        recorded = one.options.to_record()
+        left_out = [key for key in recorded if key not in ("scale", "size", "mask_sha256")]
+        if left_out:
+            lines.append(
+                f"{one.origin}: its recorded options ({', '.join(left_out)}) are not used; give "
+                "them on the command line"
+            )
+    return lines
+
+
+def run_input(source: Openable, asked: Asked) -> list[Result]:
+    """Open an input, run every model on it and close it; raises what `run` raises."""
+    with asked.open(source) as video:
+        results = run_models(video, asked)
+        require_response(video, asked, results)
+    return results
 
 
 def responses(
@@ -184,8 +347,7 @@ def responses(
 
 def run_models(
     video: Video,
-    setups: Sequence[Setup],
-    options: InputOptions,
+    asked: Asked,
     *,
     identity: Mapping[str, Any] | None = None,
     on_frame: OnFrame = silent,
@@ -196,10 +358,8 @@ def run_models(
     ----------
     video : Video
         The source of the frames.
-    setups : sequence of Setup
-        At least one model.
-    options : InputOptions
-        Options of the video, for the records and the normalisation.
+    asked : Asked
+        The models, and the options of the video, for the records and the normalisation.
     identity : mapping, optional
         Identity of the input for the records, if it is not the video's own.
     on_frame : callable
@@ -216,8 +376,8 @@ def run_models(
     Interrupted
         If the stop flag ended the loop before the first frame.
     """
-    steppers = [stepper_on(video, one, options) for one in setups]
-    collected = [RowList() for _ in setups]
+    steppers = [stepper_on(video, one, asked.options) for one in asked.setups]
+    collected = [RowList() for _ in asked.setups]
     for frame, found in responses(video, steppers, on_frame=on_frame):
         for one, response in zip(collected, found, strict=True):
             one.append(frame, response)
@@ -225,10 +385,10 @@ def run_models(
     if not complete and not collected[0]:
         raise cancel.Interrupted
     results = []
-    for setup, stepper, one in zip(setups, steppers, collected, strict=True):
+    for setup, stepper, one in zip(asked.setups, steppers, collected, strict=True):
         rows, size_wh = one.rows(), stepper.size_wh or video.size_wh
         facts = input_record(video, size_wh, rows, identity, is_read=complete)
-        result = build_result(setup, stepper, rows, options, facts, complete=complete)
+        result = build_result(setup, stepper, rows, asked.options, facts, complete=complete)
         result.warnings.extend([*video.progress.warnings, *result.doubts()])
         results.append(result)
     return results
@@ -311,15 +471,13 @@ def input_record(
     }
 
 
-def require_response(
-    video: Video, setups: Sequence[Setup], results: Sequence[Result], options: InputOptions
-) -> None:
+def require_response(video: Video, asked: Asked, results: Sequence[Result]) -> None:
     """Raise SourceError if the input ended before any model had a full history."""
     if any(result.n_valid for result in results) or not results[0].record["complete"]:
         return
-    needs = [create_model(one.params).first_valid_frame + 1 for one in setups]
+    needs = [create_model(one.params).first_valid_frame + 1 for one in asked.setups]
     n_needed = min(needs)
-    raise too_short(video, setups[needs.index(n_needed)].label, n_needed, options)
+    raise too_short(video, asked.setups[needs.index(n_needed)].label, n_needed, asked.options)
 
 
 def too_short(video: Video, label: str, n_needed: int, options: InputOptions) -> SourceError:

@@ -3,85 +3,33 @@
 import logging
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-import numpy.typing as npt
 
-from dlgmd_cli import cancel
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.dataset import FlightSet
-from dlgmd_cli.lab.flights.scenes import find_scene
-from dlgmd_cli.lab.stimuli.clip import DrawSheet, Rendering, choose_codec
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.results import labels
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.store import locked
-from dlgmd_cli.runs.run import Progress, no_progress
-from dlgmd_cli.threads import n_processors
+from dlgmd_cli.results.synth import Flights, RenderedClip
+from dlgmd_cli.scenes.flights.dataset import FlightSet
+from dlgmd_cli.scenes.flights.scenes import find_scene
+from dlgmd_cli.scenes.stimuli.clip import DrawSheet, Rendering, choose_codec
+from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.video.base import parse_size
-from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Clip:
-    """A rendered stimulus.
-
-    Attributes
-    ----------
-    name : str
-        The scene's name.
-    fps : float
-        Frames per second.
-    truth : structured ndarray, shape (n,)
-        The ground truth of each frame; its columns are those of the CSV.
-    record : dict
-        Of a flight: its phases, and the frame of the collision.
-    frames : ndarray, shape (n, H, W), uint8, or None
-        The pictures, for `run(clip.frames, fps=clip.fps)`; None if they were written to files.
-    paths : tuple of Path
-        The files, the video first.
-    """
-
-    name: str
-    fps: float
-    truth: Table
-    record: dict[str, Any]
-    frames: npt.NDArray[np.uint8] | None = None
-    paths: tuple[Path, ...] = ()
-
-    def __repr__(self) -> str:
-        where = f" in {self.paths[0]}" if self.paths else ""
-        return f"<Clip {self.name}: {counted(len(self.truth), 'frame')}{where}>"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Flights:
-    """Many flights in a folder.
-
-    `path` is the file of labels, and `labels` has its rows: a structured array with the columns
-    ``video``, ``collision_frame``, ``target``, ``kind`` and ``manner``. `failed` says which flights
-    could not be rendered, and why.
-    """
-
-    path: Path
-    labels: Table
-    failed: dict[str, str]
-
-    def __repr__(self) -> str:
-        n_hits = np.count_nonzero(~np.isnan(self.labels["collision_frame"].astype(float)))
-        n_videos = counted(len(self.labels), "video")
-        return f"<Flights in {self.path}: {n_videos}, {n_hits} with a collision>"
 
 
 @overload
 def synth(
     scene: str, out: str | os.PathLike[str] | None = None, *, count: None = None, **options: Any
-) -> Clip: ...
+) -> RenderedClip: ...
 
 
 @overload
@@ -95,6 +43,7 @@ def synth(
     name: str | None = None,
     count: int | None = None,
     jobs: int | None = None,
+    avoid: str | None = None,
     lossless: bool = False,
     png: bool = False,
     sheet: bool = False,
@@ -102,7 +51,7 @@ def synth(
     overwrite: bool = False,
     progress: Progress = no_progress,
     **options: Any,
-) -> Clip | Flights:
+) -> RenderedClip | Flights:
     """Render a stimulus with its ground truth, as `dlgmd synth` does.
 
     Parameters
@@ -117,6 +66,9 @@ def synth(
     count : int, optional
         Render so many flights with consecutive seeds, and ``out/labels.csv``; those that exist
         are kept. `jobs` is the number of processes, all processors unless given.
+    avoid : str, optional
+        A preset, such as ``"flight"``, whose alarm stops the drone of a flight: film the flight
+        without and with it, side by side.
     progress
         As in `batch`.
     options
@@ -125,7 +77,7 @@ def synth(
 
     Returns
     -------
-    Clip or Flights
+    RenderedClip or Flights
         `Flights` with `count`.
 
     Raises
@@ -145,6 +97,11 @@ def synth(
         raise ParameterError("", "--jobs works only with --count", "Add it.")
     found = find_scene(scene)
     chosen = found.configure(_by_flag(options))
+    if avoid is not None:
+        if out is None or count is not None or sheet or png or lossless:
+            why = "--avoid writes a film: it needs a folder, and no other option of files"
+            raise ParameterError("", why, "Leave out --count, --sheet, --png and --lossless.")
+        return _avoided(found, chosen, avoid, Path(out), name, overwrite, progress)
     if out is None:
         if count is not None or sheet or png or lossless:
             why = "count, sheet, png and lossless are for files"
@@ -152,11 +109,11 @@ def synth(
         with progress(scene, found.n_frames(chosen), "frame") as on_frame:
             frames = np.stack(list(_watched(found.frames(chosen), on_frame)))
         record = found.record(chosen)
-        return Clip(found.name, chosen.fps, _truth(found, chosen), record, frames)
+        return RenderedClip(found.name, chosen.fps, _truth(found, chosen), record, frames)
     codec = choose_codec(lossless=lossless, png=png, playable=found.is_flight)
     draw: DrawSheet | None = None
     if sheet:  # only now, as importing Matplotlib takes time
-        from dlgmd_cli.lab.plots.contact_sheet import save_contact_sheet
+        from dlgmd_cli.plots.contact_sheet import save_contact_sheet
 
         draw = partial(save_contact_sheet, dpi=dpi)
     clip = Rendering(found, chosen, Path(out), codec, name or found.name, draw)
@@ -166,6 +123,28 @@ def synth(
         why = f"--count works only with flights, and {found.name} is not one"
         raise ParameterError("", why)
     return _many(FlightSet(clip, count), jobs or n_processors(), overwrite, progress)
+
+
+def _avoided(
+    scene: Any,
+    options: Any,
+    preset: str,
+    folder: Path,
+    name: str | None,
+    overwrite: bool,
+    progress: Progress,
+) -> RenderedClip:
+    """Film a flight without and with the alarm of a preset."""
+    from dlgmd_cli.tasks.avoid import avoid  # only now, as importing Matplotlib takes time
+
+    with progress(scene.name, 2 * scene.n_frames(options), "frame") as on_frame:
+        table, facts, paths = avoid(
+            *(scene, options, preset, folder, name or scene.name),
+            overwrite=overwrite,
+            on_frame=on_frame,
+        )
+    record = {"avoid": preset, **facts}
+    return RenderedClip(scene.name, options.fps, table, record, paths=paths)
 
 
 def _by_flag(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -190,7 +169,7 @@ def _truth(scene: Any, options: Any) -> Table:
     return table_of(names, ([getattr(r, one) for one in names] for r in scene.truth(options)))
 
 
-def _one(clip: Rendering, overwrite: bool, progress: Progress) -> Clip:
+def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
     """Render one clip into its files."""
     scene, options = clip.scene, clip.options
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
@@ -199,7 +178,7 @@ def _one(clip: Rendering, overwrite: bool, progress: Progress) -> Clip:
     with locked(clip.folder), progress(scene.name, scene.n_frames(options), "frame") as on_frame:
         paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     record = scene.record(options)
-    return Clip(scene.name, options.fps, _truth(scene, options), record, paths=paths)
+    return RenderedClip(scene.name, options.fps, _truth(scene, options), record, paths=paths)
 
 
 def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) -> Flights:
@@ -219,7 +198,7 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                 for n_done, (number, error) in enumerate(done, start=len(present) + 1):
                     if error is not None:
                         name = flights.clip(number).name
-                        failed[name] = str(error).removeprefix(f"{name}: ").rstrip(".")
+                        failed[name] = error.line.removeprefix(f"{name}: ").rstrip(".")
                         _log.error("%s: %s", name, failed[name])
                     advance(n_done)
         except BaseException:  # an interruption, too
@@ -234,4 +213,4 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
         if found:
             flights.write_labels(found, overwrite=overwrite)
     rows = [[getattr(found[number], one) for one in labels.COLUMNS] for number in sorted(found)]
-    return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed)
+    return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed, flights.count)

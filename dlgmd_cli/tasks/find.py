@@ -14,32 +14,27 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
-from dlgmd_cli.files import open_regular
-from dlgmd_cli.names import distinct_names
+from dlgmd_cli.machine.files import open_regular
+from dlgmd_cli.names import distinct_names, is_video
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.base import Unreadable
+from dlgmd_cli.video.images import MIN_PICTURES, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
-from dlgmd_cli.video.images import read_image
 from dlgmd_cli.video.opening import fingerprint
 
 if TYPE_CHECKING:
     from upath import UPath
 
-_ENDINGS = """
-    264 265 3g2 3gp asf avi dv f4v flv gif h264 h265 hevc ivf m2ts m2v m4v mj2 mjpeg mjpg mkv mov
-    mp4 mpe mpeg mpg mts mxf nut ogg ogm ogv rm rmvb ts vob webm wmv y4m
-"""
-SUFFIXES = frozenset(f".{ending}" for ending in _ENDINGS.split())
 # Metadata keys of object stores that change with the content, the most reliable first.
 _VERSIONS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "updated")
-# Least number of pictures in a sequence, and how many of them are checked.
-MIN_PICTURES, _N_CHECKED = 8, 5
+# How many pictures of a sequence are checked.
+_N_CHECKED = 5
 # Metadata that Matplotlib writes near the beginning of a figure.
 _MATPLOTLIB = b"Matplotlib"
 
 
 @dataclass(frozen=True)
-class Input:
+class VideoFile:
     """One video of a batch.
 
     `name` is its name in the summary: the path relative to the given folder, with slashes. `path`
@@ -57,7 +52,7 @@ class Input:
 class Found:
     """The videos in order of their names, remarks on what was left out, and failures."""
 
-    videos: list[Input]
+    videos: list[VideoFile]
     remarks: list[str]
     faults: list[str]
 
@@ -74,7 +69,7 @@ def find_videos(
     `roots` are folders, videos, and URLs of either. With several, names begin with the root's name.
     The folders `leave_out`, such as the output folder, are skipped unless they are roots. The
     patterns `exclude`, such as ``raw*``, are matched against names and against paths as in
-    `Input.name`. Raises SourceError if a root does not exist or is an empty URL, and
+    `VideoFile.name`. Raises SourceError if a root does not exist or is an empty URL, and
     MissingExtraError if the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
@@ -89,7 +84,9 @@ def find_videos(
             search.add_url(prefix, root, base)
     search.follow_links()
     folders = result_folders(search.found)
-    videos = [Input(name, path, folders[name], one) for name, (path, one) in search.found.items()]
+    videos = [
+        VideoFile(name, path, folders[name], one) for name, (path, one) in search.found.items()
+    ]
     videos.sort(key=lambda video: video.name)
     renamed = [
         f"{video.name}: the result folder is {video.folder}: another video has the same name"
@@ -97,11 +94,6 @@ def find_videos(
         if PurePosixPath(video.folder).name != PurePosixPath(video.name).stem
     ]
     return Found(videos, [*search.remarks(), *renamed], search.faults)
-
-
-def is_video(name: str) -> bool:
-    """Whether a file name has the suffix of a video."""
-    return PurePosixPath(name).suffix.lower() in SUFFIXES
 
 
 class _Search:

@@ -1,0 +1,155 @@
+"""A film of one flight twice: as it is flown, and with the alarm in the loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from dlgmd_cli.plots.curves import LEVELS, stretches
+from dlgmd_cli.plots.heat import BgrImage
+from dlgmd_cli.plots.style import BLACK, BLUE, GREY, ORANGE, house_style, plain
+from dlgmd_cli.results.result import Series
+from dlgmd_cli.words import threshold_text
+
+# Size of the film, and of the picture of a flight.
+WIDTH, HEIGHT = 1280, 720
+PANEL_WH = 616, 346
+_DPI, _MARGIN_PX, _TOP_PX = 100, 16, 44
+_LIGHT_VERMILION = "#F5D6BF"
+# Colours for OpenCV, in BGR order.
+_NOW, _VERMILION, _WHITE = (40, 40, 40), (0, 0x5E, 0xD5), (255, 255, 255)
+# Longest time to contact that is shown.
+_LONGEST_S = 3.0
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One of the two flights, with a row for each of its n frames.
+
+    Attributes
+    ----------
+    title : str
+        What it is, and how it ends.
+    time_s, mp_abs, contact_s, ttc_s : ndarray, shape (n,)
+        Times, normalised potential, and the time to contact: the true one if the drone flew on as
+        it does, and the model's estimate. NaN where undefined.
+    alarm : ndarray, shape (n,), bool
+    pictures : sequence of ndarray, (346, 616), uint8
+    """
+
+    title: str
+    time_s: Series
+    mp_abs: Series
+    contact_s: Series
+    ttc_s: Series
+    alarm: npt.NDArray[np.bool_]
+    pictures: Sequence[npt.NDArray[np.uint8]]
+
+
+class AvoidanceFilm:
+    """Draws the pictures of the film; both flights have their traces below."""
+
+    shape = HEIGHT, WIDTH
+
+    def __init__(self, flights: tuple[Flown, Flown], threshold: float, label: str) -> None:
+        self._flights = flights
+        self.n_frames = max(len(one.time_s) for one in flights)
+        with house_style():
+            figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI, layout="constrained")
+            room = (_TOP_PX + PANEL_WH[1]) / HEIGHT
+            layout: Any = figure.get_layout_engine()
+            layout.set(rect=(0, 0, 1, 1 - room), w_pad=0.12, h_pad=0.06)
+            grid: Any = figure.subplots(1, 2)
+            last_s = max(float(one.time_s[-1]) for one in flights)
+            _draw_potential(grid[0], flights, threshold)
+            _draw_contact(grid[1], flights)
+            for axes in grid:
+                axes.set_xlim(0.0, last_s)
+                axes.set_xlabel("Time (s)", fontsize=12)
+                axes.tick_params(labelsize=11)
+                axes.spines[["top", "right"]].set_visible(False)
+            handles = [
+                Line2D([], [], color=ORANGE, linewidth=1.6, label="without"),
+                Line2D([], [], color=BLUE, linewidth=1.6, label=f"with {plain(label, 30)}"),
+                Patch(color=_LIGHT_VERMILION, linewidth=0, label="alarm"),
+                Line2D([], [], color=BLACK, linewidth=1.2, label="true time to contact"),
+            ]
+            if any(not np.isnan(one.ttc_s).all() for one in flights):
+                handles.append(Line2D([], [], color=GREY, marker=".", ls="", label="estimated"))
+            figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=11)
+            canvas: Any = FigureCanvasAgg(figure)
+            canvas.draw()
+            ground = np.asarray(canvas.buffer_rgba())[:, :, 2::-1]
+            self._ground = np.ascontiguousarray(ground)
+            self._spans = [_columns(axes) for axes in grid]
+            self._rows = _rows(grid[0])
+            self._last_s = last_s
+
+    def picture(self, index: int) -> BgrImage:
+        """The picture of frame `index`, (720, 1280, 3) BGR; a flight that ended stands still."""
+        picture = self._ground.copy()
+        for place, one in enumerate(self._flights):
+            row = min(index, len(one.time_s) - 1)
+            left = _MARGIN_PX if place == 0 else WIDTH - _MARGIN_PX - PANEL_WH[0]
+            below = np.s_[_TOP_PX : _TOP_PX + PANEL_WH[1], left : left + PANEL_WH[0]]
+            picture[below] = cv2.cvtColor(one.pictures[row], cv2.COLOR_GRAY2BGR)
+            look: Any = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "lineType": cv2.LINE_AA}
+            size: Any = {"fontScale": 0.7, "color": _NOW, "thickness": 1}
+            cv2.putText(picture, one.title, (left, 30), **look, **size)
+            if one.alarm[: row + 1].any():
+                text = "ALARM" if one.alarm[row] else "after the alarm"
+                width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 2)[0][0]
+                corner = left + PANEL_WH[0] - width - 20, _TOP_PX
+                ends = (left + PANEL_WH[0], _TOP_PX + 34)
+                colour = _VERMILION if one.alarm[row] else _NOW
+                cv2.rectangle(picture, corner, ends, colour, cv2.FILLED)
+                size = {"fontScale": 0.7, "color": _WHITE, "thickness": 2}
+                cv2.putText(picture, text, (corner[0] + 10, _TOP_PX + 25), **look, **size)
+        longest = max(self._flights, key=lambda one: len(one.time_s))
+        share = longest.time_s[index] / self._last_s
+        for first, last in self._spans:
+            x = round(first + share * (last - first))
+            cv2.line(picture, (x, self._rows[0]), (x, self._rows[1]), _NOW, 1)
+        return picture
+
+
+def _draw_potential(axes: Axes, flights: tuple[Flown, Flown], threshold: float) -> None:
+    """Both potentials with the threshold, and the alarm of the flight with the loop."""
+    looped = flights[1]
+    spans: Any = stretches(looped.time_s, looped.alarm)
+    axes.broken_barh(spans, (LEVELS[0], LEVELS[1] - LEVELS[0]), color=_LIGHT_VERMILION, zorder=0)
+    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        axes.plot(one.time_s, one.mp_abs, color=colour, linewidth=1.6)
+    axes.axhline(threshold, color=GREY, linestyle="--", linewidth=1.0)
+    axes.set_ylim(*LEVELS)
+    axes.set_ylabel(f"MP (threshold {threshold_text(threshold)})", fontsize=12)
+
+
+def _draw_contact(axes: Axes, flights: tuple[Flown, Flown]) -> None:
+    """The true time to contact, and the estimates of the model if it has any."""
+    for one, colour in zip(flights, (ORANGE, BLUE), strict=True):
+        known = np.where(one.ttc_s <= _LONGEST_S, one.ttc_s, np.nan)
+        if not np.isnan(known).all():
+            axes.plot(one.time_s, known, ".", color=colour, markersize=4)
+    true = flights[0].contact_s
+    axes.plot(flights[0].time_s, true, color=BLACK, linewidth=1.2)
+    axes.set_ylim(0.0, _LONGEST_S)
+    axes.set_ylabel("Time to contact (s)", fontsize=12)
+
+
+def _columns(axes: Axes) -> tuple[int, int]:
+    box = axes.get_window_extent()
+    return round(box.x0), round(box.x1)
+
+
+def _rows(axes: Axes) -> tuple[int, int]:
+    box = axes.get_window_extent()
+    return round(HEIGHT - box.y1), round(HEIGHT - box.y0)

@@ -1,0 +1,167 @@
+"""Figures of an evaluation: recall against false alarms, and leads."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from dlgmd_cli.plots.curves import LOOKS
+from dlgmd_cli.plots.style import (
+    GREY,
+    Entries,
+    Figure,
+    Width,
+    add_legend,
+    house_style,
+    new_figure,
+    plain,
+)
+from dlgmd_cli.plots.traces import MAX_TOGETHER
+from dlgmd_cli.results.result import Series
+
+_HEIGHT_IN, _PANEL_IN, _AROUND_IN = 2.2, 1.15, 0.3
+# Panels side by side, if every label has its own.
+_PER_ROW = {"one": 2, "two": 4}
+# The trade-off is shown up to this rate, or as far as a model's own threshold needs.
+_FALSE_PER_MIN, _MOST_PER_MIN = 5.0, 30.0
+_DOT: Any = {
+    "marker": "o",
+    "markersize": 5,
+    "markeredgecolor": "white",
+    "markeredgewidth": 0.6,
+    "clip_on": False,
+    "zorder": 3,
+}
+_ALLOWED: Any = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 1)), "zorder": 0.5}
+_OTHERS: Any = {"color": "0.8", "linewidth": 0.7, "drawstyle": "steps-post"}
+
+
+def trade_off(
+    curves: Mapping[str, tuple[Series, Series]],
+    points: Mapping[str, tuple[float, float]],
+    max_false_per_min: float,
+    width: Width = "one",
+) -> Figure:
+    """The greatest recall at each rate of false alarms, over all thresholds.
+
+    Parameters
+    ----------
+    curves : mapping of str to (ndarray, ndarray), shape (T,)
+        By label: false alarms per minute, and recall, at every threshold. More than four have a
+        panel each.
+    points : mapping of str to (float, float)
+        The same at a model's own threshold, drawn as a dot; NaN is left out.
+    max_false_per_min : float
+        The allowed rate, drawn as a line.
+    width : "one" or "two"
+        Columns of the paper that the figure takes.
+    """
+    own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
+    right = max([_FALSE_PER_MIN, 2 * max_false_per_min, *(1.1 * rate for rate in own)])
+    with house_style():
+        figure, drawn, entries = _draw(
+            _best_so_far(curves, right), ("False alarms per minute", "Recall"), width
+        )
+        for label, line in drawn.items():
+            allowed = line.axes.axvline(max_false_per_min, **_ALLOWED)
+            line.axes.set_xlim(0.0, right)
+            if label in points:
+                line.axes.plot(*points[label], color=line.get_color(), **_DOT)
+        if points:
+            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
+        if drawn:
+            entries.append((allowed, f"{max_false_per_min:g} a minute, the most allowed"))
+        add_legend(figure, entries)
+    return figure
+
+
+def stops(
+    curves: Mapping[str, tuple[Series, Series]],
+    points: Mapping[str, tuple[float, float]],
+    width: Width = "one",
+) -> Figure:
+    """The share of the drones that their alarms save, at each rate of unneeded stops.
+
+    `curves` and `points` are as in `trade_off`, with unneeded stops per minute and the share.
+    """
+    own = [rate for rate, _ in points.values() if rate <= _MOST_PER_MIN]
+    right = max([_FALSE_PER_MIN, *(1.1 * rate for rate in own)])
+    names = "Unneeded stops per minute", "Drones saved"
+    with house_style():
+        figure, drawn, entries = _draw(_best_so_far(curves, right), names, width)
+        for label, line in drawn.items():
+            line.axes.set_xlim(0.0, right)
+            if label in points:
+                line.axes.plot(*points[label], color=line.get_color(), **_DOT)
+        if points:
+            entries.append((Line2D([], [], color=GREY, linestyle="", **_DOT), "default threshold"))
+        add_legend(figure, entries)
+    return figure
+
+
+def _best_so_far(
+    curves: Mapping[str, tuple[Series, Series]], right: float
+) -> dict[str, tuple[Series, Series]]:
+    """The greatest share at each rate or below it, as steps up to the right."""
+    lines = {}
+    for label, (rate, share) in curves.items():
+        order = np.lexsort((share, rate))
+        best = np.maximum.accumulate(share[order])
+        end = np.fmax.reduce(rate, initial=right)
+        x = np.concatenate(([0.0], rate[order], [end]))
+        lines[label] = x, np.concatenate(([0.0], best, best[-1:]))
+    return lines
+
+
+def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one") -> Figure:
+    """Share of the collisions that are announced by each time before contact.
+
+    `leads_s` has for each label the lead to every collision in seconds, NaN where missed.
+    """
+    at = np.linspace(0.0, horizon_s, 501)
+    lines = {
+        label: (at, np.array([(found >= left).mean() if len(found) else np.nan for left in at]))
+        for label, found in leads_s.items()
+    }
+    with house_style():
+        figure, drawn, entries = _draw(
+            lines, ("Time to contact (s)", "Collisions announced"), width
+        )
+        for line in drawn.values():
+            line.axes.set_xlim(horizon_s, 0.0)
+        add_legend(figure, entries)
+    return figure
+
+
+def _draw(
+    lines: Mapping[str, tuple[Series, Series]], names: tuple[str, str], width: Width
+) -> tuple[Figure, dict[str, Any], Entries]:
+    """Steps in one panel, or, if many, in a panel each: figure, line of each label, legend."""
+    is_split = len(lines) > MAX_TOGETHER
+    per_row = _PER_ROW[width] if is_split else 1
+    n_rows = -(-len(lines) // per_row) if is_split else 1
+    figure = new_figure(n_rows * _PANEL_IN + _AROUND_IN if is_split else _HEIGHT_IN, width)
+    grid: Any = figure.subplots(n_rows, per_row, sharex=True, sharey=True, squeeze=False)
+    grid[0, 0].set_ylim(-0.03, 1.03)  # a line at 0 is seen
+    figure.supxlabel(names[0], fontsize=8)
+    figure.supylabel(names[1], fontsize=8)
+    drawn = {}
+    panels: list[Axes] = list(grid.flat)
+    for place, axes in enumerate(panels):
+        axes.spines["top"].set_visible(False)
+        axes.tick_params(labelbottom=not is_split or place + per_row >= len(lines))
+    for unused in panels[len(lines) :] if is_split else ():
+        unused.set_axis_off()
+    for place, (label, line) in enumerate(lines.items()):
+        axes = panels[place if is_split else 0]
+        color, dashes = LOOKS[0 if is_split else place]
+        if is_split:
+            axes.set_title(plain(label, 30), loc="left", pad=2, fontsize=7)
+            for other in lines.values():
+                axes.plot(*other, **_OTHERS)
+        (drawn[label],) = axes.plot(*line, color=color, linestyle=dashes, drawstyle="steps-post")
+    if is_split:
+        return figure, drawn, [(Line2D([], [], **_OTHERS), "the other models")]
+    return figure, drawn, [(line, label) for label, line in drawn.items()]

@@ -1,0 +1,194 @@
+"""`Comparison`: the results of several models on one video."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import identity_in, record_text
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.words import counted
+
+INFINITE_DISTINGUISHABILITY = (
+    "inf: the membrane potential is 0 within 5 frames of the false positive."
+)
+# Key of a summary -> title of its column and form of its cells.
+_COLUMNS = {
+    "mp_max_frame": ("peak frame", "{}"),
+    "first_spike_time_s": ("first spike", "{:.3f} s"),
+    "first_alarm_frame": ("first alarm", "frame {}"),
+    "first_alarm_side": ("from", "{}"),
+    "sharpness": ("sharpness", "{:.3f}"),
+    "distinguishability": ("distinguishability", "{:.4g}"),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Outcome):
+    """The results of several models on one video.
+
+    Attributes
+    ----------
+    results : dict of str to Result
+        By the models' labels, in order.
+    annotations : Annotations
+        What the figures show beside; the frame of a false positive is one to measure at.
+    remarks : list of str
+        Warnings beside those of the results.
+    """
+
+    RECORD = store.COMPARISON
+    TABLES = store.TABLES[store.COMPARISON]
+    STEM = "compare-{}"
+    FIGURES = {"mp": "traces.plot", "attenuation": "traces.plot"}  # noqa: RUF012
+
+    results: Mapping[str, Result]
+    annotations: Annotations = field(default_factory=Annotations)
+    remarks: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        said = "; ".join(
+            f"{label} {counted(one.summary['alarms'], 'alarm')}"
+            for label, one in self.results.items()
+        )
+        first = next(iter(self.results.values()))
+        return f"<Comparison on {first.name}, {counted(len(first), 'frame')}: {said}>"
+
+    @property
+    def complete(self) -> bool:  # type: ignore[override]
+        """Whether the input was read to the requested end."""
+        return next(iter(self.results.values())).complete
+
+    @property
+    def warnings(self) -> list[str]:
+        """The warnings, each once; with a label and a number unless they are about every result."""
+        lines, about = [*self.remarks], dict[str, list[str]]()
+        for label, result in self.results.items():
+            doubt = [] if result.n_valid else ["too few frames for an answer"]
+            for line in dict.fromkeys([*result.warnings, *doubt]):
+                about.setdefault(line, []).append(label)
+        for line, (label, *others) in about.items():
+            more = f" and {counted(len(others), 'other model')}" if others else ""
+            is_common = len(others) + 1 == len(self.results)
+            lines.append(line if is_common else f"{label}{more}: {line}")
+        first = next(iter(self.results.values()))
+        lines += self.annotations.outside(int(first.frame[0]), int(first.frame[-1]))
+        return list(dict.fromkeys(lines))
+
+    @property
+    def table(self) -> csv.Table:
+        """The rows of compare.csv, in long form."""
+        rows = (
+            [label, *values]
+            for label, columns in self._columns().items()
+            for values in zip(*(columns[name] for name in csv.COMPARISON[1:]), strict=True)
+        )
+        return csv.table_of(csv.COMPARISON, rows)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Contents of compare.yaml without the versions."""
+        first, collision = next(iter(self.results.values())).record, self.annotations
+        return {
+            "input": first["input"],
+            **(
+                {}
+                if collision.collision_frame is None
+                else {"collision_frame": collision.collision_frame}
+            ),
+            **{key: first[key] for key in ("settings",) if key in first},
+            "models": [self._described(label) for label in self.results],
+            "options": first["options"],
+            "warnings": self.warnings,
+            "complete": self.complete,
+        }
+
+    def record_text(self) -> str:
+        """The text of compare.yaml."""
+        return record_text(self.record, [one.record["engine"] for one in self.results.values()])
+
+    def identity(self) -> dict[str, Any]:
+        """What identifies the input."""
+        return identity_in(next(iter(self.results.values())).record)
+
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes compare.csv."""
+        return {"compare.csv": partial(csv.write_comparison, columns=self._columns())}
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The results; the figure of the potentials has the spikes below it."""
+        return "spikes" if kind == "mp" else kind, self.results, self.annotations
+
+    def summaries(self) -> dict[str, dict[str, Any]]:
+        """The summary of each result, with its sharpness and distinguishability, by label."""
+        false_positive, found = self.annotations.false_positive_frame, {}
+        for label, result in self.results.items():
+            found[label] = {**result.summary, "sharpness": _defined(result.sharpness)}
+            if false_positive is not None:
+                ratio = result.distinguishability(false_positive)
+                found[label]["distinguishability"] = _defined(ratio)
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints; infinity as text."""
+        models = {
+            label: {key: "inf" if one == math.inf else one for key, one in summary.items()}
+            for label, summary in self.summaries().items()
+        }
+        return {
+            "result": str(self.paths[0]) if self.paths else None,
+            "complete": self.complete,
+            "warnings": self.warnings,
+            "models": models,
+        }
+
+    def shown(self) -> Iterator[Shown]:
+        """The summaries as a table, and where the files are."""
+        summaries = self.summaries()
+        first = next(iter(summaries.values()))
+        columns = {
+            key: one for key, one in _COLUMNS.items() if key != "distinguishability" or key in first
+        }
+        rows = []
+        for label, summary in summaries.items():
+            if not summary["mp_max"]:  # a potential that is 0 throughout has no peak
+                summary["mp_max_frame"] = None
+            cells = (
+                "–" if summary.get(key) is None else form.format(summary[key])
+                for key, (_, form) in columns.items()
+            )
+            rows.append((label, *cells))
+        yield ("model", *(title for title, _ in columns.values())), rows
+        if any(one.get("distinguishability") == math.inf for one in summaries.values()):
+            yield INFINITE_DISTINGUISHABILITY
+        yield from self.paths
+
+    def kept(self) -> str:
+        """What there is after an interruption."""
+        n_frames = counted(len(next(iter(self.results.values()))), "frame")
+        part = f"the {n_frames} processed before the interruption"
+        return f"{self.paths[0]} holds {'the whole result' if self.complete else part}"
+
+    def _columns(self) -> dict[str, dict[str, Any]]:
+        return {label: one.columns(csv.COMPARISON[1:]) for label, one in self.results.items()}
+
+    def _described(self, label: str) -> dict[str, Any]:
+        """A model in the record."""
+        result, summary = self.results[label], self.summaries()[label]
+        processed = result.record["processed"]
+        return {
+            "label": label,
+            "model": result.record["model"],
+            "engine": result.record["engine"],
+            **{key: processed[key] for key in ("width", "height", "cells") if key in processed},
+            **result.params.to_dict(),
+            "summary": summary,
+        }
+
+
+def _defined(value: float) -> float | None:
+    return None if math.isnan(value) else value

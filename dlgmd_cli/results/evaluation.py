@@ -1,0 +1,485 @@
+"""`Evaluation`: how well alarms announce labelled collisions, by model, threshold and target."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from dlgmd_cli.errors import DlgmdError, ParameterError
+from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.results import store
+from dlgmd_cli.results.candidates import Candidate, Candidates
+from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.labels import Case, of_kind
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.results.record import record_text
+from dlgmd_cli.results.scoring import (
+    COUNTS,
+    HIT,
+    IGNORED,
+    KINDS,
+    MEASURES,
+    Curve,
+    Scores,
+    alarms,
+    curve,
+    score,
+    tally,
+    thresholds,
+)
+from dlgmd_cli.results.stopping import (
+    STOP_MEASURES,
+    Stops,
+    score_stops,
+    shown_stops,
+    stop_cells,
+    stop_curve,
+    tally_flights,
+)
+from dlgmd_cli.words import counted, threshold_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ALL, WITHOUT_WALLS, WALL = "all", "all without walls", "wall"
+DEFAULT, BEST = "default", "best"
+# By what the videos are grouped, and the words in a row of scores.
+GROUPED = ("target", "kind", "manner", "speed")
+_WORDS = ("model", "at", *GROUPED)
+CURVE_COLUMNS = (
+    "model",
+    "kind",
+    "threshold",
+    "excitation",
+    "recall",
+    "false_alarms_per_min",
+    "lead_s",
+    "saved",
+    "unneeded_per_min",
+)
+ALARM_COLUMNS = (
+    *("video", "model", "at", "frame", "time_s", "kind", "lead_s"),
+    *("saved", "impact_m_s", "stopped_m", "justified"),
+)
+
+
+# The scores of a candidate on a group of videos at one threshold, by the columns of evaluate.csv.
+# `at`: `default`, the threshold of the parameters, or `best`, that with the highest recall at the
+# allowed rate of false alarms, chosen on the same videos. `target`: `all`, `all without walls`, or
+# a target's name. `kind` and `manner`: `all`, or those of the labels; `speed`: `all`, or that of
+# rendered flights, such as "2 m/s"; only one of the four is not `all`. `threshold` is that of the
+# normalised potential, `excitation` that of the mean excitation; the other columns are those of
+# `score` and `score_stops`.
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Outcome):
+    """All rows, those of all videos first, and the curves and the leads of each candidate.
+
+    It has a curve for `all` videos and for each kind. The leads, in seconds, are those at the
+    default threshold, or, for a baseline, at the best one; NaN for collisions that are not
+    announced. `rules` has the horizon, and the allowed rate of false alarms. `candidates` has the
+    models and their signals, and `labels` is the file of the labels. `stops` has what stops are
+    worth in rendered flights, by video, `answer` how an alarm is answered, and `stop_curves` the
+    unneeded stops a minute and the share of drones that are saved, at every threshold.
+    """
+
+    RECORD = "evaluate.yaml"
+    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv")
+    STEM = "evaluate-{}"
+    FIGURES = {  # noqa: RUF012
+        "trade-off": "evaluation.trade_off",
+        "leads": "evaluation.leads",
+        "stops": "evaluation.stops",
+    }
+
+    candidates: Candidates
+    rows: list[Row]
+    curves: dict[str, dict[str, Curve]]
+    leads_s: dict[str, Series]
+    rules: Mapping[str, Any]
+    labels: Path
+    stops: Mapping[str, Stops] = field(default_factory=dict)
+    stop_curves: Mapping[str, tuple[Series, Series]] = field(default_factory=dict)
+    answer: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        first, form = (
+            self.rows[0],
+            "{model} recall {recall:.2f}, {false_alarms_per_min:.2f} false/min",
+        )
+        said = "; ".join(form.format(**self.main(label)) for label in self.curves)
+        return f"<Evaluation on {first['videos']} videos, {first['collisions']} collisions: {said}>"
+
+    @property
+    def table(self) -> Table:
+        """The rows as evaluate.csv has them: scores by model, threshold and group of videos."""
+        return table_of(list(self.rows[0]), ([*row.values()] for row in self.rows))
+
+    @property
+    def curve_table(self) -> Table:
+        """The rows of curves.csv: each model's recall and false alarms at every threshold."""
+        return table_of(CURVE_COLUMNS, self._curve_rows())
+
+    @property
+    def alarm_table(self) -> Table:
+        """The rows of alarms.csv: every alarm that counts, and every missed collision."""
+        return table_of(ALARM_COLUMNS, self._alarm_rows())
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Why videos are left out, by name."""
+        return self.candidates.failed
+
+    @property
+    def failure(self) -> DlgmdError | None:  # type: ignore[override]
+        """Why the exit code is 1: some videos could not be scored."""
+        return left_out(self.failed, len(self.candidates.cases))
+
+    def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> "Figure":  # type: ignore[override]
+        """A figure: `trade-off` of recall and false alarms, `leads`, or `stops`.
+
+        `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
+        of rendered flights.
+        """
+        if kind == "stops" and not self.has_drones:
+            raise ParameterError("", "no video is a rendered flight with a collision to stop for")
+        return super().plot(kind, width=width)
+
+    @property
+    def has_drones(self) -> bool:
+        """Whether there are rendered flights with a collision that a stop could avoid."""
+        return any(one.can_stop for one in self.stops.values())
+
+    def figure_files(
+        self, formats: tuple[str, ...], dpi: int | None, **look: Any
+    ) -> dict[str, store.Write]:
+        """File name -> function that draws the figure; without rendered flights, no `stops`."""
+        files = super().figure_files(formats, dpi, **look)
+        stem = self.STEM.format("stops")
+        return {k: v for k, v in files.items() if self.has_drones or Path(k).stem != stem}
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """The leads and the horizon, or the curves, their points, and the allowed rate."""
+        if kind == "leads":
+            at = {label: self.main(label)["at"] for label in self.leads_s}
+            shown = {f"{label}, {at[label]} threshold": one for label, one in self.leads_s.items()}
+            return shown, self.rules["horizon_s"]
+        if kind == "stops":
+            rows = {label: self.row(label, DEFAULT) for label in self.stop_curves}
+            at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
+            return self.stop_curves, at
+        curves, points = {}, {}
+        for label, own in self.curves.items():
+            for name, one in own.items():
+                title = label if name == ALL else f"{label}, {name}"
+                if not self.main(label, kind=name)["collisions"] and name != ALL:
+                    continue  # nothing to announce
+                curves[title] = one.false_alarms_per_min, one.recall
+                row = self.row(label, DEFAULT, kind=name)
+                if row is not None:
+                    points[title] = row["false_alarms_per_min"], row["recall"]
+        return curves, points, self.rules["max_false_per_min"]
+
+    def record_text(self) -> str:
+        """The text of evaluate.yaml."""
+        candidates = self.candidates.by_label.values()
+        record = {
+            "labels": str(self.labels.absolute()),
+            **self.counts(),
+            **self.rules,
+            **self.answer,
+            "models": [_described(one) for one in candidates],
+            "options": next(iter(candidates)).record.get("options", {}),
+        }
+        return record_text(record, [])
+
+    def row(self, label: str, at: str, **group: str) -> Row | None:
+        """The row of a candidate and threshold, of all videos or of a group, or None."""
+        asked = {"model": label, "at": at, **dict.fromkeys(GROUPED, ALL), **group}
+        return next((r for r in self.rows if all(r[word] == asked[word] for word in _WORDS)), None)
+
+    def main(self, label: str, **group: str) -> Row:
+        """The row at the default threshold, or, for a baseline, at the best one."""
+        found = self.row(label, DEFAULT, **group) or self.row(label, BEST, **group)
+        assert found is not None
+        return found
+
+    def names(self, word: str) -> list[str]:
+        """The groups by target, kind or manner but `all`, in the order of the rows."""
+        return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
+
+    def counts(self) -> dict[str, Any]:
+        """Numbers of videos, collisions and minutes, and the videos that failed."""
+        signals = self.candidates.signals(self.rows[0]["model"])
+        return {
+            "videos": len(self.candidates.cases),
+            "collisions": sum(len(case.collisions) for case in self.candidates.cases),
+            "minutes": round(sum(signal.minutes for signal in signals), 3),
+            "failed": dict(self.failed),
+        }
+
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes each table, by file name; OSError passes through."""
+        rows = [[*row.values()] for row in self.rows]
+        return {
+            "evaluate.csv": partial(write_values, header=list(self.rows[0]), rows=rows),
+            "curves.csv": partial(write_values, header=CURVE_COLUMNS, rows=self._curve_rows()),
+            "alarms.csv": partial(write_values, header=ALARM_COLUMNS, rows=self._alarm_rows()),
+        }
+
+    def _curve_rows(self) -> Iterator[list[Any]]:
+        """The rows of curves.csv: the points of every curve at which a measure changes."""
+        every = [(label, *one) for label, own in self.curves.items() for one in own.items()]
+        for label, kind, found in every:
+            measures = found.recall, found.false_alarms_per_min, found.lead_s
+            stopped = self.stop_curves.get(label) if kind == ALL else None
+            rate, saved = stopped or (np.full_like(found.recall, np.nan),) * 2
+            columns = np.stack([*measures, saved, rate])
+            changes = (np.diff(np.nan_to_num(columns, nan=-1.0)) != 0.0).any(axis=0)
+            for i in np.flatnonzero(np.concatenate(([True], changes))):
+                strength = float(found.threshold[i])
+                level = self.candidates.by_label[label].level(strength)
+                yield [label, kind, level, strength, *columns[:, i].tolist()]
+
+    def _alarm_rows(self) -> Iterator[list[Any]]:
+        """The rows of alarms.csv: every alarm that is not ignored, and every missed collision."""
+        for case in self.candidates.cases:
+            for label, candidate in self.candidates.by_label.items():
+                row, signal = self.main(label), candidate.signals[case.name]
+                found: list[tuple[int, float, str, float]] = []
+                announced, stops = set(), self.stops.get(case.name)
+                for number, kind in alarms(
+                    signal, candidate.n_sp, row["excitation"], self.rules["horizon_s"]
+                ):
+                    time_s, lead_s = float(signal.time_s[number]), math.nan
+                    if kind == HIT:
+                        contact_s = min(one for one in signal.contacts_s if one > time_s)
+                        announced.add(contact_s)
+                        lead_s = contact_s - time_s
+                    if kind != IGNORED:
+                        frame = number if signal.frame is None else int(signal.frame[number])
+                        found.append((frame, time_s, KINDS[kind], lead_s))
+                for frame, contact_s in zip(case.collisions, signal.contacts_s, strict=True):
+                    if contact_s not in announced:
+                        found.append((frame, contact_s, "missed", math.nan))
+                for frame, time_s, word, lead_s in sorted(found):
+                    worth = stop_cells(stops, time_s, is_alarm=word != "missed")
+                    yield [case.name, label, row["at"], frame, time_s, word, lead_s, *worth]
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        folder = str(self.paths[0].parent) if self.paths else None
+        return {"result": folder, **self.counts(), "models": self.to_json()}
+
+    def shown(self) -> Iterator[Shown]:
+        """The tables: all videos and each kind, then hits and false alarms by group; the files."""
+        header = (
+            "threshold",
+            "recall",
+            "false/min",
+            "precision",
+            "lead s",
+            "10 %",
+            "AUC",
+            "contact",
+        )
+        names = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
+        kinds = self.names("kind")
+        rows = [
+            (
+                row["model"],
+                *((row["kind"],) if kinds else ()),
+                f"{row['at']} {threshold_text(row['threshold'])}"
+                if math.isfinite(row["threshold"])
+                else f"{row['at']}: none",
+                *(interval_text(row, name) for name in names),
+                str(row["at_contact"]),
+            )
+            for row in self.rows
+            if row["target"] == row["manner"] == row["speed"] == ALL
+        ]
+        yield ("model", *(("kind",) if kinds else ()), *header), rows
+        first = self.rows[0]
+        yield (
+            f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
+            f"{first['minutes']:.2f} minutes before contact or the end."
+        )
+        if self.has_drones:
+            yield from shown_stops(self)
+        for word in ("target", "manner"):
+            yield from self._shown_by(word)
+        yield from self.paths
+
+    def _shown_by(self, word: str) -> Iterator[Shown]:
+        """The hits and false alarms by target or manner, if there are any."""
+        lines = []
+        for name in self.names(word):
+            mains = [self.main(label, **{word: name}) for label in self.curves]
+            cells = [
+                f"{'{hits}/{collisions}'.format(**row) if row['collisions'] else '–'}, "
+                f"{row['false_alarms_per_min']:.1f}"
+                for row in mains
+            ]
+            lines.append((name, str(mains[0]["videos"]), *cells))
+        if lines:
+            yield f"Collisions announced, and false alarms per minute, by {word}:"
+            yield (word, "videos", *self.curves), lines
+
+    def to_json(self) -> dict[str, Any]:
+        """The measures of every candidate over all videos, by label; None where undefined."""
+
+        def facts(row: Row) -> dict[str, Any]:
+            at = {"at": row["at"], "threshold": defined(row["threshold"]), "n_sp": row["n_sp"]}
+            return at | scores_json(row)
+
+        found = {}
+        for label in self.candidates.by_label:
+            row, best = self.main(label), self.row(label, BEST)
+            found[label] = facts(row)
+            if best is not None and best is not row:
+                found[label]["best"] = facts(best)
+            found[label]["recall_by_target"] = {
+                target: defined(self.main(label, target=target)["recall"])
+                for target in sorted(self.names("target"))
+            }
+            for word in ("kind", "manner", "speed"):
+                found[label][f"by_{word}"] = {
+                    name: scores_json(self.main(label, **{word: name})) for name in self.names(word)
+                }
+        return found
+
+
+def groups(
+    cases: Sequence[Case], stops: Mapping[str, Stops] | None = None
+) -> dict[tuple[str, str], dict[int, Flags]]:
+    """For each group, its videos by number, and flags of the collisions in the group.
+
+    The keys are by what the videos are grouped, and the group's name: `all` first, then the groups
+    of targets, kinds, manners and, in rendered flights, speeds in whole m/s. A kind, manner or
+    speed that all videos have is no group.
+    """
+    every = {target for case in cases for target in case.targets}
+    chosen = {ALL: every}
+    if WALL in every and every - {WALL, ""}:
+        chosen[WITHOUT_WALLS] = every - {WALL}
+    chosen |= {target: {target} for target in sorted(every - {""})}
+    found = {
+        ("target", name): {
+            i: case.of_target(targets)
+            for i, case in enumerate(cases)
+            if targets.intersection(case.targets)
+        }
+        for name, targets in chosen.items()
+    }
+    stops = stops or {}
+    speeds = [f"{stops[c.name].speed_m_s:.0f} m/s" if c.name in stops else "" for c in cases]
+    words = {word: [getattr(case, word) for case in cases] for word in ("kind", "manner")}
+    for word, names in {**words, "speed": speeds}.items():
+        for name in sorted({*names} - {""}) if len({*names}) > 1 else ():
+            found[word, name] = {
+                i: np.ones(len(cases[i].collisions), np.bool_)
+                for i, own in enumerate(names)
+                if own == name
+            }
+    return found
+
+
+def evaluated(
+    candidates: Candidates,
+    rules: Mapping[str, Any],
+    labels: Path,
+    stops: Mapping[str, Stops] | None = None,
+    answer: Mapping[str, Any] | None = None,
+) -> Evaluation:
+    """Score every candidate on its videos, of which there is at least one.
+
+    The allowed rate of false alarms is that on all videos, or on those of one kind; raises
+    ParameterError if there are none.
+    """
+    horizon_s = rules["horizon_s"]
+    rows: list[Row] = []
+    curves: dict[str, dict[str, Curve]] = {}
+    leads_s: dict[str, Series] = {}
+    stop_curves: dict[str, tuple[Series, Series]] = {}
+    stops, cases = stops or {}, candidates.cases
+    members, counted = groups(cases, stops), of_kind(candidates.cases, rules["max_false_kind"])
+    for label, candidate in candidates.by_label.items():
+        signals, n_sp = candidates.signals(label), candidate.n_sp
+        levels = thresholds(signals, n_sp, horizon_s)
+        every = [tally(one, n_sp, levels, horizon_s) for one in signals]
+        curves[label] = {
+            name: curve([every[i] for i in own], levels)
+            for (word, name), own in members.items()
+            if word == "kind" or name == ALL
+        }
+        judge = partial(tally_flights, cases, signals, stops, n_sp, horizon_s)
+        if stops:
+            stop_curves[label] = stop_curve([*judge(levels).values()])
+        whole = curve(every, levels, counted)
+        place = whole.best(rules["max_false_per_min"])
+        # Where no threshold announces anything, the best one is never reached.
+        best = float(levels[place]) if whole.recall[place] > 0.0 else math.inf
+        at = {BEST: (candidate.level(best), best)}
+        if candidate.threshold is not None:
+            at = {DEFAULT: candidate.threshold, **at}
+        for name, (level, strength) in at.items():
+            tallies = [tally(one, n_sp, strength, horizon_s) for one in signals]
+            stopped = judge(strength)
+            leads_s.setdefault(label, np.concatenate([one.lead_s[:, 0] for one in tallies]))
+            for (word, group), wanted in members.items():
+                chosen = [tallies[i].only(flags) for i, flags in wanted.items()]
+                own = {"model": label, "at": name, **dict.fromkeys(GROUPED, ALL), word: group}
+                at_level = {"threshold": level, "excitation": strength, "n_sp": n_sp}
+                flown = score_stops([stopped[i] for i in wanted if i in stopped])
+                rows.append({**own, **at_level, **score(chosen), **flown})
+    rows.sort(key=lambda row: any(row[word] != ALL for word in GROUPED))
+    made = candidates, rows, curves, leads_s, rules, labels
+    return Evaluation(*made, stops, stop_curves, answer or {})
+
+
+def scores_json(scores: Scores) -> dict[str, Any]:
+    """The measures, their intervals and the counts as JSON values."""
+    intervals = {name: (scores[f"{name}_low"], scores[f"{name}_high"]) for name in MEASURES}
+    return {
+        **{name: defined(scores[name]) for name in MEASURES},
+        "intervals": {name: list(map(defined, bounds)) for name, bounds in intervals.items()},
+        **{name: scores[name] for name in COUNTS},
+        # A calibration closes no loop.
+        **{name: defined(scores[name]) for name in STOP_MEASURES if name in scores},
+    }
+
+
+def defined(value: float) -> float | None:
+    """The value, or None if it is not finite: JSON has no number for it."""
+    return value if math.isfinite(value) else None
+
+
+def interval_text(scores: Scores, name: str) -> str:
+    """A measure with its interval, for tables."""
+    value, low, high = (scores[f"{name}{end}"] for end in ("", "_low", "_high"))
+    if math.isnan(value):
+        return "–"
+    return f"{value:.2f}" if math.isnan(low) else f"{value:.2f} ({low:.2f}–{high:.2f})"
+
+
+def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:
+    """The error if some videos could not be scored."""
+    if not failed:
+        return None
+    n_videos = len(failed) + n_scored
+    why = f"{len(failed)} of {n_videos} videos could not be scored and are left out"
+    return DlgmdError("", why, "Fix or remove them, then run again.")
+
+
+def _described(one: Candidate) -> dict[str, Any]:
+    processed = one.record["processed"]
+    size = {key: processed[key] for key in ("width", "height", "cells") if key in processed}
+    if one.params is None:
+        return {"label": one.label, "n_sp": one.n_sp, **size}
+    return {"label": one.label, "model": one.params.model, **one.params.to_dict(), **size}

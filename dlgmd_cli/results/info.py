@@ -1,0 +1,220 @@
+"""`Info`: what videos are like, and what that means for a run."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import DlgmdError, SourceError, printable
+from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
+from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX, PRESETS, load_config
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.outcome import Outcome, Shown
+from dlgmd_cli.video.opening import processed_size
+from dlgmd_cli.video.survey import Survey
+from dlgmd_cli.video.timestamps import rate_between_gaps
+
+# Pictures a second below which an approach looks too fast to the model.
+_SLOW_FPS = 20.0
+_COLUMNS = (
+    *("path", "width", "height", "codec", "frames", "duration_s", "fps_stated", "fps_true"),
+    *("repeats", "gaps", "decoder"),
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Info(Outcome):
+    """What videos are like.
+
+    Attributes
+    ----------
+    surveys : list of Survey
+        What was found in each video that could be read.
+    failed : dict of str to str
+        Why others could not be read, by their paths.
+    asked : sequence of str
+        All paths in order.
+    """
+
+    TABLES = ("info.csv",)
+
+    surveys: list[Survey]
+    failed: dict[str, str]
+    asked: Sequence[str]
+
+    def __repr__(self) -> str:
+        said = "; ".join(
+            f"{one.path}: {one.width}x{one.height}, {one.frames} frames" for one in self.surveys
+        )
+        return f"<Info on {said or 'nothing'}>"
+
+    @property
+    def failure(self) -> DlgmdError | None:  # type: ignore[override]
+        """Why the exit code is 1: some inputs failed."""
+        if not self.failed:
+            return None
+        return DlgmdError("", f"{len(self.failed)} of {len(self.asked)} inputs failed")
+
+    @property
+    def table(self) -> Table:
+        """One row a video, with its size, rate and faults."""
+        return table_of(_COLUMNS, self._cells())
+
+    def tables(self) -> dict[str, store.Write]:
+        """The function that writes the table."""
+        return {self.TABLES[0]: partial(write_values, header=_COLUMNS, rows=self._cells())}
+
+    def _cells(self) -> list[list[Any]]:
+        return [[getattr(one, name) for name in _COLUMNS] for one in self.surveys]
+
+    def mask(self) -> bytes:
+        """A PNG of the first input's size, black in the borders and where pixels never change.
+
+        Raises SourceError if there are no such pixels.
+        """
+        facts = self.surveys[0]
+        if facts.mask is None:
+            why = "no pixels stay the same while the others change"
+            raise SourceError(facts.path, why, "Paint a mask yourself, or leave it out.")
+        _, encoded = cv2.imencode(".png", np.where(facts.mask, np.uint8(0), np.uint8(255)))
+        return encoded.tobytes()
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints."""
+        found = {one.path: _facts(one) for one in self.surveys}
+        errors = {path: {"path": path, "error": why} for path, why in self.failed.items()}
+        return {"inputs": [errors.get(path) or found[path] for path in self.asked]}
+
+    def shown(self) -> Iterator[Shown]:
+        """A table for each input, and advice for a run."""
+        for one in self.surveys:
+            yield ("", printable(one.path)), _rows(one)
+            yield from map(printable, _advice(one))
+        yield from self.paths
+
+
+def _rows(facts: Survey) -> list[tuple[str, str]]:
+    codec = facts.codec or "unknown"
+    if facts.pixel_format:
+        codec += f", {facts.pixel_format}, {facts.bits} bits"
+    elif facts.fps_stated is not None:
+        codec += " (FOURCC; the package 'av' of dlgmd[fast] would tell more)"
+    interlaced = {True: "yes", False: "no", None: "unknown without the package 'av'"}
+    repeats = "none"
+    if facts.repeats:
+        repeats = f"{facts.repeats} of {facts.frames} ({100 * facts.repeats / facts.frames:.0f} %)"
+    rows = [
+        ("size", f"{facts.width}x{facts.height}"),
+        ("codec", codec),
+        ("frames", f"{facts.frames}, {facts.duration_s:.3f} s"),
+        ("frame rate", _rate(facts)),
+        ("repeated frames", repeats),
+        ("interlaced", interlaced[facts.is_interlaced]),
+        ("decoder", facts.decoder),
+    ]
+    turns = [f"{facts.turned_deg}° clockwise"] if facts.turned_deg else []
+    turns += ["mirrored"] if facts.is_mirrored else []
+    if turns:
+        rows.insert(1, ("rotation", f"{', '.join(turns)}, as the file asks"))
+    if facts.gaps:
+        rows.append(("gaps", f"{facts.gaps}; the model begins anew after each"))
+    rows += [("damage", line) for line in facts.damage or ["none found"]]
+    if facts.crop is not None:
+        rows.append(("without black borders", str(facts.crop)))
+    if facts.still is not None:
+        rows.append(("never changes", f"{100 * facts.still_share:.2g} % of the pixels"))
+    return rows
+
+
+def _rate(facts: Survey) -> str:
+    """The frame rate as stated and as measured, in words."""
+    if facts.fps_true is None or facts.fps_range is None:
+        return "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g} stated"
+    stated = "none" if facts.fps_stated is None else f"{facts.fps_stated:.6g}"
+    kind = "constant"
+    if facts.is_variable:
+        kind = "variable, {:.3g} to {:.3g}".format(*facts.fps_range)
+    return f"{stated} stated, {facts.fps_true:.6g} true, {kind}"
+
+
+def _facts(facts: Survey) -> dict[str, Any]:
+    values = {name: value for name, value in vars(facts).items() if name != "still"}
+    crop = None if facts.crop is None else str(facts.crop)
+    return {**values, "crop": crop, "still_share": facts.still_share, "advice": _advice(facts)}
+
+
+def _advice(facts: Survey) -> list[str]:
+    """Advice for a run on this input, one sentence each."""
+    has_fine_levels = facts.bits is not None and facts.bits > 8
+    others = (
+        (
+            facts.is_interlaced,
+            "It is interlaced: all commands read it by PyAV and de-interlace it (FFmpeg's bwdif, "
+            "one picture a frame).",
+        ),
+        (
+            has_fine_levels and facts.decoder == "opencv",
+            f"--decoder pyav keeps all {facts.bits} bits of a sample, opencv keeps 8.",
+        ),
+        (
+            facts.damage,
+            "Do not trust the response near the damage: copy the file again, or run the part "
+            "before it with --end.",
+        ),
+        (facts.crop, f"The borders are black: --crop {facts.crop} leaves them out."),
+        (
+            facts.still is not None,
+            f"{100 * facts.still_share:.2g} % of the pixels never change, as those of an on-screen "
+            "display or of the vehicle itself: 'dlgmd info --write-mask mask.png' paints them "
+            "black for --mask. Look at it before you use it.",
+        ),
+    )
+    return [*_rate_advice(facts), _size_advice(facts), *(line for is_due, line in others if is_due)]
+
+
+def _rate_advice(facts: Survey) -> list[str]:
+    lines = []
+    fps = facts.fps_true or facts.fps_stated
+    model_fps = load_config(PRESETS[0]).model_fps
+    if facts.fps_stated is None:
+        lines.append("Nothing states the frame rate: give it with --input-fps.")
+    if facts.is_variable:
+        lines.append(
+            "The frame rate varies. Times count, but inhibition is late by frames: record "
+            "at a constant rate, or convert with 'ffmpeg -i INPUT -r 30 OUTPUT'."
+        )
+    steady_fps = None if facts.is_variable else facts.fps_true
+    nominal_fps = rate_between_gaps(facts.fps_stated, steady_fps) or 0.0
+    every, _ = sampling_step(nominal_fps, RATE_TOLERANCE * model_fps)
+    if every > 1:
+        lines.append(
+            f"At most {model_fps:g} frames a second are processed by default: one in {every} of "
+            f"these. --fps all processes every frame."
+        )
+    n_new = facts.frames - facts.repeats
+    rate = None if fps is None else fps * n_new / max(facts.frames, 1)
+    if rate is not None and rate < _SLOW_FPS:
+        lines.append(
+            f"At {rate:.3g} pictures a second an approach looks {model_fps / rate:.2g} times as "
+            f"fast as at the {model_fps:g} that the parameters are made for."
+        )
+    return lines
+
+
+def _size_advice(facts: Survey) -> str:
+    """The size at which the models see the input."""
+    source_wh = facts.crop[:2] if facts.crop else (facts.width, facts.height)
+
+    def default(width_px: int) -> str:
+        width, height = processed_size(*source_wh, width_px=width_px)
+        return f"{width}x{height} px (--scale {width / source_wh[0]:.3g})"
+
+    preset = PRESETS[0]
+    return (
+        f"The preset {preset} processes it at {default(load_config(preset).width_px)}, the "
+        f"paper's sets at {default(DEFAULT_WIDTH_PX)}."
+    )

@@ -1,0 +1,64 @@
+"""Exact intervals of shares and of rates."""
+
+import math
+
+import numpy as np
+
+# The confidence level of all intervals.
+CONFIDENCE = 0.95
+_N_HALVINGS = 60
+
+
+def binomial_interval(count: int, n: int) -> tuple[float, float]:
+    """The exact (Clopper-Pearson) interval of the probability of what occurred `count` of n times.
+
+    At each bound, a count as far away as this one, or farther, has half of the probability that the
+    confidence level leaves.
+    """
+    k = np.arange(n + 1)
+    factorials = np.array([math.lgamma(one + 1.0) for one in range(n + 1)])
+    ways = factorials[-1] - factorials - factorials[::-1]
+
+    def at_most(most: int, share: float) -> float:
+        """Probability of at most `most`."""
+        every = np.exp(ways + k * math.log(share) + (n - k) * math.log1p(-share))
+        return float(every[: most + 1].sum())
+
+    def share_of(most: int, probability: float) -> float:
+        """The share at which `at_most` falls to a probability."""
+        low, high = 0.0, 1.0
+        for _ in range(_N_HALVINGS):
+            middle = (low + high) / 2.0
+            if not low < middle < high:
+                break
+            low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
+        return (low + high) / 2.0
+
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low = share_of(count - 1, 1.0 - tail) if count else 0.0
+    return low, share_of(count, tail) if count < n else 1.0
+
+
+def poisson_interval(count: int) -> tuple[float, float]:
+    """The exact (Garwood) interval of the mean of a Poisson variable that was `count`.
+
+    At each bound, a count as far away as this one, or farther, has half of the probability that the
+    confidence level leaves.
+    """
+    factorials = np.array([math.lgamma(k + 1.0) for k in range(count + 1)])
+
+    def at_most(most: int, mean: float) -> float:
+        """Probability of at most `most`."""
+        k = np.arange(most + 1)
+        return float(np.exp(k * math.log(mean) - mean - factorials[: most + 1]).sum())
+
+    def mean_of(most: int, probability: float) -> float:
+        """The mean at which `at_most` falls to a probability."""
+        low, high = 0.0, 2.0 * count + 20.0
+        for _ in range(_N_HALVINGS):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
+        return (low + high) / 2.0
+
+    tail = (1.0 - CONFIDENCE) / 2.0
+    return (mean_of(count - 1, 1.0 - tail) if count else 0.0), mean_of(count, tail)

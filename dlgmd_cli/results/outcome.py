@@ -1,0 +1,183 @@
+"""`Outcome`: what a task returns, and what every outcome can do: save, draw, show itself."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dlgmd_cli.errors import DlgmdError, MissingExtraError, ParameterError
+from dlgmd_cli.parameters.checks import require_known
+from dlgmd_cli.results import store
+from dlgmd_cli.results.csv import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 200
+# What a terminal shows: a line, a path, or a table as its header and its rows.
+Shown = str | Path | tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
+
+
+def drawn_by(where: str) -> Callable[..., Any]:
+    """A function of `plots`, such as ``traces.plot``; Matplotlib is imported only when one draws.
+
+    What draws takes outcomes, so that outcomes know it by name alone.
+    """
+    module, _, name = where.partition(".")
+    function: Callable[..., Any] = getattr(import_module(f"dlgmd_cli.plots.{module}"), name)
+    return function
+
+
+class Outcome:
+    """What a task returns: a kind of outcome says what it is about, and this does the rest.
+
+    Attributes
+    ----------
+    RECORD : str
+        The name of its record, which is written last; may be empty.
+    TABLES : tuple of str
+        The names of its tables, the main one first.
+    FIGURES : dict of str to str
+        Kind of figure -> what draws it, see `drawn_by`. The first one is what `plot` draws.
+    STEM : str
+        The name of a figure's file without suffix, by its `kind`.
+    paths : tuple of Path
+        What was written: the folder, or the files.
+    complete : bool
+        Whether the task ran to its end.
+    failure : DlgmdError or None
+        Why the outcome is not what was asked for, although there is one.
+    """
+
+    RECORD: ClassVar[str] = ""
+    TABLES: ClassVar[tuple[str, ...]] = ()
+    FIGURES: ClassVar[Mapping[str, str]] = {}
+    STEM: ClassVar[str] = "{}"
+    paths: tuple[Path, ...] = ()
+    complete: bool = True
+    failure: DlgmdError | None = None
+
+    def tables(self) -> dict[str, store.Write]:
+        """File name -> function that writes the table."""
+        return {}
+
+    def record_text(self) -> str:
+        """The text of the record."""
+        raise NotImplementedError
+
+    @classmethod
+    def figure_names(cls) -> dict[str, str]:
+        """Kind of each figure that is written -> file name without suffix."""
+        return {kind: cls.STEM.format(kind) for kind in cls.FIGURES}
+
+    @classmethod
+    def own_files(cls, formats: Iterable[str] = ()) -> list[str]:
+        """The names of the files with figures in these formats, the record last."""
+        figures = [f"{name}.{form}" for name in cls.figure_names().values() for form in formats]
+        return [*cls.TABLES, *figures, *filter(None, [cls.RECORD])]
+
+    def identity(self) -> dict[str, Any]:
+        """What identifies the input, see `store.check`."""
+        return {}
+
+    def shown(self) -> Iterator[Shown]:
+        """What a terminal shows."""
+        raise NotImplementedError
+
+    def facts(self) -> dict[str, Any]:
+        """What --json prints; None stands for what is undefined."""
+        raise NotImplementedError
+
+    def kept(self) -> str:
+        """What there is after an interruption."""
+        return f"{self.paths[0]} holds the whole result" if self.paths else "Nothing was written"
+
+    @property
+    def table(self) -> Table:
+        """The main table: a structured array, shape (n,), with the columns of its CSV."""
+        raise NotImplementedError
+
+    def to_dataframe(self) -> Any:
+        """The main table as a pandas DataFrame, which needs pandas."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtraError.of("to_dataframe", "pandas") from None
+        return pd.DataFrame(self.table)
+
+    def plot(self, kind: str | None = None, **look: Any) -> "Figure":
+        """A figure, the first of `FIGURES` unless one is named; `look` is for what draws it.
+
+        Raises ParameterError if there is no such figure.
+        """
+        if not self.FIGURES:
+            raise ParameterError("", f"a {type(self).__name__} has no figure")
+        kind = kind or next(iter(self.FIGURES))
+        require_known("figure", kind, self.FIGURES)
+        return self.figure(kind, **look)
+
+    def figure(self, kind: str, **look: Any) -> "Figure":
+        """Draw a kind of figure."""
+        figure: Figure = drawn_by(self.FIGURES[kind])(*self.drawn(kind), **look)
+        return figure
+
+    def drawn(self, kind: str) -> tuple[Any, ...]:
+        """What a figure takes."""
+        return (self,)
+
+    def files(
+        self, formats: Iterable[str] = (), dpi: int | None = None, **look: Any
+    ) -> dict[str, store.Write]:
+        """File name -> function that writes the file: tables, figures in `formats`, record."""
+        files = self.tables()
+        if formats := tuple(dict.fromkeys(formats)):
+            files |= self.figure_files(formats, dpi, **look)
+        if self.RECORD:
+            files[self.RECORD] = store.file_of(self.record_text())
+        return files
+
+    def figure_files(
+        self, formats: tuple[str, ...], dpi: int | None, **look: Any
+    ) -> dict[str, store.Write]:
+        """File name -> function that draws the figure."""
+        names = self.figure_names()
+        figures = {names[kind]: partial(self.figure, kind, **look) for kind in names}
+        files: dict[str, store.Write]
+        files = drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
+        return files
+
+    def write(self, claim: store.Claim, *args: Any, **how: Any) -> None:
+        """Write the files, see `files`, into a folder that is claimed."""
+        written = claim.write(self.files(*args, **how))
+        # A result is known by its folder; everything else by its files.
+        vars(self)["paths"] = (claim.folder,) if self.RECORD in store.FIGURES else written
+
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        formats: Iterable[str] = (),
+        dpi: int | None = None,
+        *,
+        overwrite: bool = False,
+        **how: Any,
+    ) -> None:
+        """Write the tables, the figures in `formats` ("png", "pdf", "svg"), and the record.
+
+        `dpi` is the resolution of PNG, 200 unless given. A figure that cannot be drawn is left out,
+        with a warning.
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds other files, or an outcome that only `overwrite` may replace, or
+            another process is writing there.
+        OutputError
+            If the folder cannot be written.
+        """
+        formats, identity = tuple(formats), self.identity()
+        names = () if self.RECORD in store.FIGURES else self.own_files(formats)
+        where = store.place(folder), self.RECORD, identity
+        with store.claimed(*where, names=names, overwrite=overwrite) as claim:
+            self.write(claim, formats, dpi, **how)

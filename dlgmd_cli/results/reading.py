@@ -1,0 +1,117 @@
+"""Reading stored results: a run, or a comparison."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.parameters.presets import stored_parameters
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.record import read_record, require, unpacked_flags
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.rows import rows_of
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read a result that `Result.save` or `dlgmd run` wrote; numbers have nine digits.
+
+    Raises
+    ------
+    ResultError
+        If there is no result, or one of its files is missing or damaged.
+    """
+    folder = _existing(folder)
+    record = read_record(folder / store.RUN)
+    if not record:
+        raise ResultError(
+            str(folder), f"contains no result (no {store.RUN})", "Run 'dlgmd run' first."
+        )
+    require(folder / store.RUN, record, "input.fps", "input.frames")
+    columns: dict[str, Series] = {}
+    names = ("mp.csv", "attenuation.csv")
+    whole = record.get("complete") is not False
+    tables = [csv.read_columns(folder / name, csv.TABLES[name], complete=whole) for name in names]
+    if not whole:
+        # 'dlgmd live' may have been killed when a row was in the first file only.
+        n_rows = min(len(table["frame"]) for table in tables)
+        tables = [{key: one[:n_rows] for key, one in table.items()} for table in tables]
+    for name, table in zip(names, tables, strict=True):
+        if columns and not np.array_equal(columns["frame"], table["frame"]):
+            raise ResultError(str(folder / name), "its frames are not those of mp.csv")
+        columns.update(table)
+    return _result(folder / store.RUN, columns, record, record)
+
+
+def read_comparison(folder: str | Path) -> dict[str, Result]:
+    """Read the results that `dlgmd compare` wrote, by label, in its order.
+
+    A comparison stores neither sums nor centroids nor repeats: these are undefined.
+
+    Raises
+    ------
+    ResultError
+        If there is no comparison, or one of its files is missing or damaged.
+    """
+    folder = _existing(folder)
+    record = read_record(folder / store.COMPARISON)
+    models = record.get("models")
+    if not isinstance(models, list):
+        why = f"contains no comparison (no {store.COMPARISON})"
+        raise ResultError(str(folder), why, "Run 'dlgmd compare' first.")
+    by_label = csv.read_comparison_columns(folder / "compare.csv")
+    described = {str(one.get("label")): one for one in models if isinstance(one, dict)}
+    if by_label.keys() != described.keys():
+        raise ResultError(str(folder), f"compare.csv and {store.COMPARISON} do not match")
+    results = {}
+    for label, columns in by_label.items():
+        own = described[label]
+        shared = ("input", "options", "collision_frame")
+        common: dict[str, Any] = {key: record[key] for key in shared if key in record}
+        size = {key: own[key] for key in ("width", "height", "cells") if key in own}
+        results[label] = _result(
+            folder / store.COMPARISON,
+            columns,
+            {**common, **own, "processed": size},
+            own,
+        )
+    return results
+
+
+def _existing(folder: str | Path) -> Path:
+    """The folder as a path; raises ResultError if it does not exist."""
+    if not isinstance(folder, str | os.PathLike):
+        why = f"expected the folder of a result, not {type(folder).__name__}"
+        raise ResultError("", why, "Write read_result('dlgmd-out/flight').")
+    folder = Path(folder)
+    try:
+        if folder.is_file():
+            why = "is a file, not the folder of a result"
+            mend = f"Run 'dlgmd run {folder.name}' first, if it is a video."
+            raise ResultError(str(folder), why, mend)
+        if not folder.is_dir():
+            raise ResultError(str(folder), "there is no such folder", "Run 'dlgmd run' first.")
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise ResultError(str(folder)[:200], f"cannot be read ({error})") from None
+    return folder
+
+
+def _result(
+    path: Path, columns: Mapping[str, Series], record: dict[str, Any], own: Mapping[str, Any]
+) -> Result:
+    """A result from stored columns and a record; `own` holds the model and its parameters."""
+    require(path, record, "processed.width", "processed.height")
+    try:
+        params = stored_parameters(own)
+    except ParameterError as error:
+        raise ResultError(str(path), error.line.rstrip("."), "Run again.") from None
+    repeated = record.get("input", {}).get("repeated_rows")
+    flags = {}
+    try:
+        if repeated is not None:
+            flags["is_repeat"] = unpacked_flags(repeated, len(columns["frame"]))
+    except ValueError:
+        raise ResultError(str(path), "its repeated_rows are damaged", "Run again.") from None
+    return Result(rows_of({**columns, **flags}), params, record)

@@ -1,0 +1,458 @@
+"""Classify alarms at any threshold, and measure recall, false alarms and leads over many videos.
+
+An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of the onset:
+
+- within the horizon before a collision: a *hit*. The collision is announced, and the lead is the
+  time left. Of several hits, the first counts;
+- from the collision to 3 frames after it: *at contact*, neither a hit nor false;
+- after that, up to the horizon before the video's next collision: *ignored*;
+- at any other time: *false*. Within 2 s before the first collision, it is also *early*.
+
+The minutes end at the first collision, or with the video: after a collision no alarm is false.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Flags, Series
+from dlgmd_cli.results.intervals import CONFIDENCE, binomial_interval, poisson_interval
+
+HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
+
+FALSE, EARLY, HIT, AT_CONTACT, IGNORED = range(5)
+KINDS = ("false", "early", "hit", "contact", "ignored")
+# Bootstrap resamples of the videos.
+N_RESAMPLES = 1000
+# Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
+# alarms are few, and each counts.
+MAX_THRESHOLDS = 4000
+COUNTS = ("videos", "collisions", "hits", "at_contact", "false_alarms", "early", "minutes")
+MEASURES = ("recall", "false_alarms_per_min", "precision", "lead_s", "lead_p10_s", "auc")
+
+# The performance of a model on some videos at one threshold, see `score`.
+Scores = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The signal of one video that is compared with a threshold, and the times of its collisions.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Times of the frames, in seconds, increasing; n is at least 1.
+    strength : ndarray, shape (n,)
+        There is a spike where it reaches the threshold; NaN (no spike) where undefined.
+    contacts_s : tuple of float
+        Times of the collisions, in seconds, increasing.
+    frame_s : float
+        Duration of a frame of the video, in seconds.
+    repeated : ndarray, shape (n,), bool, optional
+        Frames that repeat the one before. They have its strength, but are not counted as spikes.
+    frame : int ndarray, shape (n,), optional
+        Frame numbers in the video; 0 to n - 1 unless given.
+    """
+
+    time_s: Series
+    strength: Series
+    contacts_s: tuple[float, ...]
+    frame_s: float
+    repeated: Flags | None = None
+    frame: npt.NDArray[np.int64] | None = None
+
+    def sustained(self, n_sp: int) -> Series:
+        """The least strength of the last n_sp frames, shape (n,); -inf if there are fewer.
+
+        Frames that repeat the one before do not count.
+        """
+        filled = np.where(np.isnan(self.strength), -np.inf, self.strength)
+        seen = np.ones(len(filled), np.bool_) if self.repeated is None else ~self.repeated
+        seen[:1] = True
+        padded = np.concatenate((np.full(n_sp - 1, -np.inf), filled[seen]))
+        least = np.lib.stride_tricks.sliding_window_view(padded, n_sp).min(axis=-1)
+        return np.asarray(least[np.cumsum(seen) - 1])
+
+    @property
+    def minutes(self) -> float:
+        """Time before the first collision, horizon included, or the whole video."""
+        end_s = min([float(self.time_s[-1]) + self.frame_s, *self.contacts_s[:1]])
+        return max(end_s - float(self.time_s[0]), 0.0) / 60.0
+
+
+@dataclass(frozen=True)
+class Tally:
+    """The alarms of one video, counted at each of T thresholds.
+
+    Attributes
+    ----------
+    lead_s : ndarray, shape (collisions, T)
+        Time from the first hit to the collision, in seconds; NaN if it is not announced.
+    at_contact : ndarray, shape (collisions, T), bool
+        Whether the collision is not announced, but an alarm begins at contact.
+    n_false, n_early : int ndarray, shape (T,)
+        Number of false alarms, and how many of them are early.
+    minutes : float
+        Time in which an alarm counts as false.
+    inside, outside : ndarray, shape (collisions,) and (m,)
+        Peaks of the strength, see `peaks`.
+    """
+
+    lead_s: Series
+    at_contact: Flags
+    n_false: npt.NDArray[np.intp]
+    n_early: npt.NDArray[np.intp]
+    minutes: float
+    inside: Series
+    outside: Series
+
+    def only(self, collisions: Flags) -> "Tally":
+        """The same for some of the collisions, but with all false alarms."""
+        own = ("lead_s", "at_contact", "inside")
+        return replace(self, **{name: getattr(self, name)[collisions] for name in own})
+
+
+def onset_thresholds(signal: Signal, n_sp: int) -> tuple[Series, Series]:
+    """The range of thresholds at which an alarm begins at each row: above `low`, up to `high`.
+
+    The alarm is on while the sustained strength reaches the threshold. It begins at a row unless it
+    was on at the row before, or within the `MERGE_S` before; the greatest sustained strength of
+    that time is `low`.
+
+    Returns
+    -------
+    low, high : ndarray, shape (n,)
+        The range is empty if `low` is not less than `high`.
+    """
+    time_s, high = signal.time_s, signal.sustained(n_sp)
+    low = np.concatenate(([-np.inf], high[:-1]))
+    # For each row, the first earlier one that is too close for a separate alarm.
+    first = np.searchsorted(time_s, time_s - (MERGE_S - ROUNDING_S), side="right")
+    rows = np.arange(len(high))
+    for back in range(2, int((rows - first).max(initial=0)) + 1):
+        near = rows[back:][rows[back:] - back >= first[back:]]
+        low[near] = np.maximum(low[near], high[near - back])
+    return low, high
+
+
+def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.intp]]:
+    """The kind of an alarm that began at each row, and the collision it belongs to.
+
+    Returns
+    -------
+    kind : int ndarray, shape (n,)
+        `FALSE`, `EARLY`, `HIT`, `AT_CONTACT` or `IGNORED`.
+    collision : int ndarray, shape (n,)
+        Number of the collision for hits and alarms at contact; otherwise -1.
+    """
+    time_s = signal.time_s
+    kind = np.full(len(time_s), FALSE, np.int8)
+    collision = np.full(len(time_s), -1)
+    over_s = -np.inf  # end of the previous collision's contact
+    for number, contact_s in enumerate(signal.contacts_s):
+        grace_s = contact_s + CONTACT_FRAMES * signal.frame_s + ROUNDING_S
+        before = (time_s < contact_s - ROUNDING_S) & (time_s > over_s)
+        if number == 0:
+            kind[before & (time_s >= contact_s - EARLY_S - ROUNDING_S)] = EARLY
+        is_hit = before & (time_s >= contact_s - horizon_s - ROUNDING_S)
+        is_at_contact = (time_s >= contact_s - ROUNDING_S) & (time_s <= grace_s)
+        kind[time_s > grace_s] = IGNORED
+        kind[is_hit], kind[is_at_contact] = HIT, AT_CONTACT
+        collision[is_hit | is_at_contact] = number
+        over_s = grace_s
+    return kind, collision
+
+
+def tally(
+    signal: Signal, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float = HORIZON_S
+) -> Tally:
+    """Count the alarms of a video by kind, at one threshold or at T."""
+    at = np.atleast_1d(np.asarray(thresholds, np.float64))
+    low, high = onset_thresholds(signal, n_sp)
+    kind, collision = kinds(signal, horizon_s)
+    may_begin = low < high
+
+    def count(wanted: Flags) -> npt.NDArray[np.intp]:
+        """Number of alarms that begin at the wanted rows, shape (T,)."""
+        lows, highs = np.sort(low[wanted]), np.sort(high[wanted])
+        return np.searchsorted(lows, at, side="left") - np.searchsorted(highs, at, side="left")
+
+    lead_s = np.full((len(signal.contacts_s), len(at)), np.nan)
+    at_contact = np.zeros(lead_s.shape, np.bool_)
+    for number, contact_s in enumerate(signal.contacts_s):
+        is_own = may_begin & (collision == number)
+        rows = np.flatnonzero(is_own & (kind == HIT))
+        for row in rows[::-1]:  # the first hit overwrites later ones
+            begins = (low[row] < at) & (at <= high[row])
+            lead_s[number, begins] = contact_s - signal.time_s[row]
+        at_contact[number] = (count(is_own & (kind == AT_CONTACT)) > 0) & np.isnan(lead_s[number])
+    n_early = count(may_begin & (kind == EARLY))
+    n_false = count(may_begin & (kind == FALSE)) + n_early
+    sides = peaks(signal, n_sp, horizon_s)
+    return Tally(lead_s, at_contact, n_false, n_early, signal.minutes, *sides)
+
+
+def alarms(
+    signal: Signal, n_sp: int, threshold: float, horizon_s: float = HORIZON_S
+) -> list[tuple[int, int]]:
+    """Row and kind of every alarm at one threshold, in order."""
+    low, high = onset_thresholds(signal, n_sp)
+    kind, _ = kinds(signal, horizon_s)
+    return [
+        (int(row), int(kind[row]))
+        for row in np.flatnonzero((low < threshold) & (threshold <= high))
+    ]
+
+
+def peaks(signal: Signal, n_sp: int, horizon_s: float = HORIZON_S) -> tuple[Series, Series]:
+    """The peak of the sustained strength within each horizon, and in windows outside of them.
+
+    Returns
+    -------
+    inside : ndarray, shape (collisions,)
+        One value per collision; -inf if the video starts too late for the model to respond.
+    outside : ndarray, shape (m,)
+        One value per window. Windows are as long as the horizon, and are laid backwards from the
+        first horizon, or from the end of a video without a collision. A remainder of at least half
+        a window counts, too.
+    """
+    strongest = signal.sustained(n_sp)
+    kind, collision = kinds(signal, horizon_s)
+    inside = [
+        np.max(strongest[(kind == HIT) & (collision == number)], initial=-np.inf)
+        for number in range(len(signal.contacts_s))
+    ]
+    start_s, outside = float(signal.time_s[0]), []
+    end_s = start_s + 60.0 * signal.minutes - (horizon_s if signal.contacts_s else 0.0)
+    while end_s - start_s >= horizon_s / 2:
+        is_in = (signal.time_s >= end_s - horizon_s) & (signal.time_s < end_s - ROUNDING_S)
+        if is_in.any():
+            outside.append(strongest[is_in].max())
+        end_s -= horizon_s
+    return np.array(inside), np.array(outside)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Performance at T increasing thresholds; arrays of shape (T,). `lead_s` is a median or NaN."""
+
+    threshold: Series
+    recall: Series
+    false_alarms_per_min: Series
+    lead_s: Series
+
+    def rank(self, i: int) -> tuple[float, float, float]:
+        """Sort key of threshold number i: high recall, then few false alarms, then a long lead."""
+        lead_s = 0.0 if np.isnan(self.lead_s[i]) else float(self.lead_s[i])
+        return float(self.recall[i]), -float(self.false_alarms_per_min[i]), lead_s
+
+    def best(self, max_false_per_min: float) -> int:
+        """Index of the best threshold with at most `max_false_per_min` false alarms per minute.
+
+        Of equally good ones, the middle one. The highest threshold raises no alarm, so there is
+        always a solution.
+        """
+        allowed = np.flatnonzero(~(self.false_alarms_per_min > max_false_per_min))
+        ranks = [self.rank(int(i)) for i in allowed]
+        top = max(ranks)
+        equal = [i for i, rank in zip(allowed, ranks, strict=True) if rank == top]
+        return int(equal[len(equal) // 2])
+
+
+def thresholds(signals: Sequence[Signal], n_sp: int, horizon_s: float = HORIZON_S) -> Series:
+    """All thresholds at which the alarms of the signals differ, increasing, shape (T,).
+
+    They lie midway between the values at which an alarm appears or disappears. Above
+    `MAX_THRESHOLDS`, the lower half is thinned out. The highest threshold raises no alarm.
+    """
+    found = []
+    for signal in signals:
+        low, high = onset_thresholds(signal, n_sp)
+        counts = (low < high) & (kinds(signal, horizon_s)[0] != IGNORED)
+        found += [low[counts], high[counts]]
+    edges = np.unique(np.concatenate(found)) if found else np.empty(0)
+    edges = edges[np.isfinite(edges)]
+    if len(edges) > MAX_THRESHOLDS:
+        half = MAX_THRESHOLDS // 2
+        chosen = np.linspace(0, len(edges) - half - 1, half).round().astype(int)
+        edges = np.concatenate((edges[chosen], edges[-half:]))
+    if not edges.size:
+        return np.array([np.inf])
+    top = np.nextafter(edges[-1], np.inf)
+    # The midpoint of two adjacent floats is one of the two, and either will do.
+    return np.unique(np.concatenate((edges[:1], (edges[1:] + edges[:-1]) / 2, [top])))
+
+
+def curve(tallies: Sequence[Tally], at: Series, counted: Flags | None = None) -> Curve:
+    """The curve of videos that were tallied at the same thresholds.
+
+    With `counted`, (videos,) bool, the rate of false alarms is that of these videos alone.
+    """
+    leads_s = np.concatenate([one.lead_s for one in tallies])
+    recall = (~np.isnan(leads_s)).mean(axis=0) if len(leads_s) else np.full(len(at), np.nan)
+    own = [one for i, one in enumerate(tallies) if counted is None or counted[i]]
+    n_false = np.sum([one.n_false for one in own], axis=0) + np.zeros(len(at))
+    minutes = sum(one.minutes for one in own)
+    return Curve(at, np.nan_to_num(recall), _ratio(n_false, minutes), _medians(leads_s))
+
+
+def _medians(columns: Series) -> Series:
+    """The median of every column of an (n, T) array, ignoring NaN; NaN if a column has only NaN."""
+    n = (~np.isnan(columns)).sum(axis=0)
+    if not len(columns):
+        return np.full(len(n), np.nan)
+    ordered = np.sort(columns, axis=0)  # NaN comes last
+    middle = np.stack([np.maximum(n - 1, 0) // 2, np.minimum(n // 2, len(columns) - 1)])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
+
+
+def score(tallies: Sequence[Tally]) -> Scores:
+    """The measures over at least one video, tallied at one threshold.
+
+    Returns
+    -------
+    dict of str to float
+        `videos`, `collisions`, `hits` (announced collisions), `at_contact`, `false_alarms`, `early`
+        (included in the false ones) and `minutes` (time in which an alarm counts as false).
+
+        `recall`: hits / collisions. `false_alarms_per_min`. `precision`: hits / (hits + false
+        alarms). `lead_s`, `lead_p10_s`: median and 10th percentile of the leads. `auc`: the
+        probability that the peak strength before a collision exceeds one elsewhere, see
+        `peaks`. Each is followed by its bounds, `recall_low` and `recall_high`, from
+        `N_RESAMPLES` resamples of the videos. NaN where undefined.
+
+    Notes
+    -----
+    The bounds of the false alarms are the wider ones of those resamples and of the exact Poisson
+    interval, `poisson_interval`. False alarms come in bunches: most are in a few videos, which only
+    resampling of videos shows. But it gives 0 to 0 where no video has any, and is too narrow for
+    few videos; the Poisson interval is right there, since a rare alarm is one of a kind. So are
+    the bounds of recall and precision, with `binomial_interval`.
+    """
+    n = len(tallies)
+    leads = [one.lead_s[~np.isnan(one.lead_s)] for one in tallies]
+    sums = np.array(
+        [
+            (len(one.lead_s), len(found), one.n_false[0], one.minutes)
+            for one, found in zip(tallies, leads, strict=True)
+        ]
+    )
+    n_collisions, n_hits, n_false, minutes = sums.sum(axis=0).tolist()
+    n_contact = sum(int(one.at_contact.sum()) for one in tallies)
+    n_early = sum(int(one.n_early[0]) for one in tallies)
+    counts = n, int(n_collisions), int(n_hits), n_contact, int(n_false), n_early, minutes
+    found: Scores = dict(zip(COUNTS, counts, strict=True))
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+    weights = np.concatenate((np.ones((1, n), np.int64), draws))
+    values = _measured(weights, sums, leads, [(one.inside, one.outside) for one in tallies])
+    for name, drawn in values.items():
+        found[name] = float(drawn[0])
+        found[f"{name}_low"], found[f"{name}_high"] = _interval(drawn)
+    if minutes > 0.0:
+        low, high = (bound / minutes for bound in poisson_interval(int(n_false)))
+        rate = "false_alarms_per_min"
+        found[f"{rate}_low"] = min(low, found[f"{rate}_low"])
+        found[f"{rate}_high"] = max(high, found[f"{rate}_high"])
+    for name, count in (("recall", n_collisions), ("precision", n_hits + n_false)):
+        if count:
+            low, high = binomial_interval(int(n_hits), int(count))
+            found[f"{name}_low"] = min(low, np.nan_to_num(found[f"{name}_low"], nan=low))
+            found[f"{name}_high"] = max(high, np.nan_to_num(found[f"{name}_high"], nan=high))
+    return found
+
+
+def differences(
+    ours: Sequence[Tally], theirs: Sequence[Tally]
+) -> dict[str, tuple[float, float, float]]:
+    """How much recall and false alarms a minute differ on the same videos, each with its interval.
+
+    The interval is that of resamples of the videos, in which both have the same ones.
+    """
+    n = len(ours)
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), N_RESAMPLES)
+    weights = np.concatenate((np.ones((1, n), np.int64), draws))
+
+    def measured(tallies: Sequence[Tally]) -> tuple[Series, Series]:
+        sums = np.array(
+            [
+                (len(one.lead_s), (~np.isnan(one.lead_s)).sum(), one.n_false[0], one.minutes)
+                for one in tallies
+            ]
+        )
+        n_collisions, n_hits, n_false, minutes = (weights @ sums).T
+        return _ratio(n_hits, n_collisions), _ratio(n_false, minutes)
+
+    both = zip(("recall", "false_alarms_per_min"), measured(ours), measured(theirs), strict=True)
+    changes = {name: own - other for name, own, other in both}
+    return {name: (float(one[0]), *_interval(one)) for name, one in changes.items()}
+
+
+def _measured(
+    weights: npt.NDArray[np.int64],
+    sums: Series,
+    leads: Sequence[Series],
+    sides: Sequence[tuple[Series, Series]],
+) -> dict[str, Series]:
+    """Every measure for each row of `weights`, which says how often each video counts."""
+    n_collisions, n_hits, n_false, minutes = (weights @ sums).T
+    lead_s = np.concatenate(leads)
+    order = np.argsort(lead_s)
+    video = np.repeat(np.arange(len(leads)), [len(one) for one in leads])[order]
+    below = _wins(sides)
+    n_inside, n_outside = (
+        weights @ np.array([len(side[which]) for side in sides], np.int64) for which in (0, 1)
+    )
+    return {
+        "recall": _ratio(n_hits, n_collisions),
+        "false_alarms_per_min": _ratio(n_false, minutes),
+        "precision": _ratio(n_hits, n_hits + n_false),
+        "lead_s": _percentile(lead_s[order], weights[:, video], 0.5),
+        "lead_p10_s": _percentile(lead_s[order], weights[:, video], 0.1),
+        "auc": _ratio(((weights @ below) * weights).sum(axis=1), n_inside * n_outside),
+    }
+
+
+def _wins(sides: Sequence[tuple[Series, Series]]) -> Series:
+    """Pairs in which a peak inside video i exceeds one outside of video j; a tie counts half."""
+    found = np.zeros((len(sides), len(sides)))
+    every = np.concatenate([inside for inside, _ in sides])
+    owner = np.repeat(np.arange(len(sides)), [len(inside) for inside, _ in sides])
+    for j, (_, outside) in enumerate(sides):
+        ordered = np.sort(outside)
+        beaten = np.searchsorted(ordered, every, "left") + np.searchsorted(ordered, every, "right")
+        found[:, j] = np.bincount(owner, beaten / 2, minlength=len(sides))
+    return found
+
+
+def _percentile(ordered: Series, weights: npt.NDArray[np.int64], share: float) -> Series:
+    """A percentile of increasing values, as NumPy's, for each row of `weights`, their counts."""
+    if not ordered.size:
+        return np.full(len(weights), np.nan)
+    until = np.cumsum(weights, axis=1)
+    total = until[:, -1]
+    place = share * (total - 1)
+    low = np.floor(place)
+
+    def value(rank: Series) -> Series:
+        return ordered[np.minimum((until <= rank[:, None]).sum(axis=1), len(ordered) - 1)]
+
+    found = value(low) + (place - low) * (value(np.minimum(low + 1, total - 1)) - value(low))
+    return np.where(total > 0, found, np.nan)
+
+
+def _ratio(above: npt.NDArray, below: npt.ArrayLike) -> Series:
+    """A ratio, NaN where its denominator is 0."""
+    below = np.broadcast_to(np.asarray(below, np.float64), np.shape(above))
+    return np.divide(above, below, out=np.full(np.shape(above), np.nan), where=below > 0)
+
+
+def _interval(drawn: Series) -> tuple[float, float]:
+    """The interval of all values but the first that are not NaN; NaN if the first one is."""
+    others = drawn[1:][~np.isnan(drawn[1:])]
+    if np.isnan(drawn[0]) or not others.size:
+        return np.nan, np.nan
+    tail = (1.0 - CONFIDENCE) / 2
+    low, high = np.quantile(others, [tail, 1.0 - tail])
+    return float(low), float(high)

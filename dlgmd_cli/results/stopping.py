@@ -1,0 +1,218 @@
+"""The closed loop over rendered flights: what the stops that alarms ask for are worth.
+
+An alarm counts at the frame that raises it, as in `scoring`:
+
+- it is needed within the horizon before a collision, or *justified* if the drone would have hit
+  something within 1.5 s, flying straight on;
+- at the first alarm that is needed or justified the drone stops. It is *saved* if it does so before
+  it touches anything;
+- any other alarm before the collision asks for an *unneeded* stop, and the flight goes on.
+
+No stop saves a drone that hovers from what comes at it: such collisions are left out.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.results.labels import Case
+from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, Signal, kinds, onset_thresholds
+from dlgmd_cli.words import counted
+
+STOP_MEASURES = (
+    *("drones", "saved", "impact_m_s", "stopped_m"),
+    *("justified", "unneeded_per_min", "speed_m_s"),
+)
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What a stop at each frame of a rendered flight is worth, see `braking.Stop`.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Times of the frames, increasing.
+    saved, justified : ndarray, shape (n,), bool
+    impact_m_s, stopped_m : ndarray, shape (n,)
+    can_stop : bool
+        Whether the flight ends in a collision that a stop could avoid.
+    speed_m_s : float
+        Its speed, at the collision if there is one.
+    """
+
+    time_s: Series
+    saved: Flags
+    impact_m_s: Series
+    stopped_m: Series
+    justified: Flags
+    can_stop: bool
+    speed_m_s: float
+
+    def row(self, time_s: float) -> int:
+        """The row of the frame at a time."""
+        return int(np.abs(self.time_s - time_s).argmin())
+
+
+@dataclass(frozen=True)
+class StopTally:
+    """The stops of one flight at each of T thresholds.
+
+    Attributes
+    ----------
+    stops : Stops
+    saved : ndarray, shape (T,), bool
+    impact_m_s, stopped_m : ndarray, shape (T,)
+        NaN where the drone is saved, or is not.
+    n_unneeded, n_justified : int ndarray, shape (T,)
+        Numbers of alarms that are not needed, and of those that are only justified.
+    minutes : float
+    has_collision : bool
+    """
+
+    stops: Stops
+    saved: Flags
+    impact_m_s: Series
+    stopped_m: Series
+    n_unneeded: npt.NDArray[np.intp]
+    n_justified: npt.NDArray[np.intp]
+    minutes: float
+    has_collision: bool
+
+
+def tally_stops(
+    signal: Signal, stops: Stops, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float
+) -> StopTally:
+    """Judge the alarms of a flight, at one threshold or at T."""
+    at = np.atleast_1d(np.asarray(thresholds, np.float64))
+    low, high = onset_thresholds(signal, n_sp)
+    kind, _ = kinds(signal, horizon_s)
+    begins = (low[:, None] < at) & (at <= high[:, None])
+    rows = np.array([stops.row(time_s) for time_s in signal.time_s])
+    other = (kind == FALSE) | (kind == EARLY)
+    justified = stops.justified[rows] & other
+    saved, impact, left = (
+        np.zeros(len(at), np.bool_),
+        np.full(len(at), math.nan),
+        np.full(len(at), math.nan),
+    )
+    if stops.can_stop:
+        # Without a stop, the speed is that of the last frame before the collision.
+        impact[:] = stops.speed_m_s
+        for row in np.flatnonzero((kind == HIT) | justified)[::-1]:  # earlier ones overwrite
+            here = begins[row]
+            saved[here] = stops.saved[rows[row]]
+            impact[here], left[here] = stops.impact_m_s[rows[row]], stops.stopped_m[rows[row]]
+    n_unneeded = begins[other & ~justified].sum(axis=0)
+    counts = n_unneeded, begins[justified].sum(axis=0)
+    return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
+
+
+def tally_flights(
+    cases: Sequence[Case],
+    signals: Sequence[Signal],
+    stops: Mapping[str, Stops],
+    n_sp: int,
+    horizon_s: float,
+    at: npt.ArrayLike,
+) -> dict[int, StopTally]:
+    """The stops of the rendered flights at one threshold or at T, by the number of the video."""
+    return {
+        i: tally_stops(signals[i], stops[case.name], n_sp, at, horizon_s)
+        for i, case in enumerate(cases)
+        if case.name in stops
+    }
+
+
+def score_stops(tallies: Sequence[StopTally]) -> dict[str, float]:
+    """The measures over flights that were tallied at one threshold; NaN where undefined.
+
+    `drones`: collisions that a stop could avoid. `saved`: their share that it does. `impact_m_s`
+    and `stopped_m`: medians of the speed at impact of the others, and of the distance that is left
+    to those that are saved. `justified`: share of the alarms without a collision that were
+    justified. `unneeded_per_min`: the others. `speed_m_s`: median of the speeds at collisions.
+    """
+    own = [one for one in tallies if one.stops.can_stop]
+    n_justified = sum(int(one.n_justified[0]) for one in tallies)
+    n_unneeded = sum(int(one.n_unneeded[0]) for one in tallies)
+    minutes = sum(one.minutes for one in tallies)
+    found = (
+        len(own),
+        _share(sum(bool(one.saved[0]) for one in own), len(own)),
+        _median([float(one.impact_m_s[0]) for one in own]),
+        _median([float(one.stopped_m[0]) for one in own]),
+        _share(n_justified, n_justified + n_unneeded),
+        _share(n_unneeded, minutes),
+        _median([one.stops.speed_m_s for one in tallies if one.has_collision]),
+    )
+    return dict(zip(STOP_MEASURES, found, strict=True))
+
+
+def stop_curve(tallies: Sequence[StopTally]) -> tuple[Series, Series]:
+    """Unneeded stops a minute, and the share of the drones that is saved, at every threshold."""
+    own = [one.saved for one in tallies if one.stops.can_stop]
+    minutes = sum(one.minutes for one in tallies)
+    n_unneeded = np.sum([one.n_unneeded for one in tallies], axis=0)
+    rate = n_unneeded / minutes if minutes else np.full(len(n_unneeded), math.nan)
+    saved = np.mean(own, axis=0) if own else np.full(len(n_unneeded), math.nan)
+    return np.asarray(rate, np.float64), np.asarray(saved, np.float64)
+
+
+def shown_stops(made: Any) -> Iterator[Any]:
+    """What the stops of an `Evaluation` are worth, also by speed, for a terminal."""
+    speeds = [one.speed_m_s for one in made.stops.values() if one.can_stop]
+    middle, least, most = np.median(speeds), min(speeds), max(speeds)
+    yield (
+        f"Rendered flights: {counted(len(speeds), 'drone')} in which a stop avoids the "
+        f"collision, at {least:.1f} to {most:.1f} m/s (median {middle:.1f}). "
+        f"Reaction {made.answer['react_s']:g} s, {made.answer['brakes']}."
+    )
+    mains = {label: made.main(label) for label in made.curves}
+    first, *_ = mains
+    names = [name for name in made.names("speed") if made.main(first, speed=name)["drones"]]
+    shown = ("saved", "unneeded_per_min", "justified", "impact_m_s", "stopped_m")
+    lines = [
+        (
+            label,
+            row["at"],
+            *(_number(row[measure]) for measure in shown),
+            *(_number(made.main(label, speed=name)["saved"]) for name in names),
+        )
+        for label, row in mains.items()
+    ]
+    header = ("saved", "unneeded/min", "justified", "impact m/s", "left m")
+    yield ("model", "threshold", *header, *(f"saved, {name}" for name in names)), lines
+
+
+def _number(value: float) -> str:
+    """A measure for tables."""
+    return "–" if math.isnan(value) else f"{value:.2f}"
+
+
+def stop_cells(stops: Stops | None, time_s: float, *, is_alarm: bool) -> tuple[float, ...]:
+    """Whether a stop at an alarm saves the drone, its speed at impact, the distance that is left,
+    and whether the stop is justified; NaN where undefined. Without an alarm it is not saved.
+    """
+    if stops is None:
+        return (math.nan,) * 4
+    row = stops.row(time_s)
+    worth = math.nan, math.nan, math.nan
+    if stops.can_stop:
+        worth = float(stops.saved[row]), float(stops.impact_m_s[row]), float(stops.stopped_m[row])
+        worth = worth if is_alarm else (0.0, stops.speed_m_s, math.nan)
+    return *worth, float(stops.justified[row]) if is_alarm else math.nan
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
+
+
+def _median(values: Sequence[float]) -> float:
+    """The median of the values that are not NaN; NaN if there are none."""
+    known = [value for value in values if not math.isnan(value)]
+    return float(np.median(known)) if known else math.nan

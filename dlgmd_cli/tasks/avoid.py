@@ -1,0 +1,147 @@
+"""A flight with the alarm in the loop: the model and the drone in step, and a film of both."""
+
+import math
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.detection import Alarm
+from dlgmd_cli.parameters.presets import load_config, load_preset
+from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, Flown
+from dlgmd_cli.results.csv import Table, table_of, write_values
+from dlgmd_cli.results.store import file_of, locked, refuse_existing, write_files
+from dlgmd_cli.scenes.flights.braking import Brakes
+from dlgmd_cli.scenes.flights.loop import FlightInLoop
+from dlgmd_cli.scenes.flights.scenes import FlightOptions, FlightScene
+from dlgmd_cli.scenes.flights.truth import Target
+from dlgmd_cli.tasks.call import OnFrame
+from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
+
+COLUMNS = (
+    *("flight", "frame", "time_s", "distance_m", "time_to_contact_s"),
+    *("mp_abs", "spike", "alarm", "ttc_s"),
+)
+_ENDS = ("-avoid.mp4", "-avoid.png", "-avoid.csv")
+_SET = re.compile(r"(?:set)?\d+", re.ASCII)
+
+
+def avoid(
+    scene: Any,
+    options: FlightOptions,
+    preset: str,
+    folder: Path,
+    name: str,
+    *,
+    overwrite: bool,
+    on_frame: OnFrame,
+) -> tuple[Table, dict[str, Any], tuple[Path, ...]]:
+    """Fly a flight without and with an alarm, and film both side by side.
+
+    Returns the table of both flights, what came of the stop, and the files: the film, its picture
+    at the collision, and the table.
+    """
+    if not isinstance(scene, FlightScene):
+        raise ParameterError("", f"--avoid works only with flights, and {scene.name} is not one")
+    alarms = [_alarm(preset), _alarm(preset)]
+    paths = tuple(folder / f"{name}{end}" for end in _ENDS)
+    with locked(folder):
+        for path in paths:
+            refuse_existing(path, overwrite=overwrite)
+        found: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
+        for brakes, alarm in zip((False, True), alarms, strict=True):
+            flight = FlightInLoop(scene, options, Brakes())
+            n_before = sum(len(rows) for _, rows, _ in found)
+            count = partial(_counted, on_frame, n_before)
+            found.append((flight, *_flown(flight, alarm, count, brakes=brakes)))
+        without, loop = found
+        facts = _facts(without[0], loop[0])
+        both = (
+            _series(f"Without: {facts['without']}", *without[1:]),
+            _series(f"With the alarm: {facts['with']}", *loop[1:]),
+        )
+        threshold = float(alarms[0].params.t_mp)
+        film = AvoidanceFilm(both, threshold, preset)
+        last = facts["collision_frame"]
+        codec, fps = best_codec(), playable_fps(options.fps)
+        look: Any = {"codec": codec, "is_colour": True, "target": paths[0]}
+        with video_writer(paths[0], film.shape, fps, **look) as write:
+            for index in range(film.n_frames):
+                cancel.check()
+                write(film.picture(index))
+        still = film.picture(film.n_frames - 1 if last is None else last)
+        png = cv2.imencode(".png", still)[1].tobytes()
+        rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
+        table = partial(write_values, header=COLUMNS, rows=rows)
+        write_files(folder, {paths[1].name: file_of(png), paths[2].name: table})
+    return table_of(COLUMNS, rows), facts, paths
+
+
+def _alarm(preset: str) -> Alarm:
+    """The alarm of a preset, a set or a file."""
+    return Alarm(load_preset(preset) if _SET.fullmatch(preset) else load_config(preset))
+
+
+def _counted(on_frame: OnFrame, n_before: int, number: int) -> None:
+    on_frame(n_before + number)
+
+
+def _flown(
+    flight: FlightInLoop, alarm: Alarm, on_frame: OnFrame, *, brakes: bool
+) -> tuple[list[list[Any]], list[Any]]:
+    """The rows of a flight without its name, and its pictures."""
+    rows: list[list[Any]] = []
+    pictures = []
+    for number, frame in enumerate(flight):
+        cancel.check()
+        found = alarm.step(frame, flight.time_s)
+        if found.alarm and brakes:
+            flight.brake()
+        ttc_s = getattr(found, "ttc_s", math.nan)
+        rows.append([number, flight.time_s, found.mp_abs, found.spike, found.alarm, ttc_s])
+        pictures.append(cv2.resize(frame, PANEL_WH, interpolation=cv2.INTER_LINEAR))
+        on_frame(number + 1)
+    stage, target = flight.stage, Target(flight.stage)
+    for row in rows:
+        distance, *_ = target.seen_from(stage.path.state(row[1]), row[1])
+        left = math.nan if stage.contact_s is None else stage.contact_s - row[1]
+        row[2:2] = [distance, left if left >= 0.0 else math.nan]
+    return rows, pictures
+
+
+def _series(title: str, rows: list[list[Any]], pictures: list[Any]) -> Flown:
+    """The rows of a flight as the film takes them."""
+    _, time_s, _, contact_s, mp_abs, _, alarm, ttc_s = np.array(rows, np.float64).T
+    return Flown(title, time_s, mp_abs, contact_s, ttc_s, alarm > 0.0, pictures)
+
+
+def _facts(without: FlightInLoop, loop: FlightInLoop) -> dict[str, Any]:
+    """What came of the flight and of the stop, in words and numbers."""
+    stage, braked = without.stage, loop.braked
+    contact_s = stage.contact_s
+    flown = "no collision" if contact_s is None else f"hits at {without.speed_m_s:.1f} m/s"
+    frame = None if contact_s is None else math.ceil(contact_s * without.fps - 1e-6)
+    facts = {"without": flown, "with": flown, "collision_frame": frame, "saved": None}
+    if braked is None:
+        return facts | {"with": f"no alarm; {flown}"}
+    lead_s = None if contact_s is None else contact_s - braked.alarm_s
+    stop = braked.stop
+    said = f"hits at {stop.impact_m_s:.1f} m/s"
+    if stop.saved:
+        said = f"stops {stop.stopped_m:.2f} m before"
+        if contact_s is None:
+            said = "a justified stop" if braked.justified else "an unneeded stop"
+    return facts | {
+        "with": said,
+        "alarm_s": braked.alarm_s,
+        "lead_s": lead_s,
+        "saved": stop.saved if contact_s is not None else None,
+        "impact_m_s": None if math.isnan(stop.impact_m_s) else stop.impact_m_s,
+        "stopped_m": None if math.isnan(stop.stopped_m) else stop.stopped_m,
+        "justified": braked.justified,
+    }

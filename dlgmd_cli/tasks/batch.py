@@ -1,0 +1,496 @@
+"""Models over every video below folders; a video that fails does not end it."""
+
+import logging
+import os
+import time
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from dlgmd_cli import __version__
+from dlgmd_cli.errors import (
+    DlgmdError,
+    OutputError,
+    OutputExistsError,
+    ParameterError,
+    SourceError,
+)
+from dlgmd_cli.machine import cancel, dask, pool
+from dlgmd_cli.machine.pool import DONE, FAILED, Ended
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.batch import OF_INPUT, OF_SUMMARY, SIDE, Batch, Row, Summary
+from dlgmd_cli.results.record import differences, read_record
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.tasks.call import Progress, no_progress, write_clips
+from dlgmd_cli.tasks.find import Found, VideoFile, find_videos, local_copy
+from dlgmd_cli.tasks.run import require_response, run_models
+from dlgmd_cli.tasks.setup import (
+    Asked,
+    ModelName,
+    Setup,
+    choose_all,
+    input_options,
+    with_folder_labels,
+)
+from dlgmd_cli.video.clips import refuse_clips
+from dlgmd_cli.words import counted
+
+if TYPE_CHECKING:
+    from upath import UPath
+
+_log = logging.getLogger(__name__)
+
+# Threads that read records, since each may require a request to a bucket.
+_READERS = 8
+Place = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all videos of a batch have in common; picklable.
+
+    `places` holds the output folder of each model, an absolute path or a URL. The plots are written
+    in `formats`, PNG with `dpi`. With `overwrite`, results with other parameters or of another
+    input may be replaced. Videos from URLs are copied to the folder `scratch`, the system's
+    temporary folder unless given.
+    """
+
+    asked: Asked
+    places: tuple[str, ...]
+    formats: tuple[str, ...]
+    dpi: int
+    overwrite: bool = False
+    scratch: str | None = None
+    clips: str | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """A video, and the numbers of the models to run on it."""
+
+    video: VideoFile
+    wanted: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Work:
+    """The remaining work of a batch.
+
+    There is one summary per model, with the rows that are already done. `n_other_version` counts
+    the kept results that another version of dlgmd computed.
+    """
+
+    tasks: list[Task]
+    summaries: list[Summary]
+    n_other_version: int
+
+
+def batch(
+    folders: Place | Iterable[Place],
+    models: Sequence[ModelName | int] | None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    out: Place = "dlgmd-out",
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    overwrite: bool = False,
+    force: bool = False,
+    clips: Place | None = None,
+    exclude: Iterable[str] = (),
+    dry_run: bool = False,
+    jobs: int | None = None,
+    timeout: float | None = None,
+    scheduler: str | None = None,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Batch:
+    """Run models over every video in folders, as `dlgmd batch` does.
+
+    Each video has a folder in `out`, with what `dlgmd run` writes; see `read_result`. Videos that
+    were done before with the same parameters are skipped, so that the same call continues.
+
+    Parameters
+    ----------
+    folders : str, path, or iterable of them
+        Folders, videos, or URLs of either.
+    models, set, config, model, formulation, param, engine
+        The models, as in `run`. Several have a folder each below `out`.
+    out : str or path
+        Folder of the results, or a URL.
+    formats : iterable of {"png", "pdf", "svg"}
+        Formats of the figures; none by default. `dpi` is the resolution of PNG.
+    overwrite : bool
+        Replace results of other parameters or inputs.
+    force : bool
+        Also process videos that were done before.
+    clips : str or path, optional
+        Also write clips of the alarms into this folder.
+    exclude : iterable of str
+        Patterns of files and folders to leave out, such as ``"raw*"``.
+    dry_run : bool
+        Only find what there is to do.
+    jobs : int, optional
+        Number of processes, all processors unless given. A script that calls this needs
+        ``if __name__ == "__main__":``, as always with processes.
+    timeout : float, optional
+        Give up on a video after so many seconds.
+    scheduler : str, optional
+        A Dask cluster instead of processes of this machine, see `dlgmd batch --help`.
+    progress : callable, optional
+        Called with a name, a total and a unit; returns a context manager that yields a function to
+        call with the number done.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Batch
+        Its `table` has a row per model and video; a video that fails has a row, too.
+
+    Raises
+    ------
+    SourceError
+        If a folder does not exist, or there is no video.
+    ParameterError
+        If a parameter or an option is not valid.
+    OutputExistsError
+        If there are results that may not be replaced.
+    OutputError, MissingExtraError, WorkerError
+        If `out` cannot be written, a package is missing, or processes or a cluster do not work.
+
+    Examples
+    --------
+    >>> done = batch("flights", set=9, out="results")  # doctest: +SKIP
+    >>> done.table[done.table["alarms"] > 0]["video"]  # doctest: +SKIP
+    """
+    _check_scheduler(scheduler, jobs, timeout)
+    asked = _agreed(choose_all(models, set, config, model, param, formulation, engine), options)
+    labels, out = [one.label for one in asked.setups], os.fspath(out)
+    places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
+    roots = [folders] if isinstance(folders, str | os.PathLike) else folders
+    outs = [out, *([] if clips is None else [os.fspath(clips)])]
+    found = _find([os.fspath(root) for root in roots], outs, exclude)
+    formats = tuple(dict.fromkeys(formats))
+    shared = Shared(asked, tuple(places), formats, dpi, overwrite or force)
+    shared = replace(shared, clips=None if clips is None else os.path.abspath(clips))
+    if dry_run:
+        return _outcome(shared, found, _plan(found, shared, force), out, is_dry=True)
+    with store.claimed(store.place(out)), ExitStack() as stack:
+        if any(store.is_url(video.path) for video in found.videos):
+            scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
+            shared = replace(shared, scratch=scratch)
+        made = _plan(found, shared, force)
+        if clips is not None and not shared.overwrite:
+            for one in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
+                refuse_clips(one.parent, one.name)
+        ended = _ended(shared, made.tasks, jobs, timeout, scheduler)
+        complete = _process(made, ended, labels, progress)
+    return _outcome(shared, found, made, out, complete=complete)
+
+
+def _outcome(shared: Shared, found: Found, made: Work, out: str, **how: bool) -> Batch:
+    """The outcome of what was planned."""
+    labels = [one.label for one in shared.asked.setups]
+    wanted = {task.video.name: task.wanted for task in made.tasks}
+    to_do = {
+        video.name: {
+            labels[number]: str(store.place(shared.places[number]) / video.folder)
+            for number in wanted.get(video.name, ())
+        }
+        for video in found.videos
+    }
+    return Batch(labels, out, made.summaries, to_do, found.faults, **how)
+
+
+def failures(rows: Mapping[int, Row], labels: Sequence[str]) -> list[str]:
+    """The reasons why a video failed, with the models' labels if they failed differently."""
+    reasons: dict[str, list[str]] = {}
+    for number, row in rows.items():
+        if row.status != DONE:
+            reasons.setdefault(f"{row.status}: {row.error}", []).append(labels[number])
+    return [
+        reason if len(failed) == len(rows) else f"{', '.join(failed)}: {reason}"
+        for reason, failed in reasons.items()
+    ]
+
+
+def _check_scheduler(scheduler: str | None, jobs: int | None, timeout_s: float | None) -> None:
+    """Raise if a scheduler's address is not valid, or is given with options of local processes."""
+    if scheduler is None:
+        return
+    for option, value in (("--jobs", jobs), ("--timeout", timeout_s)):
+        if value is not None:
+            raise ParameterError("", f"{option} does not work with --scheduler", "Leave it out.")
+    dask.address_of(scheduler)
+
+
+def _agreed(setups: Sequence[Setup], given: Mapping[str, Any]) -> Asked:
+    """What is asked of every video: with the options given, otherwise those that configs record."""
+    setups = with_folder_labels(setups)
+    every = [input_options(one, given) for one in setups]
+    for one, options in zip(setups, every, strict=True):
+        create_model(one.params, engine=one.engine)  # raises if its engine is not installed
+        if options != every[0]:
+            raise ParameterError(
+                one.origin,
+                "its recorded options differ from those of the other models",
+                "Give them on the command line, or run this model alone.",
+            )
+    return Asked(tuple(setups), every[0])
+
+
+def _find(folders: list[str], outs: list[str], exclude: Iterable[str]) -> Found:
+    """Find the videos, but not below `outs`, and log what is left out."""
+    local = [Path(out) for out in outs if not store.is_url(out)]
+    found = find_videos(folders, local, exclude)
+    for remark in found.remarks:
+        _log.info("Note: %s.", remark)
+    for fault in found.faults:
+        _log.error("%s; its videos are left out", fault)
+    if not found.videos:
+        mend = "Give folders with .mp4, .avi, .mkv and the like, or with pictures of one size."
+        raise SourceError(", ".join(folders), "there is no video", mend)
+    return found
+
+
+def _plan(found: Found, shared: Shared, force: bool) -> Work:
+    made = plan(found.videos, shared, force=force)
+    n_all = len(found.videos)
+    n_before = n_all - len(made.tasks)
+    if n_before:
+        are = "is" if n_all == 1 else "are"
+        _log.info("%d of %s %s done already.", n_before, counted(n_all, "video"), are)
+    if made.n_other_version:
+        _log.warning(
+            "kept %s of another version of dlgmd; --force processes all videos again",
+            counted(made.n_other_version, "result"),
+        )
+    return made
+
+
+def _ended(
+    shared: Shared,
+    tasks: list[Task],
+    n_jobs: int | None,
+    timeout_s: float | None,
+    scheduler: str | None,
+) -> Iterator[tuple[Task, Ended]]:
+    """Run the tasks in local processes or on a cluster; yields each with its outcome as it ends."""
+    if scheduler is None:
+        # With fewer videos than processors, each video uses several of them.
+        n_jobs = max(1, min(n_jobs or n_processors(), len(tasks)))
+        return pool.run_tasks(partial(run_video, shared), tasks, n_jobs, timeout_s=timeout_s)
+    places = [one if store.is_url(one) else os.path.abspath(one) for one in shared.places]
+    function = partial(run_video, replace(shared, places=tuple(places), scratch=None))
+    local = [Path(one) for one in places if not store.is_url(one)]
+    folders = [local[0].parent if len(places) > 1 else local[0]] if local else []
+    return dask.run_tasks(function, tasks, scheduler, folders=folders)
+
+
+def _process(
+    made: Work, ended: Iterator[tuple[Task, Ended]], labels: list[str], progress: Progress
+) -> bool:
+    """Run all tasks, and log failures and warnings; False if the stop flag ended it.
+
+    A warning that concerns several videos is logged once, at the end, with their number.
+    """
+    n_ended = n_failed = 0
+    warned: dict[str, list[str]] = {}
+    try:
+        with progress("batch", len(made.tasks), "video") as advance:
+            for task, rows in record_ended(made, ended):
+                failed = failures(rows, labels)
+                for line in failed:
+                    _log.error("%s: %s", task.video.name, line.rstrip("."))
+                warnings = (row.record.get("warnings", []) for row in rows.values())
+                for line in dict.fromkeys(chain.from_iterable(warnings)):
+                    warned.setdefault(line.rstrip("."), []).append(task.video.name)
+                for number, row in rows.items():
+                    said = task.video.name, labels[number], row.status, row.wall_s
+                    _log.debug("%s, %s: %s, %s s.", *said)
+                n_ended, n_failed = n_ended + 1, n_failed + bool(failed)
+                advance(n_ended, f"batch, {n_failed} failed")
+    except cancel.Interrupted:
+        return False
+    finally:
+        for line, (first, *others) in warned.items():
+            more = f" and {counted(len(others), 'other video')}" if others else ""
+            _log.warning("%s%s: %s", first, more, line)
+    return True
+
+
+def plan(videos: Sequence[VideoFile], shared: Shared, *, force: bool = False) -> Work:
+    """Compare the batch with existing results to find the work that is left.
+
+    With `force`, existing results are computed again. Raises OutputExistsError if there are results
+    with other parameters or of another input, and `shared.overwrite` is not set.
+    """
+    wanted: dict[str, list[int]] = {video.name: [] for video in videos}
+    summaries, n_other_version = [], 0
+    for number, (setup, text) in enumerate(zip(shared.asked.setups, shared.places, strict=True)):
+        place = store.place(text)
+        summaries.append(Summary(place))
+
+        def stored(video: VideoFile, place: Any = place, setup: Setup = setup) -> dict[str, Any]:
+            return {} if force else _done_record(place / video.folder, video, setup, shared)
+
+        with ThreadPoolExecutor(_READERS) as readers:
+            for video, record in zip(videos, readers.map(stored, videos), strict=True):
+                if not record:
+                    wanted[video.name].append(number)
+                    continue
+                summaries[-1].rows[video.name] = Row(
+                    DONE, record=record, wall_s=record.get("wall_s")
+                )
+                n_other_version += record.get("versions", {}).get("dlgmd") != __version__
+    tasks = [Task(video, tuple(wanted[video.name])) for video in videos if wanted[video.name]]
+    return Work(tasks, summaries, n_other_version)
+
+
+def _done_record(
+    folder: "Path | UPath", video: VideoFile, setup: Setup, shared: Shared
+) -> dict[str, Any]:
+    """The record of a complete result of this video with these settings; empty if there is none.
+
+    Raises OutputExistsError if there is a result that may not be replaced.
+    """
+    record = read_record(folder / store.RUN)
+    known, summary = record.get("input"), record.get("summary")
+    if known is None or summary is None:
+        return {}
+    asked = setup.settings()
+    if setup.engine != "auto":
+        asked["engine"] = setup.engine
+    differing = differences(record, settings=asked, options=shared.asked.options.to_record())
+    is_same = bool(video.identity) and not differences(record, identity=video.identity)
+    if not shared.overwrite:
+        mend = "Add --overwrite to replace such results, or choose another --out."
+        if differing:
+            why = f"the result there has other settings ({', '.join(differing[:5])})"
+            raise OutputExistsError(str(folder), why, mend)
+        if not is_same and known.get("path") != video.path:
+            raise OutputExistsError(str(folder), "the result there is of another input", mend)
+    if differing or not is_same or record.get("complete") is not True:
+        return {}
+    if not (known.keys() >= set(OF_INPUT) and summary.keys() >= {*OF_SUMMARY, SIDE}):
+        return {}
+    if "frames" not in record.get("processed", {}):
+        return {}
+    figures = {f"{k}.{f}" for k in store.FIGURES[store.RUN] for f in shared.formats}
+    return record if {*csv.TABLES, csv.ALARMS} | figures <= store.names_in(folder) else {}
+
+
+def record_ended(
+    tasks: Work, outcomes: Iterable[tuple[Task, Ended]]
+) -> Iterator[tuple[Task, dict[int, Row]]]:
+    """Enter the outcomes of tasks into the summaries, and keep the files up to date.
+
+    `outcomes` are those of a pool for `run_video`. Yields each video with its rows by the number of
+    the model. The summaries are written repeatedly, and at the end even after an error. Raises
+    OutputError if one cannot be written at the beginning or at the end.
+    """
+    for summary in tasks.summaries:  # fail before spending time on videos
+        summary.write()
+    try:
+        for task, outcome in outcomes:
+            rows = outcome.value
+            if outcome.error is not None:
+                rows = dict.fromkeys(task.wanted, error_row(outcome.error, outcome.status))
+            for number, row in rows.items():
+                summary = tasks.summaries[number]
+                summary.rows[task.video.name] = row
+                try:
+                    summary.write(at_once=False)
+                except OutputError:  # it may work later; the last attempt raises
+                    continue
+            yield task, rows
+    finally:
+        for summary in tasks.summaries:
+            summary.write()
+
+
+def run_video(shared: Shared, task: Task) -> dict[int, Row]:
+    """Decode a video once, run the models of the task on it, and store the results.
+
+    Every error becomes a row. An error of one model does not affect the others.
+    """
+    began, rows = time.monotonic(), {}
+    video = task.video
+    try:
+        for number in task.wanted:  # fail before spending time on the video
+            store.check(**_claim(shared, number, video))
+        setups = tuple(shared.asked.setups[number] for number in task.wanted)
+        asked = replace(shared.asked, setups=setups)
+        with local_copy(video.path, shared.scratch) as path, asked.open(path) as opened:
+            name = opened.info.name if path == video.path else PurePosixPath(video.path).stem
+            identity = {"path": video.path, "name": name, **video.identity}
+            results = run_models(opened, asked, identity=identity)
+            for number, result in zip(task.wanted, results, strict=True):
+                try:
+                    alone = replace(asked, setups=(shared.asked.setups[number],))
+                    require_response(opened, alone, [result])
+                    rows[number] = _save(shared, number, video, result, began)
+                    if shared.clips is not None:
+                        place = clips_place(shared, number, video)
+                        onsets_s = [one.start_s for one in result.alarm_list]
+                        rate = asked.options.input_fps
+                        write_clips(path, place.name, onsets_s, place.parent, rate)
+                except Exception as error:
+                    rows[number] = error_row(error, began=began)
+    except Exception as error:
+        rows |= dict.fromkeys(set(task.wanted) - rows.keys(), error_row(error, began=began))
+    return rows
+
+
+def _claim(shared: Shared, number: int, video: VideoFile) -> dict[str, Any]:
+    """What is asked of `store` for the folder of a result."""
+    folder = store.place(shared.places[number]) / video.folder
+    # `plan` has already checked an earlier result.
+    may_replace = shared.overwrite or (folder / store.RUN).exists()
+    identity = {"path": video.path, **video.identity}
+    return {"folder": folder, "record": store.RUN, "identity": identity, "overwrite": may_replace}
+
+
+def _save(shared: Shared, number: int, video: VideoFile, result: Result, began: float) -> Row:
+    """Write a result and return its row."""
+    wall_s = round(time.monotonic() - began, 3)
+    result.record["wall_s"] = wall_s
+    with warnings.catch_warnings(), store.claimed(**_claim(shared, number, video)) as claim:
+        warnings.simplefilter("ignore")  # Matplotlib warns if a font lacks a letter of a title
+        undrawn = claim.commit(result.files(shared.formats, shared.dpi))
+    unsaid = [f"{name} cannot be drawn ({why})" for name, why in undrawn.items()]
+    record = {**result.record, "summary": result.summary, "warnings": [*result.warnings, *unsaid]}
+    return Row(DONE, record=record, wall_s=wall_s, lacks_figures=bool(undrawn))
+
+
+def clips_place(shared: Shared, number: int, video: VideoFile) -> Path:
+    """Folder and name of a video's clips, in a tree like that of the results."""
+    label = shared.asked.setups[number].label if len(shared.places) > 1 else ""
+    return Path(shared.clips or "") / label / video.folder
+
+
+def error_row(error: Exception, status: str = FAILED, began: float | None = None) -> Row:
+    """The row for an error, on one line and without the video's name."""
+    if isinstance(error, DlgmdError):
+        text = f"{error.why}. {error.mend}".strip()
+    elif isinstance(error, MemoryError):
+        text = "not enough memory. Process smaller frames with --scale, or use fewer --jobs."
+    elif isinstance(error, OSError):
+        text = f"{store.failure_text(error)}."
+    else:
+        text = f"internal error ({type(error).__name__}). 'dlgmd --debug run' shows more."
+    return Row(status, text, wall_s=None if began is None else round(time.monotonic() - began, 3))

@@ -1,0 +1,305 @@
+"""Speed of the model on this machine, in the form of the paper's Table IV."""
+
+import logging
+import math
+import os
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import islice, product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.errors import SourceError
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
+from dlgmd_cli.results import store
+from dlgmd_cli.results.bench import Bench
+from dlgmd_cli.scenes.stimuli.base import GreyImage
+from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.tasks.run import run_models
+from dlgmd_cli.tasks.setup import Asked, Setup
+from dlgmd_cli.video.base import DEFAULT_DECODER
+from dlgmd_cli.video.opening import open_video
+from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.prefetch import opencv_threads
+from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.writer import write_video
+
+_log = logging.getLogger(__name__)
+
+TABLE_IV_SET = 7
+RADII = (6, 4, 3, 2)
+SCALES = (1.0, 0.5, 0.25, 0.1, 0.02)
+N_FRAMES = 120
+PAPER_SIZE_WH = (1920, 1080)
+# Table IV of [Zhao2023]: seconds for 120 frames, and distinguishability, by radius and scale;
+# MOST_DA stands for "more than 10000".
+MOST_DA = 10_000.0
+_PAPER = {
+    6: ((9.18, 2.75, 1.06, 0.75, 0.6), (249.33, 9789.28, MOST_DA, MOST_DA, 1354.1)),
+    4: ((8.71, 2.54, 0.98, 0.7, 0.59), (33.44, 691.2, 4579.4, 105.33, 184.54)),
+    3: ((8.7, 2.53, 0.97, 0.67, 0.57), (9.1, 96.75, 1227.6, 36.13, 76.06)),
+    2: ((8.67, 2.49, 0.95, 0.66, 0.57), (3.87, 11.09, 32.29, 11.76, 18.47)),
+}
+PAPER_S, PAPER_DA = (
+    {(r, x): _PAPER[r][part][column] for r in RADII for column, x in enumerate(SCALES)}
+    for part in (0, 1)
+)
+# The model alone is timed on this many decoded frames in memory, after a few warm-up steps.
+MAX_KEPT, N_WARM = 24, 4
+
+# The view of a panning camera: grain sizes of its texture, in px.
+_GRAINS_PX = (4, 16, 64, 200)
+# Standard deviation of the noise, in grey levels.
+_NOISE_LEVELS = 4.0
+# Motion of the camera across and down: amplitude, and angular frequency in rad/frame.
+_SWAY_PX = (150.0, 100.0)
+_SWAY_PER_FRAME = (1 / 18, 1 / 23)
+
+
+def bench(
+    video: str | os.PathLike[str] | None = None,
+    *,
+    radii: Iterable[int] = (),
+    scales: Iterable[float] = (),
+    frames: int = N_FRAMES,
+    repeats: int = 3,
+    engine: str | None = None,
+    decoder: str | None = None,
+    csv: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> Bench:
+    """Measure how long the model takes, as in the paper's Table IV.
+
+    Parameters
+    ----------
+    video : str or path, optional
+        The input; a rendered 1080p clip of a panning camera unless given.
+    radii, scales : iterable of int, of float
+        Radii of the kernels in px, and scales of the processed frames; those of the paper unless
+        given.
+    frames, repeats : int
+        Number of frames to process, and how often each measurement is repeated.
+    engine, decoder
+        As in `run`.
+    csv : str or path, optional
+        Also write the table to this file; an earlier one is replaced only with `overwrite`.
+    progress
+        As in `batch`.
+
+    Returns
+    -------
+    Bench
+        `table` has a row for each radius and scale.
+
+    Raises
+    ------
+    SourceError
+        If the input cannot be decoded, or has too few frames.
+    ParameterError, MissingExtraError, OutputError, OutputExistsError
+        As in `run`.
+
+    Examples
+    --------
+    >>> bench(radii=[6], scales=[1.0]).table["whole_ms"]  # doctest: +SKIP
+    array([23.1])
+    """
+    radii, scales = tuple(dict.fromkeys(radii)) or RADII, tuple(dict.fromkeys(scales)) or SCALES
+    with ExitStack() as opened:
+        path = None if csv is None else Path(csv)
+        if path is not None:  # an unwritable folder fails at once, not after minutes
+            store.refuse_existing(path, overwrite=overwrite, option="--csv")
+            stage = opened.enter_context(store.replacing(path.parent, option="--csv"))
+        given = video
+        if given is None:
+            _log.info("Rendering %d frames of %dx%d.", frames, *PAPER_SIZE_WH)
+            given = opened.enter_context(rendered_pan(frames))
+        reading: Any = {"max_frames": frames, "decoder": decoder or DEFAULT_DECODER}
+        with progress("bench", repeats * len(radii) * len(scales), "step") as on_step:
+            measured = measure(
+                partial(open_video, given, **reading),
+                load_set(TABLE_IV_SET),
+                radii=radii,
+                scales=scales,
+                repeats=repeats,
+                engine=engine or "auto",
+                on_step=on_step,
+            )
+        for warning in measured["warnings"]:
+            _log.warning("%s: %s", video or "the clip", warning)
+        found = Bench(measured)
+        if path is not None:
+            found.tables()[Bench.TABLES[0]](stage / path.name)
+            vars(found)["paths"] = (path,)
+    return found
+
+
+@contextmanager
+def rendered_pan(n_frames: int) -> Iterator[str]:
+    """A temporary video of a panning camera, in the paper's frame size; raises OutputError."""
+    height, width = PAPER_SIZE_WH[::-1]
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        path = Path(folder) / "pan.mp4"
+        write_video(path, pan_frames((height, width), n_frames), (height, width), 30.0)
+        yield str(path)
+
+
+def pan_frames(shape: tuple[int, int], n_frames: int) -> Iterator[GreyImage]:
+    """Frames, (H, W) uint8, of a camera that sways in front of a random texture.
+
+    They are as hard to decode as a flight, and the same every time.
+    """
+    height, width = shape
+    rng = np.random.default_rng(0)
+    margin_x, margin_y = (math.ceil(sway) + 1 for sway in _SWAY_PX)
+    side_wh = width + 2 * margin_x, height + 2 * margin_y
+    texture = np.zeros(side_wh[::-1], np.float32)
+    for grain in _GRAINS_PX:
+        coarse = rng.random((side_wh[1] // grain + 3, side_wh[0] // grain + 3), np.float32)
+        fine = cv2.resize(coarse, side_wh, interpolation=cv2.INTER_CUBIC)
+        texture += fine * math.sqrt(grain)
+    darkest, brightest = texture.min(), texture.max()
+    texture = 20.0 + (texture - darkest) * np.float32(215.0 / (brightest - darkest))
+    # Every frame shows a different window of one noise field.
+    noise = _NOISE_LEVELS * rng.standard_normal((height + 256, width + 256), np.float32)
+    for t in range(n_frames):
+        x, y = (
+            margin + sway * math.sin(t * speed)
+            for margin, sway, speed in zip(
+                (margin_x, margin_y), _SWAY_PX, _SWAY_PER_FRAME, strict=True
+            )
+        )
+        shift = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]], np.float32)
+        down, right = rng.integers(0, 256, 2)
+        seen = cv2.warpAffine(texture, shift, (width, height))
+        noisy = seen + noise[down : down + height, right : right + width]
+        yield np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
+
+
+def measure(
+    open_at: Callable[..., Video],
+    params: DlgmdParameters,
+    *,
+    radii: Sequence[int] = RADII,
+    scales: Sequence[float] = SCALES,
+    repeats: int = 1,
+    engine: str = "auto",
+    on_step: Callable[[int], object] = lambda n_done: None,
+) -> dict[str, Any]:
+    """Time the model for every radius and scale, in turn so that slow moments affect all alike.
+
+    `open_at` opens the input at a linear `scale`; the radius of `params` is replaced. All times are
+    medians of `repeats` measurements. `on_step` is called with the number of measurements done.
+    Raises SourceError if the input has too few frames.
+
+    Returns
+    -------
+    dict
+        `frames`, `decoder`, `decoding_alone_ms` (per frame, without conversion and resizing),
+        `input_wh` in px, `warnings`, and `rows`, one per radius and scale, see `row`.
+    """
+    with ExitStack() as opened, opencv_threads(1):
+        videos = {scale: opened.enter_context(open_at(scale=scale)) for scale in scales}
+        first, combinations = videos[scales[0]], list(product(radii, scales))
+        alone_ms: list[float] = []
+        times_ms = defaultdict(list)
+        engines = {}
+        for repeat in range(repeats):
+            alone_ms.append(_ms_per_frame(first, partial(_exhaust, first.pictures())))
+            decode_ms = {
+                scale: _ms_per_frame(video, partial(_exhaust, video))
+                for scale, video in videos.items()
+            }
+            n_before = repeat * len(combinations)
+            for n_done, (radius, scale) in enumerate(combinations, start=n_before + 1):
+                changed, video = replace(params, r=radius), videos[scale]
+                core_ms, whole_ms, engines[radius, scale] = _model_ms(video, changed, engine)
+                times_ms[radius, scale].append((core_ms, decode_ms[scale], whole_ms))
+                cancel.check()
+                on_step(n_done)
+        rows = []
+        for radius, scale in combinations:
+            ms = map(median, zip(*times_ms[radius, scale], strict=True))
+            times = dict(zip(("core_ms", "decode_ms", "whole_ms"), ms, strict=True))
+            video, engine = videos[scale], engines[radius, scale]
+            rows.append(row(radius, scale, video, engine, times))
+        return {
+            "frames": first.progress.n_decoded,
+            "decoder": first.info.decoder,
+            "decoding_alone_ms": median(alone_ms),
+            "input_wh": (first.info.width, first.info.height),
+            "warnings": list(dict.fromkeys(first.progress.warnings)),
+            "rows": rows,
+        }
+
+
+def row(
+    radius: int, scale: float, video: Video, engine: str, times: Mapping[str, float]
+) -> dict[str, Any]:
+    """A row of the table: median times per frame, and the paper's values, None where not given.
+
+    Of `times`, `core_ms` is the model alone on decoded frames, `decode_ms` decoding with conversion
+    and resizing, and `whole_ms` a complete run as by `dlgmd run`. `whole_s` is a complete run of
+    120 frames, `ratio` the speed relative to the paper, `paper_da` its distinguishability.
+    """
+    whole_s = times["whole_ms"] * N_FRAMES / 1000.0
+    is_paper_s = (video.info.width, video.info.height) == PAPER_SIZE_WH
+    paper_s = PAPER_S.get((radius, scale)) if is_paper_s else None
+    return {
+        "radius": radius,
+        "scale": scale,
+        "width": video.size_wh[0],
+        "height": video.size_wh[1],
+        "engine": engine,
+        "frames_per_s": 1000.0 / times["whole_ms"],
+        **times,
+        "whole_s": whole_s,
+        "paper_s": paper_s,
+        "ratio": None if paper_s is None else paper_s / whole_s,
+        "paper_da": PAPER_DA.get((radius, scale)) if is_paper_s else None,
+    }
+
+
+def _model_ms(video: Video, params: DlgmdParameters, engine: str) -> tuple[float, float, str]:
+    """Time per frame of the model alone and of a complete run, in ms, and the engine's name."""
+    model = create_model(params, engine=engine)
+    kept = [frame.grey for frame in islice(video, MAX_KEPT)]
+    n_cold = model.first_valid_frame + N_WARM
+    if len(kept) <= n_cold:
+        why = f"{len(kept)} frames are too few to time, at least {n_cold + 1} are needed"
+        raise SourceError(video.info.path, why, "Use a longer clip.")
+    times_s = []
+    for frame in kept:
+        start = time.perf_counter()
+        model.step(frame)
+        times_s.append(time.perf_counter() - start)
+    setup = Setup(params, "bench", model.engine_name)
+    whole = partial(
+        run_models, video, Asked((setup,), InputOptions(size=video.size_wh)), identity={}
+    )
+    return 1000.0 * median(times_s[n_cold:]), _ms_per_frame(video, whole), model.engine_name
+
+
+def _ms_per_frame(video: Video, act: Callable[[], object]) -> float:
+    """Time per frame, in ms, of `act`, which reads all of `video`."""
+    start = time.perf_counter()
+    act()
+    elapsed = time.perf_counter() - start
+    return 1000.0 * elapsed / video.progress.n_decoded
+
+
+def _exhaust(items: Iterable[object]) -> None:
+    """Iterate to the end."""
+    for _ in items:
+        cancel.check()

@@ -1,0 +1,263 @@
+"""The parameters that announce labelled collisions best, as a preset."""
+
+import logging
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, printable
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.detection import Flags
+from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.results import store
+from dlgmd_cli.results.calibration import (
+    Calibration,
+    Choices,
+    Rules,
+    choose,
+    fold_of,
+    tally_held_out,
+    tally_of,
+    with_choice,
+)
+from dlgmd_cli.results.candidates import signal_of, strength_at
+from dlgmd_cli.results.evaluation import ALL, groups
+from dlgmd_cli.results.labels import Case, of_kind, read_cases
+from dlgmd_cli.results.scoring import Signal, differences, score, tally
+from dlgmd_cli.tasks.call import Progress, fold, no_progress
+from dlgmd_cli.tasks.evaluate import rules_of, run_cases, scored
+from dlgmd_cli.tasks.search import Search, Trial, parse_range, with_values
+from dlgmd_cli.tasks.setup import Asked, ModelName, Setup
+from dlgmd_cli.words import counted
+
+_log = logging.getLogger(__name__)
+
+_FOLDS, _TRIALS = Spec(int, 2, 1000), Spec(int, 1, 1_000_000)
+
+
+def calibrate(
+    labels: str | os.PathLike[str],
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    horizon: float = 1.0,
+    max_false_per_min: float | str = 1.0,
+    folds: int = 5,
+    search: Mapping[str, tuple[float, float]] | Iterable[str] = (),
+    trials: int = 50,
+    name: str = "calibrated",
+    jobs: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Calibration:
+    """Find the thresholds that announce labelled collisions best, as `dlgmd calibrate` does.
+
+    Parameters
+    ----------
+    labels, horizon, max_false_per_min, jobs, progress
+        As in `evaluate`.
+    set, config, model, formulation, param, engine
+        The model to start from, as in `run`.
+    folds : int
+        Number of folds of the cross-validation over videos.
+    search : mapping of str to (float, float), or iterable of str
+        Also search parameters in these ranges, both ends included: ``{"sigma_i": (1, 5)}`` or
+        ``["sigma_i=1:5"]``.
+    trials : int
+        With `search`: number of trials, earlier ones in `out` included.
+    name, out, formats, overwrite
+        Write the preset to ``out/name.yaml``, for ``config=``, and the figure beside it in
+        `formats`; an earlier one is replaced only if `overwrite`. The trials are in
+        ``out/trials.db``: the same call continues them.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Calibration
+        `params` are the parameters found, and `preset` is the text of the file. `scores` says how
+        well they do, also on videos that they were not chosen on, and `verdict` whether they are
+        better than before. `run` and `evaluate` take `setup`
+        as a model, with the width and the rate that it is made for.
+
+    Raises
+    ------
+    ResultError
+        If the labels cannot be read, or fewer than two videos have a collision.
+    ParameterError, SourceError, OutputError, OutputExistsError, MissingExtraError, WorkerError
+        As in `evaluate`.
+
+    Examples
+    --------
+    >>> found = calibrate("flights/labels.csv", set=9, out="best")  # doctest: +SKIP
+    >>> run("flight.mp4", config="best/calibrated.yaml")  # doctest: +SKIP
+    """
+    if options.get("normalise") == "sequence":
+        raise ParameterError("", "--normalise sequence leaves no threshold to calibrate")
+    if not name.strip(". ") or Path(name).name != name:
+        raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
+    asked = fold(None, set, config, model, formulation, param, engine, options)
+    rules = Rules(**rules_of(horizon, max_false_per_min), folds=_FOLDS.check(folds, "--folds"))
+    n_trials = _TRIALS.check(trials, "--trials")
+    if isinstance(search, Mapping):
+        search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
+    ranges = dict(parse_range(text, asked.setup.params) for text in search)
+    labels = Path(labels)
+    if out is not None:
+        store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
+    cases = read_cases(labels)
+    of_kind(cases, rules.max_false_kind)  # raises if there are none
+    with ExitStack() as opened:
+        folder = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
+        claim = opened.enter_context(store.claimed(folder))
+        made = None
+        if ranges:
+            made = Search(folder, ranges, _depends(cases, asked, rules), overwrite=overwrite)
+            opened.callback(made.close)
+        found = scored(labels, cases, run_cases(cases, asked, jobs), progress)
+        _require_collisions(found.cases, labels)
+        experiment = Experiment(asked, rules, tuple(found.cases), jobs)
+        tried = [] if made is None else _trials(experiment, made, n_trials, progress)
+        searched = ", ".join(f"{key} = {one.text()}" for key, one in ranges.items())
+        about = f"; searched in {counted(n_trials, 'trial')}: {searched}" if ranges else ""
+        about_it = {"labels": labels.name, "searched": about, "failed": found.failed}
+        before = found.signals(asked.setup.label)
+        calibrated = calibrated_by(experiment, before, tried, **about_it)
+        calibrated = replace(calibrated, setup=replace(calibrated.setup, label=name))
+        if out is not None:
+            calibrated.write(claim, tuple(formats))
+    return calibrated
+
+
+def _depends(cases: Sequence[Case], asked: Asked, rules: Rules) -> dict[str, Any]:
+    """What trials depend on beside the ranges."""
+    return {
+        "cases": [[case.name, case.kind, *case.collisions] for case in cases],
+        "rules": asdict(rules),
+        "model": asked.setup.settings(),
+        "options": asked.options.to_record(),
+    }
+
+
+def _trials(
+    experiment: "Experiment", search: Search, n_trials: int, progress: Progress
+) -> list[Trial]:
+    n_done = len(search)
+    if n_done:
+        _log.info("%d trials are done already.", n_done)
+    try:
+        with progress("calibrate", n_trials, "trial") as advance:
+            for n_done in search.run(n_trials, experiment.asked.setup, experiment.choose):
+                advance(n_done)
+    except (cancel.Interrupted, KeyboardInterrupt):
+        _log.info(
+            "%d of %d trials are done; the same command continues from there.", n_done, n_trials
+        )
+        raise
+    trials = search.trials()
+    if not trials:
+        raise DlgmdError("", "no trial had a valid combination of parameters")
+    return trials
+
+
+def _require_collisions(cases: Sequence[Case], labels: Path) -> None:
+    """Raise ResultError if fewer than two videos have a collision; log a warning if few have."""
+    n_with = sum(bool(case.collisions) for case in cases)
+    if n_with < 2:
+        why = f"{counted(n_with, 'video')} with a collision; calibration needs at least 2"
+        raise ResultError(str(labels), why)
+    if n_with < 20:
+        _log.warning("only %d videos have a collision; the calibration may not generalise", n_with)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The model to calibrate, the labelled videos, and how they are read; equal in all trials."""
+
+    asked: Asked
+    rules: Rules
+    cases: tuple[Case, ...]
+    jobs: int | None
+
+    @cached_property
+    def folds(self) -> list[int]:
+        """The fold of each video."""
+        return fold_of([(bool(case.collisions), case.kind) for case in self.cases], self.rules)
+
+    @cached_property
+    def counted(self) -> Flags:
+        """The videos on which the rate of false alarms is limited."""
+        return of_kind(self.cases, self.rules.max_false_kind)
+
+    def signals(self, setup: Setup) -> list[Signal]:
+        """Run a setup over all videos; returns their signals."""
+        by_name = {}
+        for case, results in run_cases(self.cases, replace(self.asked, setups=(setup,)), self.jobs):
+            if isinstance(results, DlgmdError):
+                raise results
+            by_name[case.name] = signal_of(results[setup.label], case)
+        return [by_name[case.name] for case in self.cases]
+
+    def choose(self, setup: Setup) -> Choices:
+        """Run a setup over all videos, and choose its thresholds."""
+        return choose(self.signals(setup), self.folds, self.rules, self.counted)
+
+
+def calibrated_by(
+    experiment: Experiment, before: Sequence[Signal], trials: Sequence[Trial] = (), **about: Any
+) -> Calibration:
+    """Calibrate the thresholds of a model, or choose the best of some trials.
+
+    Models of the best trials, on all videos and without each fold, run once more. `before` has the
+    signals of the original model, and `about` what else the outcome says.
+    """
+    rules, folds, setup = experiment.rules, experiment.folds, experiment.asked.setup
+    old = setup.params
+    trials = trials or [Trial({}, choose(before, folds, rules, experiment.counted))]
+    best, *winners = (best_trial(trials, number) for number in range(max(folds) + 2))
+    setups, signals = {}, {str({}): list(before)}
+    for one in (best, *winners):
+        key = str(one.values)
+        setups[key] = with_values(setup, one.values)
+        if key not in signals:
+            signals[key] = experiment.signals(setups[key])
+    overall = best.found[0]
+    choices = tuple(one.found[number] for number, one in enumerate(winners, start=1))
+    own, final = signals[str(best.values)], setups[str(best.values)]
+    at = strength_at(old.t_mp, old.kappa)
+    tallies = {
+        "held_out": tally_held_out(
+            [signals[str(one.values)] for one in winners], folds, choices, rules.horizon_s
+        ),
+        "same_videos": [tally_of(one, overall, rules.horizon_s) for one in own],
+        "before": [tally(one, old.n_sp, at, rules.horizon_s) for one in before],
+    }
+    scores = {
+        name: {
+            group: score([found[i] for i in members])
+            for (word, group), members in groups(experiment.cases).items()
+            if word == "kind" or group == ALL
+        }
+        for name, found in tallies.items()
+    }
+    found = replace(final, params=with_choice(final.params, overall))
+    read = experiment.asked.options.to_record()
+    against = differences(tallies["held_out"], tallies["before"])
+    return Calibration(found, setup, read, choices, scores, rules, against=against, **about)
+
+
+def best_trial(trials: Sequence[Trial], number: int = 0) -> Trial:
+    """The trial whose choice of a number, see `Choices`, ranks highest."""
+    return max(trials, key=lambda trial: trial.found[number].rank)

@@ -1,0 +1,109 @@
+"""What tasks share: progress, the open input with the claimed folder, and what they say of it."""
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.results import store
+from dlgmd_cli.tasks.setup import Asked, ModelName, choose_all, common_options
+from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
+from dlgmd_cli.video.opening import Openable
+from dlgmd_cli.video.source import Video
+
+_log = logging.getLogger(__name__)
+
+OnFrame = Callable[[int], None]
+# Takes a name, a total (None if unknown) and a unit; yields a callback for the number done, which
+# may be followed by another name.
+Progress = Callable[[str, int | None, str], AbstractContextManager[Callable[..., None]]]
+
+
+def silent(*_: Any) -> None:
+    """The default callback."""
+
+
+def no_progress(*_: Any) -> AbstractContextManager[Callable[..., None]]:
+    """The default `Progress`."""
+    return nullcontext(silent)
+
+
+def fold(
+    models: Sequence[ModelName | int] | None,
+    set: str | int | None,
+    config: str | os.PathLike[str] | None,
+    model: ModelName | None,
+    formulation: str | None,
+    param: Mapping[str, Any] | None,
+    engine: str | None,
+    options: Mapping[str, Any],
+    video: Openable | None = None,
+    *,
+    repeats_record: bool = True,
+) -> Asked:
+    """What a task is asked for, from its arguments; raises ParameterError, see `choose_all`.
+
+    Of images in memory, `fps` is their rate unless they have an `input_fps`. A single model from a
+    run.yaml brings the options of that run, if the task `repeats_record`.
+    """
+    given = dict(options)
+    is_in_memory = video is not None and not isinstance(video, str | os.PathLike)
+    if is_in_memory and given.get("input_fps") is None:
+        given["input_fps"] = given.pop("fps", None)
+    setups = choose_all(models, set, config, model, param, formulation, engine)
+    return Asked(tuple(setups), common_options(setups if repeats_record else (), given))
+
+
+@contextmanager
+def opened(
+    video: Openable,
+    asked: Asked,
+    record: str,
+    out: str | os.PathLike[str] | None,
+    *,
+    overwrite: bool,
+) -> Iterator[tuple[Video, store.Claim | None]]:
+    """The open input, and the folder of its result below `out`, claimed; None without `out`.
+
+    Raises what `Asked.open` and `store.claimed` raise.
+    """
+    with asked.open(video) as source:
+        if out is None:
+            yield source, None
+            return
+        folder, identity = store.result_folder(Path(out), source.info.name), source.info.identity
+        with store.claimed(folder, record, identity, overwrite=overwrite) as claim:
+            yield source, claim
+
+
+def write_clips(
+    source: str, name: str, onsets_s: Sequence[float], folder: Path, input_fps: float | None = None
+) -> list[Path]:
+    """Write a clip of each alarm into a folder, in place of the earlier ones; see `make_clips`.
+
+    Raises SourceError if the source cannot be decoded, and OutputError if the folder cannot be
+    written; earlier clips are unchanged then.
+    """
+    spans = spans_of(name, onsets_s)
+    earlier = [path.name for path in clips_of(folder, name)]
+    if spans or earlier:
+        with store.replacing(folder, stale=earlier, option="--clips") as stage:
+            make_clips(source, spans, stage, input_fps)
+    return [folder / clip for clip in spans]
+
+
+def watched(
+    video: Video, asked: Asked, progress: Progress
+) -> AbstractContextManager[Callable[..., None]]:
+    """The progress over the frames of an input."""
+    return progress(video.info.name, asked.options.n_expected(video.info), "frame")
+
+
+def tell(video: Video, asked: Asked, warnings: Sequence[str]) -> None:
+    """Log the warnings about an input, and which of its frames were processed."""
+    for warning in warnings:
+        _log.warning("%s: %s", video.info.given, warning)
+    if asked.options.fps in (None, "all") and (sampling := video.sampling()):
+        _log.info("Note: %s: %s.", video.info.given, sampling)

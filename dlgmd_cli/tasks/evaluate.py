@@ -1,0 +1,259 @@
+"""How well alarms announce labelled collisions."""
+
+import logging
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, SourceError
+from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.parameters.presets import FlowDivergenceParameters
+from dlgmd_cli.results import store
+from dlgmd_cli.results.candidates import FLOW, Candidates, Results
+from dlgmd_cli.results.evaluation import Evaluation, evaluated
+from dlgmd_cli.results.labels import Case, of_kind, read_cases
+from dlgmd_cli.results.match import StoredResults
+from dlgmd_cli.results.reading import read_result
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.tasks.call import Progress, fold, no_progress
+from dlgmd_cli.tasks.run import run_input
+from dlgmd_cli.tasks.setup import Asked, ModelName, Setup, choose, with_folder_labels, with_keys
+from dlgmd_cli.tasks.stopping import answer_of, brakes_of, stops_of
+
+_log = logging.getLogger(__name__)
+
+_HORIZON = Spec(float, 0, 3600, low_open=True)
+_FALSE_PER_MIN = Spec(float, 0, math.inf)
+
+
+def evaluate(
+    labels: str | os.PathLike[str],
+    models: Sequence[ModelName | int] | None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    results: str | os.PathLike[str] | None = None,
+    horizon: float = 1.0,
+    max_false_per_min: float | str = 1.0,
+    react: float = 0.1,
+    brake: float | None = None,
+    agile: bool | None = None,
+    baselines: bool = True,
+    jobs: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    width: Literal["one", "two"] = "one",
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Evaluation:
+    """Score how well alarms announce labelled collisions; `dlgmd evaluate --help` has the rules.
+
+    Parameters
+    ----------
+    labels : str or path
+        A CSV with the columns ``video,collision_frame``, paths relative to it; ``target``, ``kind``
+        and ``manner`` are optional.
+    models, set, config, model, formulation, param, engine
+        The models, as in `run`. What `param` changes shows in their labels.
+    results : str or path, optional
+        Score the results of `batch` in this folder instead of running models.
+    horizon : float
+        An alarm up to so many seconds before a collision is a hit.
+    max_false_per_min : float or str
+        False alarms per minute that the best threshold may have; on the videos of one kind as
+        ``"1:real"``.
+    react : float
+        How the pilot of a rendered flight answers an alarm: after so many seconds.
+    brake : float, optional
+        Deceleration in m/s², at once. Without it, the drone brakes as it can.
+    agile : bool, optional
+        Whether the drones lean at once, or as stabilised ones. Without it, as each does.
+    baselines : bool
+        Also score the sum of P, and the divergence of optical flow.
+    jobs, progress
+        As in `batch`.
+    out : str or path, optional
+        Write the tables, figures in `formats` (PNG with `dpi`, `width` in columns of a paper) and
+        evaluate.yaml into this folder; `overwrite` replaces earlier ones.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    Evaluation
+        `table`, `curve_table` and `alarm_table` are structured arrays with the columns of the
+        files; `plot` draws, and `save` writes them. `failed` says why videos are left out.
+
+    Raises
+    ------
+    ResultError
+        If the labels or the results cannot be read.
+    SourceError
+        If no video can be scored.
+    ParameterError
+        If a parameter or an option is not valid.
+    OutputError, OutputExistsError, MissingExtraError, WorkerError
+        As in `batch`.
+
+    Examples
+    --------
+    >>> report = evaluate("flights/labels.csv", models=[9, "lgmd"])  # doctest: +SKIP
+    >>> report.table[["model", "at", "recall", "false_alarms_per_min"]]  # doctest: +SKIP
+    """
+    rules, brakes = rules_of(horizon, max_false_per_min), brakes_of(react, brake, agile)
+    named = {"models": models, "set": set, "config": config, "model": model, "param": param}
+    named |= {"formulation": formulation, "engine": engine, "jobs": jobs, **options}
+    given = [name for name, value in named.items() if value is not None]
+    if results is not None and given:
+        why = f"{given[0]} does not work with results, which are there already"
+        raise ParameterError("", why, "Leave it out.")
+    labels, formats = Path(labels), tuple(dict.fromkeys(formats))
+    cases = read_cases(labels)
+    of_kind(cases, rules["max_false_kind"])  # raises if there are none
+    with ExitStack() as opened:
+        claim = None
+        if out is not None:
+            names = Evaluation.own_files(formats)
+            place = store.claimed(Path(out), Evaluation.RECORD, names=names, overwrite=overwrite)
+            claim = opened.enter_context(place)
+        if results is not None:
+            found = stored_results(Path(results), cases)
+        else:
+            asked = fold(models, set, config, model, formulation, param, engine, options)
+            asked = replace(asked, setups=tuple(with_keys(asked.setups, param or ())))
+            asked = _checked(asked, baselines=baselines)
+            found = run_cases(cases, asked, jobs)
+        candidates = scored(labels, cases, found, progress, baselines=baselines)
+        stops = stops_of(candidates, brakes, jobs)
+        made = evaluated(candidates, rules, labels, stops, answer_of(brakes))
+        if claim is not None:
+            made.write(claim, formats, dpi, width=width)
+    return made
+
+
+def _checked(asked: Asked, *, baselines: bool) -> Asked:
+    """The models by distinct labels, and the flow that they are compared with.
+
+    Raises MissingExtraError if an engine is not installed.
+    """
+    setups = with_folder_labels(asked.setups)
+    for one in setups:
+        create_model(one.params, engine=one.engine)
+    return replace(asked, setups=tuple(with_flow(setups) if baselines else setups))
+
+
+def rules_of(horizon: float, max_false_per_min: float | str) -> dict[str, Any]:
+    """The checked rules of an evaluation, by name; raises ParameterError."""
+    with blame("Invalid value for '--horizon'"):
+        horizon_s = _HORIZON.check(horizon)
+    rate, _, kind = str(max_false_per_min).partition(":")
+    with blame("Invalid value for '--max-false-per-min'"):
+        most = _FALSE_PER_MIN.parse(rate)
+    return {
+        "horizon_s": horizon_s,
+        "max_false_per_min": most,
+        "max_false_kind": kind.strip() or None,
+    }
+
+
+def scored(
+    labels: Path,
+    cases: Sequence[Case],
+    found: Iterator[tuple[Case, Results]],
+    progress: Progress,
+    *,
+    baselines: bool = False,
+) -> Candidates:
+    """The models and the videos, as they are computed; logs those that fail.
+
+    Raises SourceError if no video can be scored.
+    """
+    by_name = {}
+    with progress("evaluate", len(cases), "video") as advance:
+        for number, (case, results) in enumerate(found, start=1):
+            by_name[case.name] = results
+            advance(number)
+    candidates = Candidates(baselines=baselines)
+    for case in cases:
+        candidates.add(case, by_name[case.name])
+    for name, why in candidates.failed.items():
+        _log.error("%s: %s", name, why)
+    if not candidates.cases:
+        raise SourceError(str(labels), "no video could be scored")
+    return candidates
+
+
+def run_cases(
+    cases: Sequence[Case], asked: Asked, jobs: int | None
+) -> Iterator[tuple[Case, Results]]:
+    """Run all models over every video; yields each video with its results, or its error.
+
+    Videos come in the order in which they end. Each is decoded once, in one of `jobs` processes. An
+    error that is not a DlgmdError is raised.
+    """
+    return results_of(partial(_run, asked), cases, max(1, min(jobs or n_processors(), len(cases))))
+
+
+def _run(asked: Asked, case: Case) -> dict[str, Result]:
+    """All models over one video."""
+    try:
+        results = run_input(case.path, asked)
+    except SourceError:
+        if store.is_url(case.path) or Path(case.path).exists():
+            raise
+        folder = Path(os.path.abspath(case.path)).parent
+        mend = "Paths in labels start at the folder of their table."
+        raise SourceError(case.name, f"it is not in {folder}", mend) from None
+    return {setup.label: one for setup, one in zip(asked.setups, results, strict=True)}
+
+
+def with_flow(setups: Sequence[Setup]) -> list[Setup]:
+    """The setups, and the divergence of optical flow.
+
+    Whatever the models, it gets the frames and the n_sp of the preset flight.
+    """
+    basis = choose()
+    params = FlowDivergenceParameters(n_sp=basis.params.n_sp)
+    return [*setups, replace(basis, params=params, label=FLOW, engine="auto", named={})]
+
+
+def stored_results(folder: Path, cases: Sequence[Case]) -> Iterator[tuple[Case, Results]]:
+    """Every video with its results, read from the folder of a batch, or its error.
+
+    Raises ResultError if it is not the folder of a batch.
+    """
+    is_single = (folder / store.SUMMARY).is_file()
+    pattern = store.SUMMARY if is_single else f"*/{store.SUMMARY}"
+    places = [path.parent for path in sorted(folder.glob(pattern))]
+    if not places:
+        why = f"it holds no results of a batch (no {store.SUMMARY})"
+        raise ResultError(str(folder), why, "Run 'dlgmd batch' first.")
+    label, stored = "", {place.name: StoredResults(place) for place in places}
+    for case in cases:
+        try:
+            folders = {name: one.folder_of(case.path, case.name) for name, one in stored.items()}
+            found = {name: read_result(folder) for name, folder in folders.items()}
+        except DlgmdError as error:
+            yield case, error
+            continue
+        if is_single:
+            (result,) = found.values()
+            record = result.record
+            own = f"set{record['set']}" if "set" in record else record.get("preset")
+            label = label or str(own or record["model"])
+            found = {label: result}
+        yield case, found

@@ -1,0 +1,60 @@
+"""The kernels of a D-LGMD."""
+
+import os
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters.presets import DistributedParameters
+from dlgmd_cli.results.kernels import Kernels
+from dlgmd_cli.tasks.setup import ModelName, choose
+
+
+def kernels(
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    overwrite: bool = False,
+) -> Kernels:
+    """The kernels of a D-LGMD: excitation, inhibition and latency.
+
+    Parameters
+    ----------
+    set, config, model, formulation, param
+        The model, as in `run`.
+    out : str or path, optional
+        Write what `dlgmd kernels` writes into this folder, with a figure in `formats` (PNG with
+        `dpi`); `overwrite` replaces earlier files.
+
+    Returns
+    -------
+    Kernels
+        `connections` has the arrays, `table` a row a connection; `plot` draws.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is not valid, or the model has no kernels.
+    OutputError, OutputExistsError
+        If a file cannot be written, or may not be replaced.
+
+    Examples
+    --------
+    >>> kernels(set=9).connections.latency.shape
+    (9, 9)
+    """
+    setup = choose(set, config, model, param, formulation)
+    if not isinstance(setup.params, DistributedParameters):
+        why = f"only the D-LGMD model has kernels, not {setup.params.model}"
+        raise ParameterError("", why)
+    found = Kernels(connect(setup.params), setup.params, setup.label)
+    if out is not None:
+        found.save(out, formats, dpi, overwrite=overwrite)
+    return found

@@ -1,0 +1,428 @@
+"""The layers P, S and G of a model: as arrays, as a contact sheet, and as a film."""
+
+import logging
+import math
+import os
+import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.models.base import FloatImage, Response, create_model
+from dlgmd_cli.results import store
+from dlgmd_cli.results.labels import first_collision
+from dlgmd_cli.results.layers import LayerResult, LayerSheet
+from dlgmd_cli.results.record import read_record
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import RowList
+from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, opened, silent, tell, watched
+from dlgmd_cli.tasks.run import (
+    build_result,
+    input_record,
+    require_response,
+    responses,
+    run_models,
+    stepper_on,
+    too_short,
+)
+from dlgmd_cli.tasks.setup import Asked, ModelName
+from dlgmd_cli.video.opening import Openable
+from dlgmd_cli.video.source import Video
+from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
+
+if TYPE_CHECKING:
+    from dlgmd_cli.plots.film import Film
+    from dlgmd_cli.plots.overlay import Overlay
+
+_log = logging.getLogger(__name__)
+
+# More frames are not readable at the width of two columns of a paper.
+MAX_FRAMES = 12
+# Number of frames to choose, preferably with responses of at least this share of the peak.
+N_CHOSEN, _RESPONDING = 5, 0.01
+# So many frames after a part that shows nothing, a model responds to the picture that comes back.
+_COMING_BACK = 5
+
+# Lowest and highest value of a layer.
+Range = tuple[float, float]
+
+
+def layers(
+    video: Openable,
+    frames: Iterable[int] | None = None,
+    *,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    collision_frame: int | None = None,
+    collisions: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    npz: bool = False,
+    film: str | os.PathLike[str] | None = None,
+    overlay: bool = False,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> LayerResult:
+    """Run a model for its layers: photoreceptors P, summation S and grouping G.
+
+    Parameters
+    ----------
+    video : str, path, or iterable of ndarray
+        The input, as in `run`. An iterator can be read only once: give `frames` then.
+    frames : iterable of int, optional
+        Numbers of frames, from 0, 12 at most; those with the strongest responses unless given.
+    set, config, model, formulation, param, engine
+        The model, as in `run`.
+    collision_frame, collisions : int, path, optional
+        A collision, or a table of labelled ones: no frame after it is chosen.
+    out : str or path, optional
+        Write ``out/NAME`` with what `dlgmd layers` writes: the figure in `formats` (PNG with
+        `dpi`), layers.yaml and, with `npz`, the arrays; `overwrite` replaces earlier ones.
+    film : str or path, optional
+        Write a film, see `LayerResult.film`, also with `overlay`. `frames` is empty then unless
+        given.
+    progress
+        As in `batch`.
+    options
+        Options of the input, as in `run`.
+
+    Returns
+    -------
+    LayerResult
+        `p`, `s` and `g` are arrays of shape (n, H, W); `plot`, `save` and `film` make what
+        `dlgmd layers` writes.
+
+    Raises
+    ------
+    SourceError
+        If nothing can be decoded, or none of the frames is there.
+    ParameterError, MissingExtraError, OutputError, OutputExistsError
+        As in `run`.
+
+    Examples
+    --------
+    >>> found = layers("flight.mp4", frames=[50, 65, 75], set=9)  # doctest: +SKIP
+    >>> found.g.shape  # doctest: +SKIP
+    (3, 270, 480)
+    >>> found.film("layers.mp4")  # doctest: +SKIP
+    """
+    asked = fold(None, set, config, model, formulation, param, engine, options, video)
+    wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
+    contact = contact_of(video, collision_frame, collisions)
+    film = None if film is None else Path(film)
+    sheet_out = None if wanted == () else out
+    with opened(video, asked, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
+        if film is not None:
+            if claim is not None and film.resolve().parent == Path(claim.folder).resolve():
+                why = f"--video lies in {claim.folder}, where the sheet goes"
+                raise ParameterError("", why, "Choose another place.")
+            check_film(film, source, overwrite=overwrite)
+        whole = film is not None or wanted == ()
+        found = layers_of(source, asked, wanted, whole, progress, contact=contact)
+        tell(source, asked, found.warnings)
+        if claim is not None and found.sheet is not None:
+            found.write(claim, tuple(formats), dpi, npz=npz)
+    if film is None:
+        return found
+    if found.paths and cancel.requested():
+        vars(found)["unmade"] = film
+        return found
+    try:
+        found.film(film, overlay=overlay, overwrite=True, progress=progress)
+    except DlgmdError as error:
+        if not found.paths:
+            raise
+        vars(found)["failure"] = error
+    return found
+
+
+def chosen_frames(frames: Iterable[int]) -> tuple[int, ...]:
+    """The frames of a sheet in order, each once; raises ParameterError if they are too many."""
+    chosen = tuple(sorted({*frames}))
+    if len(chosen) > MAX_FRAMES:
+        why = f"{len(chosen)} frames are too many for one sheet"
+        raise ParameterError("Invalid value for '--frames'", why, f"Choose up to {MAX_FRAMES}.")
+    return chosen
+
+
+def contact_of(
+    video: Openable, frame: int | None, labels_path: str | os.PathLike[str] | None
+) -> int | None:
+    """The first collision: the one given, that of a table, or that of a rendered flight."""
+    if frame is not None or not isinstance(video, str | os.PathLike):
+        return frame
+    if labels_path:
+        return first_collision(Path(labels_path), video)
+    truth = read_record(Path(video).with_suffix(".yaml")) if Path(video).is_file() else {}
+    found = truth.get("collision_frame") if "scene" in truth else None
+    return found if isinstance(found, int) else None
+
+
+def layers_of(
+    video: Video,
+    asked: Asked,
+    frames: tuple[int, ...] | None,
+    whole: bool,
+    progress: Progress = no_progress,
+    *,
+    contact: int | None = None,
+) -> LayerResult:
+    """The layers at some frames of an open video; if `whole`, it is read to its end, for a film.
+
+    For None, a run before chooses the frames with the strongest responses up to the `contact`.
+    """
+    if frames is None:
+        frames = _strongest(video, asked, progress, contact)
+    n_frames = asked.options.n_expected(video.info)
+    if not whole:
+        n_frames = min(n_frames or sys.maxsize, max(frames) + 1)
+    with progress(video.info.name, n_frames, "frame") as on_frame:
+        found = run_layers(video, asked, frames, whole=whole, on_frame=on_frame)
+    if not cancel.requested():
+        result = found.result
+        missing = sorted({*frames} - {*result.record["frames"]})
+        why_not = absent(missing, video, asked.options.end)
+        if frames and found.sheet is None:
+            raise SourceError(video.info.given, why_not, "Choose other frames.")
+        result.warnings.extend([why_not] if why_not else [])
+        result.warnings.extend(result.doubts() if whole else [])
+    return found
+
+
+def _strongest(
+    video: Video, asked: Asked, progress: Progress, contact: int | None
+) -> tuple[int, ...]:
+    """The frames with the strongest responses, by a run over the video."""
+    warnings = [*video.progress.warnings]
+    with watched(video, asked, progress) as on_frame:
+        results = run_models(video, asked, on_frame=on_frame)
+    cancel.check()
+    require_response(video, asked, results)
+    video.progress.warnings[:] = warnings
+    return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
+
+
+def run_layers(
+    video: Video,
+    asked: Asked,
+    frames: Collection[int] = (),
+    *,
+    whole: bool = True,
+    on_frame: OnFrame = silent,
+) -> LayerResult:
+    """Run a model until all of `frames` are processed or, if `whole`, to the end of the input.
+
+    Raises Interrupted if the stop flag ended the run before the first requested frame.
+    """
+    setup, options = asked.setup, asked.options
+    stepper, rows = stepper_on(video, setup, options), RowList()
+    kept: list[tuple[Frame, Response]] = []
+    ranges = dict.fromkeys("sg", (math.inf, -math.inf))
+    last = -1 if whole else max(frames)
+    is_read = True
+
+    def is_kept(frame: Frame) -> bool:
+        return frame.index in frames and not frame.is_repeat
+
+    steps = responses(video, [stepper], layers=lambda one: whole or is_kept(one), on_frame=on_frame)
+    for frame, (response,) in steps:
+        rows.append(frame, response)
+        if is_kept(frame):
+            kept.append((frame, response))
+        if whole:
+            _widen(ranges, response)
+        elif frame.index >= last:
+            is_read = False
+            on_frame(frame.index + 1)
+            break
+    stopped = cancel.requested()
+    if stopped and not kept:
+        raise cancel.Interrupted
+    size_wh = stepper.size_wh or video.size_wh
+    facts = input_record(video, size_wh, rows.rows(), is_read=is_read and not stopped)
+    result = build_result(
+        *(setup, stepper, rows.rows(), options, facts),
+        complete=not stopped or len(kept) == len(frames),
+        frames=[one.index for one, _ in kept],
+    )
+    result.warnings.extend(video.progress.warnings)
+    units = stepper.model.layer_units
+    sheet = _sheet(kept, units, f"{video.info.name} · {setup.label}") if kept else None
+    renderer = partial(_film, video=video, asked=asked)
+    return LayerResult(result, sheet, setup.label, tuple(frames), ranges, renderer)
+
+
+def strongest_frames(
+    result: Result,
+    n_frames: int = N_CHOSEN,
+    *,
+    contact: int | None = None,
+    blind_s: Sequence[tuple[float, float]] = (),
+) -> tuple[int, ...]:
+    """Numbers of the frames with the strongest responses, spread out, in order.
+
+    Frames are chosen by decreasing response, skipping those near a chosen one. Frames after the
+    `contact`, and those within or just after the times `blind_s`, in which nothing can be seen, are
+    left out, unless there are no others. If there is no response, the frames are spread over all.
+    """
+    shown = np.ones(len(result), np.bool_)
+    for begin_s, end_s in blind_s:
+        blind = np.flatnonzero((result.time_s >= begin_s) & (result.time_s <= end_s))
+        shown[blind.min(initial=len(result)) : blind.max(initial=-1) + 1 + _COMING_BACK] = False
+    if contact is not None:
+        shown &= result.frame <= contact
+    if shown.any() and not shown.all():
+        result = replace(result, rows=result.rows[shown])
+    strength = np.where(result.is_repeat, 0.0, np.nan_to_num(result.mp))
+    n_strong = np.count_nonzero(strength >= _RESPONDING * strength.max())
+    n_candidates = min(max(int(n_strong), n_frames), np.count_nonzero(strength))
+    rows = np.sort(np.argsort(-strength, kind="stable")[:n_candidates])
+    if not rows.size:
+        even = np.linspace(0, len(result) - 1, min(n_frames, len(result)))
+        rows = np.unique(even.round().astype(int))
+    gap = max(1, len(rows) // (2 * n_frames))
+    chosen: list[int] = []
+    for place in np.argsort(-strength[rows], kind="stable"):
+        if len(chosen) < n_frames and all(abs(place - other) >= gap for other in chosen):
+            chosen.append(int(place))
+    return tuple(int(result.frame[rows[place]]) for place in sorted(chosen))
+
+
+def absent(missing: list[int], video: Video, end_s: float | None) -> str:
+    """Why requested frames are missing; empty if none is."""
+    last_s, fps, n_frames = video.progress.last_time_s, video.info.fps, video.progress.n_decoded
+    is_read = end_s is None or last_s + 1.5 / fps < end_s
+    beyond = [frame for frame in missing if is_read and frame >= n_frames]
+    dropped = [frame for frame in missing if frame not in beyond]
+    lines = []
+    if beyond:
+        lines.append(f"{_named(beyond)} not in it; its last one is frame {n_frames - 1}")
+    if dropped:
+        lines.append(f"{_named(dropped)} left out by --start, --end or --fps, or repeated")
+    return "; ".join(lines)
+
+
+def _named(frames: list[int]) -> str:
+    """`frame 3 is` or `frames 3, 5 are`."""
+    numbers = ", ".join(str(frame) for frame in frames)
+    return f"frame {numbers} is" if len(frames) == 1 else f"frames {numbers} are"
+
+
+def _widen(ranges: dict[str, Range], response: Response) -> None:
+    """Extend the ranges by the layers of one frame."""
+    for name, (lowest, highest) in ranges.items():
+        layer = getattr(response.layers, name)
+        if layer is not None:
+            ranges[name] = min(lowest, float(layer.min())), max(highest, float(layer.max()))
+
+
+def _sheet(
+    kept: list[tuple[Frame, Response]], units: tuple[str, str, str], label: str
+) -> LayerSheet:
+    """The sheet of the kept frames, at least one."""
+    undefined = np.full(kept[0][0].grey.shape, np.nan, dtype=np.float32)
+
+    def stack(name: str) -> FloatImage:
+        layers = [getattr(response.layers, name) for _, response in kept]
+        return np.stack([undefined if layer is None else layer for layer in layers])
+
+    frames = [frame for frame, _ in kept]
+    return LayerSheet(
+        np.array([frame.index for frame in frames]),
+        np.array([frame.time_s for frame in frames]),
+        np.stack([frame.luminance for frame in frames]),
+        *(stack("p"), stack("s"), stack("g"), units, label),
+    )
+
+
+def _film(
+    found: LayerResult,
+    path: Path,
+    *,
+    video: Video,
+    asked: Asked,
+    overlay: bool,
+    overwrite: bool,
+    progress: Progress = no_progress,
+) -> int:
+    """Render a film of a video, see `LayerResult.film`; returns its number of frames."""
+    from dlgmd_cli.plots.film import Film
+    from dlgmd_cli.plots.heat import Scale
+    from dlgmd_cli.plots.overlay import Overlay
+
+    check_film(path, video, overwrite=overwrite)
+    if not all(map(math.isfinite, found.ranges["s"])):  # it was not run over the whole input
+        found = layers_of(video, asked, (), True, progress)
+    label, shape = found.label, video.size_wh[::-1]
+    units = stepper_on(video, asked.setup, asked.options).model.layer_units
+    if not found.result.n_valid:
+        n_needed = create_model(asked.setup.params).first_valid_frame + 1
+        raise too_short(video, label, n_needed, asked.options)
+    s, g = (Scale.over(*found.ranges[name]) for name in "sg")
+    drawing: Film | Overlay
+    if overlay:
+        drawing = Overlay(found.result, video.source_wh[::-1], g.high)
+    else:
+        drawing = Film(found.result, shape, (s, g), units[1:], f"{video.info.name} · {label}")
+    with video as again:
+        return _render(drawing, again, asked, len(found.result), path, progress)
+
+
+def _render(
+    drawing: "Film | Overlay",
+    video: Video,
+    asked: Asked,
+    n_frames: int,
+    path: Path,
+    progress: Progress,
+) -> int:
+    """Write the film while the model runs over the input again."""
+    from dlgmd_cli.plots.film import Film
+
+    fps = playable_fps(video.rate_fps)
+    if abs(fps / video.rate_fps - 1.0) > 0.01:
+        _log.warning("%s plays at %g frames a second, not at %g", path, fps, video.rate_fps)
+    n_rendered = 0
+    picture_wh = None if isinstance(drawing, Film) else video.source_wh
+    look: Any = {"codec": best_codec(), "is_colour": True, "option": "--video"}
+    steppers = [stepper_on(video, asked.setup, asked.options)]
+    found = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
+    with (
+        progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
+        store.replacing(path.parent, what=path, option="--video") as stage,
+        video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
+    ):
+        for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), found, strict=False):
+            layers: Any = response.layers
+            picture: Any = frame.picture
+            if isinstance(drawing, Film):
+                write(drawing.picture(n_rendered - 1, frame.luminance, layers.s, layers.g))
+            else:
+                write(drawing.picture(n_rendered - 1, picture, layers.g))
+            on_frame(n_rendered)
+    return n_rendered
+
+
+def check_film(path: Path, video: Video, *, overwrite: bool) -> None:
+    """Raise now if the film could not be written at the end."""
+    store.refuse_existing(path, overwrite=overwrite, option="--video")
+    source = Path(video.info.path)
+    if path.exists() and source.exists() and path.samefile(source):
+        raise ParameterError("", "--video would replace INPUT", "Choose another file.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise store.unwritable(path, error, "--video") from None

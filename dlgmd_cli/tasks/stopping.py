@@ -1,0 +1,80 @@
+"""What stops at each frame of rendered flights are worth; the flights are rebuilt from records."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.machine.pool import results_of
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.parameters.checks import Spec, blame
+from dlgmd_cli.results.candidates import Candidates
+from dlgmd_cli.results.stopping import Stops
+from dlgmd_cli.results.store import is_url
+from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
+from dlgmd_cli.scenes.flights.scenes import recorded_stage
+
+_REACT = Spec(float, 0, 10)
+_BRAKE = Spec(float, 0, 100, low_open=True)
+
+
+def brakes_of(react: float, brake: float | None, agile: bool | None) -> Brakes:
+    """The checked answer to alarms; raises ParameterError."""
+    with blame("Invalid value for '--react'"):
+        react_s = _REACT.check(react)
+    if brake is not None:
+        if agile is not None:
+            why = "--brake does not work with --agile or --stabilised: it is a deceleration at once"
+            raise ParameterError("", why, "Leave one out.")
+        with blame("Invalid value for '--brake'"):
+            brake = _BRAKE.check(brake)
+    return Brakes(react_s, brake, agile)
+
+
+def answer_of(brakes: Brakes) -> dict[str, Any]:
+    """How an alarm is answered, for the record and in words."""
+    words = "braking as each drone can"
+    if brakes.brake_m_s2 is not None:
+        words = f"braking at {brakes.brake_m_s2:g} m/s²"
+    elif brakes.agile is not None:
+        words = f"braking as {'an agile' if brakes.agile else 'a stabilised'} drone"
+    return {"react_s": brakes.react_s, "brakes": words}
+
+
+def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[str, Stops]:
+    """The stops of the videos that are rendered flights, by name.
+
+    A video counts as a flight if the record that `dlgmd synth` wrote is beside it, and the flight
+    is still the one of the record.
+    """
+    first = next(iter(candidates.by_label.values()))
+    tasks = [
+        (case.name, case.path, first.signals[case.name].time_s.tobytes())
+        for case in candidates.cases
+        if not is_url(case.path) and Path(case.path).with_suffix(".yaml").is_file()
+    ]
+    if not tasks:
+        return {}
+    found = results_of(partial(_stops, brakes), tasks, min(jobs or n_processors(), len(tasks)))
+    return {task[0]: stops for task, stops in found if isinstance(stops, Stops)}
+
+
+def _stops(brakes: Brakes, task: tuple[str, str, bytes]) -> Stops | None:
+    """The stops of one video, or None if it is not a flight that can be rebuilt."""
+    _, path, times = task
+    stage = recorded_stage(Path(path))
+    if stage is None:
+        return None
+    flight, time_s = Stoppable(stage), np.frombuffer(times)
+    made = [flight.stop(one, brakes) for one in time_s.tolist()]
+    return Stops(
+        time_s,
+        np.array([one.saved for one in made]),
+        np.array([one.impact_m_s for one in made]),
+        np.array([one.stopped_m for one in made]),
+        np.array([flight.is_justified(one) for one in time_s.tolist()]),
+        flight.can_stop,
+        flight.speed_m_s,
+    )

@@ -1,0 +1,502 @@
+"""A model over a grid of two of its parameters. An interrupted sweep can be resumed.
+
+The folder of a sweep has `sweep.yaml` with its settings, and `sweep.csv`, to which rows are
+appended as points are computed. Both are rewritten at the end, the record last.
+"""
+
+import csv
+import logging
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.frame import Frame
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.files import PREFIX, staging
+from dlgmd_cli.machine.pool import run_tasks
+from dlgmd_cli.machine.threads import n_processors
+from dlgmd_cli.models.base import create_model
+from dlgmd_cli.models.engines import choose_engine
+from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.parameters.checks import blame
+from dlgmd_cli.parameters.presets import DistributedParameters, Parameters, reformulated
+from dlgmd_cli.results import store
+from dlgmd_cli.results.record import differences, read_record
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import RowList, rows_of
+from dlgmd_cli.results.sweep import (
+    ATTENUATION_COLUMNS,
+    RESPONSE_COLUMNS,
+    Axis,
+    Grid,
+    SweepResult,
+    measured,
+)
+from dlgmd_cli.scenes.stimuli.flat import cube_clips
+from dlgmd_cli.tasks.call import OnFrame, Progress, fold, no_progress, silent
+from dlgmd_cli.tasks.run import input_record, too_short
+from dlgmd_cli.tasks.setup import DLGMD, ModelName, Setup
+from dlgmd_cli.video.opening import Openable
+from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
+from dlgmd_cli.video.source import Video
+from dlgmd_cli.words import counted
+
+_log = logging.getLogger(__name__)
+
+RECORD, TABLE = SweepResult.RECORD, SweepResult.TABLES[0]
+# The paper's Fig. 11: its parameters, except for those that it varies (no latency, as a comment in
+# the paper's source says; a and r are ours); speeds in px/frame, side of the cubes in px, and size.
+FIG_11 = {"alpha": 0.0, "beta": 0.0, "lam": 0.0, "a": 1.5, "r": 4}
+SPEEDS_PX, SIDE_PX, SIZE_WH = (1.0, 2.0, 3.0, 4.0), 40.0, (200, 150)
+# Cells per task, a few tenths of a second of work; smaller tasks would add overhead.
+_CELLS_PER_TASK = 20_000_000
+# Keys of a record that do not identify a sweep.
+_FOUND = ("input", "processed", "warnings", "complete", "summary")
+
+# A point: its number and its parameters. Its values: for each clip, one number per column.
+Point = tuple[int, Parameters]
+Values = list[tuple[float, ...]]
+# A temporary file of frames, and the data type of one frame.
+Clip = tuple[Path, np.dtype[np.void]]
+AxisText = str | tuple[str, Iterable[Any]]
+
+
+def sweep(
+    video: Openable | None = None,
+    *,
+    x: AxisText,
+    y: AxisText,
+    speed: Iterable[float] = (),
+    cube_size: float | None = None,
+    frames: int | None = None,
+    false_positive_frame: int | None = None,
+    set: str | int | None = None,
+    config: str | os.PathLike[str] | None = None,
+    model: ModelName | None = None,
+    formulation: str | None = None,
+    param: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    jobs: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    formats: Iterable[str] = (),
+    dpi: int = 200,
+    width: Literal["one", "two"] = "one",
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> SweepResult:
+    """Run a model over a grid of values of two parameters, as `dlgmd sweep` does.
+
+    Parameters
+    ----------
+    video : str, path, or iterable of ndarray, optional
+        The input, as in `run`, of which responses are measured. Without it, black cubes cross a
+        white picture, one clip per speed, and the attenuation is measured ([Zhao2023] Fig. 11).
+    x, y : str, or (str, iterable)
+        A parameter and its values: ``"sigma_e=0.2:2:0.1"``, ``"r=2,4,6"`` or ``("r", [2, 4, 6])``.
+    speed, cube_size, frames : optional
+        Of the cubes: speeds in px/frame (1, 2, 3 and 4), side in px (40), frames per clip.
+    false_positive_frame : int, optional
+        Frame of a false alarm in `video`, to measure the distinguishability.
+    set, config, model, formulation, param, engine
+        The model, as in `run`; for cubes, the default is that of Fig. 11.
+    jobs, progress
+        As in `batch`.
+    out : str or path, optional
+        Write into ``out/sweep-NAME``, as `dlgmd sweep` does with `formats`, `dpi`, `width` and
+        `overwrite`; the same call continues an interrupted sweep.
+    options
+        Options of the input, as in `run`; of cubes, only `size`.
+
+    Returns
+    -------
+    SweepResult
+        `columns` has each measure, shape (clips, values of y, values of x); `table` is a structured
+        array with the columns of sweep.csv; `plot` draws.
+
+    Raises
+    ------
+    ParameterError
+        If an axis, a parameter or an option is not valid.
+    SourceError, OutputError, OutputExistsError, MissingExtraError, WorkerError
+        As in `run` and `batch`.
+
+    Examples
+    --------
+    >>> found = sweep(x="sigma_e=0.2:2:0.2", y="sigma_i=1:6:1")  # doctest: +SKIP
+    >>> found.columns["attenuation_db"].shape  # doctest: +SKIP
+    (4, 6, 10)
+    """
+    cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
+    _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
+    overridden = param or {}
+    is_fig11 = video is None and set is None and config is None and model in (None, DLGMD)
+    if is_fig11:
+        model, param = DLGMD, {**FIG_11, **overridden}
+    asked = fold(None, set, config, model, formulation, param, engine, options, video)
+    if is_fig11:
+        asked = replace(asked, setups=(replace(asked.setup, label="fig11"),))
+    grid = _grid(x, y, type(asked.setup.params), overridden, formulation)
+    with ExitStack() as opened:
+        if video is None:
+            subject = _cubes(cubes, asked.options.size, grid, asked.setup.params)
+        else:
+            source = opened.enter_context(asked.open(video))
+            subject = video_input(source, asked.options, false_positive_frame)
+        place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
+        folder = place / f"sweep-{store.fitting(subject.name)}"
+        claim = opened.enter_context(store.claimed(folder, RECORD))
+        swept = Sweep(claim.folder, subject, grid, asked.setup)
+        swept.resume(overwrite=overwrite)
+        _compute(swept, jobs or n_processors(), progress)
+        if out is not None:
+            swept.result.write(claim, tuple(formats), dpi, width=width)
+            vars(swept.result)["paths"] = (folder,)
+    return swept.result
+
+
+def _refuse_others(
+    video: Openable | None, of_cubes: dict[str, Any], of_video: dict[str, Any]
+) -> None:
+    """Raise if an option is given that does not work with, or without, a video."""
+    options, needed = (of_video, "with an") if video is None else (of_cubes, "without")
+    for name, value in options.items():
+        if value not in (None, ()) and name != "size":
+            why = f"--{name.replace('_', '-')} works only {needed} INPUT"
+            raise ParameterError("", why, "Leave it out.")
+
+
+def _grid(
+    x: AxisText,
+    y: AxisText,
+    kind: type[Parameters],
+    param: Mapping[str, Any],
+    formulation: str | None,
+) -> Grid:
+    """The grid of both axes; errors name the option of the axis."""
+    axes = []
+    for option, axis in (("--x", x), ("--y", y)):
+        text = axis if isinstance(axis, str) else f"{axis[0]}={','.join(map(str, axis[1]))}"
+        with blame(f"Invalid value for '{option}'"):
+            axes.append(Axis.parse(text, kind))
+        key = axes[-1].key
+        if key in param:
+            raise ParameterError("", f"--param sets {key}, which is an axis", "Leave it out.")
+        if key == "formulation" and formulation is not None:
+            raise ParameterError("", "--formulation is an axis of the sweep", "Leave it out.")
+    return Grid(*axes)
+
+
+def _cubes(
+    asked: dict[str, Any], size_wh: tuple[int, int] | None, grid: Grid, params: Parameters
+) -> "SweepInput":
+    """The cubes that are asked for; clips are as high as the largest kernel needs."""
+    speeds_px, size_wh = asked["speed"] or SPEEDS_PX, size_wh or SIZE_WH
+    side_px = SIDE_PX if asked["cube_size"] is None else asked["cube_size"]
+    radii = [axis.values[-1] for axis in (grid.x, grid.y) if axis.key == "r"]
+    reach_px = max([*radii, getattr(params, "r", size_wh[1])])
+    return cube_input(speeds_px, side_px, asked["frames"], size_wh, reach_px)
+
+
+def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
+    """Compute the missing points; log how many were done before, and warnings at the end."""
+    done, n_points, n_grid = swept.result.done, len(swept.points), len(swept.grid)
+    if done:
+        _log.info("%d of %d points are already done.", len(done), n_points)
+    try:
+        swept.compute(n_jobs, progress=progress)
+    except Exception:
+        if done:
+            _log.info(
+                "%s holds %d of %d points; the same command continues from there.",
+                *(swept.folder, len(done), n_points),
+            )
+        raise
+    if swept.fault is not None:
+        left_out = f"{n_grid - n_points} of {n_grid} points"
+        _log.warning("%s cannot be computed: %s", left_out, swept.fault.why)
+    for warning in swept.result.warnings:
+        _log.warning("%s: %s", swept.subject.given, warning)
+
+
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
+    """Write frames of one size and type, at least one, into a file for memory mapping.
+
+    Repeats are left out.
+    """
+    with path.open("wb") as file:
+        for one in frames:
+            cancel.check()
+            if one.is_repeat:
+                continue
+            picture = ("grey", one.grey.dtype, one.grey.shape)
+            facts = [("frame", np.int64), ("time_s", np.float64), ("after_gap", np.bool_)]
+            kind = np.dtype([*facts, picture], align=True)
+            row = one.index, one.time_s, one.after_gap, one.grey
+            file.write(np.array(row, kind).tobytes())
+            on_frame(one.index + 1)
+    return path, kind
+
+
+def _mapped(clip: Clip) -> npt.NDArray[np.void]:
+    """The memory-mapped frames of a clip: number, time, gap flag and picture of each."""
+    return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
+
+
+def _frames(clip: Clip) -> Iterator[Frame]:
+    for one in _mapped(clip):
+        is_gap = bool(one["after_gap"])
+        yield Frame(int(one["frame"]), float(one["time_s"]), one["grey"], after_gap=is_gap)
+
+
+@dataclass(frozen=True)
+class SweepInput:
+    """The input of a sweep: a video, or translating cubes with one clip per speed.
+
+    `settings` is added to the record. For a video, opened with the `options`, the response is
+    measured; for cubes, only the attenuation.
+    """
+
+    name: str
+    size_wh: tuple[int, int]
+    clips: Sequence[Iterable[Frame]]
+    settings: dict[str, Any]
+    speeds_px: tuple[float, ...] = ()
+    video: Video | None = None
+    options: InputOptions = field(default_factory=InputOptions)
+
+    @property
+    def given(self) -> str:
+        """What the input is called in messages."""
+        return self.name if self.video is None else self.video.info.given
+
+
+def video_input(
+    video: Video, options: InputOptions, false_positive_frame: int | None
+) -> "SweepInput":
+    """A video or pictures; distinguishability needs a frame with a false positive response."""
+    settings = {"false_positive_frame": false_positive_frame}
+    return SweepInput(video.info.name, video.size_wh, [video], settings, (), video, options)
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """Computes points of a sweep; picklable."""
+
+    clips: list[Clip]
+    engine: str
+    columns: tuple[str, ...]
+    options: Mapping[str, Any]
+    false_positive_frame: int | None
+    hidden: npt.NDArray[np.bool_] | None = None
+
+    def __call__(self, batch: Sequence[Point]) -> list[tuple[int, Values]]:
+        """Compute some points: their numbers, and for each clip the values of the columns."""
+        with opencv_threads(1):
+            return [(point, self._values(params)) for point, params in batch]
+
+    def _values(self, params: Parameters) -> Values:
+        stepper = Stepper(params, engine=self.engine)
+        stepper.ignore(self.hidden)
+        values = []
+        for clip in self.clips:
+            stepper.reset()
+            rows = RowList()
+            for frame in _frames(clip):
+                cancel.check()
+                rows.append(frame, stepper.step(frame))
+            height, width = frame.grey.shape
+            n_hidden = 0 if self.hidden is None else np.count_nonzero(self.hidden)
+            size = {"width": width, "height": height, "cells": width * height - n_hidden}
+            result = Result(rows.rows(), params, {"processed": size, "options": self.options})
+            values.append(measured(result, self.columns, self.false_positive_frame))
+        return values
+
+
+def _computed(waiting: list[Point], probe: _Probe, jobs: int) -> Iterator[tuple[int, Values]]:
+    """Points with their values in order of completion; the values do not depend on `jobs`."""
+    if probe.engine == "numba" and jobs > 1:
+        # Compile in this process first: the others load the code from disk.
+        yield from probe(waiting[:1])
+        waiting = waiting[1:]
+    n_cells = sum(_mapped(clip)["grey"].size for clip in probe.clips)
+    size = max(1, min(_CELLS_PER_TASK // n_cells, -(-len(waiting) // jobs)))
+    batches = [waiting[start : start + size] for start in range(0, len(waiting), size)]
+    if jobs == 1 or len(batches) == 1:
+        for one in waiting:
+            yield from probe([one])
+        return
+    for _, outcome in run_tasks(probe, batches, min(jobs, len(batches))):
+        if isinstance(outcome.error, WorkerError):
+            raise WorkerError("a point of the grid", outcome.error.why, outcome.error.mend)
+        yield from outcome.result()
+
+
+def engine_for(params: Parameters, asked: str, size_wh: tuple[int, int]) -> str:
+    """The engine that `run` would use for this frame size; raises what `create_model` raises."""
+    model = create_model(params, engine=asked)
+    if not isinstance(params, DistributedParameters):
+        return model.engine_name
+    return choose_engine(asked, size_wh[0] * size_wh[1])
+
+
+class Sweep:
+    """A sweep of the model `setup` over a grid, stored in a folder.
+
+    `points` holds the parameters of all valid points, and `fault` the error of the first invalid
+    one. `result` holds what is computed so far, and the doubts about the input. Raises
+    ParameterError if no point is valid.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        subject: SweepInput,
+        grid: Grid,
+        setup: Setup,
+    ) -> None:
+        self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
+        self.engine = engine_for(setup.params, setup.engine, subject.size_wh)
+        self.points: dict[int, Parameters] = {}
+        self.fault: ParameterError | None = None
+        for point in range(len(grid)):
+            try:
+                self.points[point] = replace(setup.params, **reformulated(grid.overrides(point)))  # type: ignore[type-var]
+            except ParameterError as error:
+                self.fault = self.fault or error
+        if self.fault and not self.points:
+            raise ParameterError("--x and --y", self.fault.why, self.fault.mend)
+        columns = ATTENUATION_COLUMNS if subject.speeds_px else RESPONSE_COLUMNS
+        self.result = SweepResult.empty(grid, subject.speeds_px, columns, self.points, subject.name)
+        self._identity: dict[str, Any] = {}
+        if subject.video is not None:
+            info = subject.video.info
+            self._identity = {**info.identity, "decoder": info.decoder}
+        self.result.about.update(
+            settings=subject.settings,
+            decoder=str(self._identity.get("decoder")),
+            model={
+                "model": setup.params.model,
+                "engine": self.engine,
+                **setup.params.to_dict(),
+                "options": subject.options.to_record(),
+            },
+        )
+
+    def resume(self, *, overwrite: bool = False) -> None:
+        """Load the points of the same sweep that the folder, which must exist, already has.
+
+        Raises OutputExistsError if it has other files, or another sweep that may not be replaced.
+        """
+        names = {path.name for path in self.folder.iterdir()}
+        strays = sorted(name for name in names if not name.startswith(PREFIX))
+        if strays and RECORD not in names:
+            why = f"contains other files, such as {strays[0]}"
+            raise OutputExistsError(str(self.folder), why, "Choose another --out.")
+        if overwrite or RECORD not in names:
+            return
+        before, now = read_record(self.folder / RECORD), yaml.safe_load(self.result.record_text())
+        options, swept = now.pop("options"), now.pop("sweep")
+        asked = {**now, **swept}
+        differing = differences(
+            {**before, **before.get("sweep", {})},
+            identity=self._identity,
+            settings={key: asked[key] for key in asked if key not in _FOUND},
+            options=options,
+        )
+        if differing:
+            why = f"a sweep with other settings already exists here ({', '.join(differing)})"
+            mend = "Add --overwrite to replace it, or choose another --out."
+            raise OutputExistsError(str(self.folder), why, mend)
+        facts = {key: before[key] for key in ("input", "processed") if key in before}
+        self.result.about["input"] = facts
+        self.result.warnings[:] = before.get("warnings", [])
+        self.result.read(self.folder / TABLE)
+
+    def compute(self, jobs: int = 1, *, progress: Progress = no_progress) -> None:
+        """Compute the missing points and append them to the table.
+
+        Computed points are kept after an error: SourceError or ParameterError if there are too few
+        frames, OutputError, WorkerError if a process dies, or Interrupted.
+        """
+        done, subject = self.result.done, self.subject
+        missing = [one for one in self.points.items() if one[0] not in done]
+        if not missing:
+            return
+        with store.writing(self.folder), staging(self.folder) as stage:
+            clips = self._keep_frames(stage, progress)
+            stale = () if done else SweepResult.own_files(store.PLOT_FORMATS)
+            store.Claim(self.folder, RECORD).commit(self.result.so_far(), stale=stale)
+            probe = _Probe(
+                clips,
+                self.engine,
+                tuple(self.result.columns),
+                subject.options.to_record(),
+                subject.settings.get("false_positive_frame"),
+                None if subject.video is None else subject.video.hidden(),
+            )
+            with (
+                progress(f"sweep {subject.name}", len(self.points), "point") as on_point,
+                store.appending(self.folder / TABLE) as file,
+            ):
+                table = csv.writer(file, lineterminator="\n")
+                for point, values in _computed(missing, probe, jobs):
+                    self.result.put(point, values)
+                    table.writerows(self.result.rows([point]))
+                    file.flush()
+                    on_point(len(done))
+
+    def _keep_frames(self, folder: Path, progress: Progress) -> list[Clip]:
+        """Write the frames of all clips into `folder`; raises if no point has enough of them."""
+        subject, video, clips = self.subject, self.subject.video, []
+        total = None if video is None else subject.options.n_expected(video.info)
+        with progress(subject.name, total, "frame") as on_frame, opencv_threads(1):
+            for number, frames in enumerate(subject.clips):
+                with read_ahead(frames) as ahead:
+                    clips.append(keep_frames(folder / f"frames-{number}", ahead, on_frame))
+        n_frames = min(len(_mapped(clip)) for clip in clips)
+        n_needed = sys.maxsize
+        for params in self.points.values():
+            n_needed = min(n_needed, create_model(params).first_valid_frame + 1)
+            if n_needed <= n_frames:
+                break
+        else:
+            raise self._too_short(n_frames, n_needed)
+        if video is not None:
+            first = _mapped(clips[0])
+            rows = rows_of({name: first[name] for name in ("frame", "time_s")})
+            self.result.about["input"] = input_record(video, video.size_wh, rows)
+            self.result.warnings[:] = video.progress.warnings
+        return clips
+
+    def _too_short(self, n_frames: int, n_needed: int) -> DlgmdError:
+        subject, label = self.subject, self.setup.label
+        if subject.video is not None:
+            return too_short(subject.video, label, n_needed, subject.options)
+        frames = counted(n_frames, "frame")
+        why = f"{frames} of each cube, but {label} needs at least {n_needed}"
+        return ParameterError("--frames", why, "Give more frames, slower cubes, or a wider --size.")
+
+
+def cube_input(
+    speeds_px: Sequence[float],
+    side_px: float,
+    n_frames: int | None,
+    size_wh: tuple[int, int],
+    reach_px: int,
+) -> "SweepInput":
+    """Black cubes that translate over white, one clip for each speed, see `cube_clips`."""
+    speeds_px = tuple(dict.fromkeys(speeds_px))
+    clips, cubes = cube_clips(speeds_px, side_px, n_frames, size_wh, reach_px)
+    return SweepInput("translating-cubes", size_wh, clips, {"cubes": cubes}, speeds_px)
