@@ -1,27 +1,21 @@
 """The clips on which the paper's claims are checked, and the models' responses to them."""
 
+import hashlib
+import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights import scenes
-from dlgmd_cli.lab.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
-from dlgmd_cli.lab.flights.scenes import FlightScene, find_scene, open_scene
-from dlgmd_cli.lab.flights.stages import named_flight
-from dlgmd_cli.lab.stimuli.base import Scene
 from dlgmd_cli.models.base import FloatImage
-from dlgmd_cli.models.engines.opencv import sum_4x4
 from dlgmd_cli.models.lgmd import INHIBITION
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.presets import (
     MODELS,
     Parameters,
     load_model_preset,
@@ -30,13 +24,14 @@ from dlgmd_cli.parameters import (
 )
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList
-from dlgmd_cli.runs.run import responses
+from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
+from dlgmd_cli.tasks.run import responses
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
 
 REFERENCE_FPS = 30.0
-# Parameters of models by label.
-Models = dict[str, Parameters]
+# Parameters of models by label; with a scale, the frames are reduced by it.
+Models = dict[str, Parameters | tuple[Parameters, float]]
 
 # Every combination of latency and saturation, and the released code's FFI, by the name in reports.
 VERSIONS: dict[str, dict[str, Any]] = {
@@ -68,17 +63,32 @@ class Clip:
         """A scene; `object_size=40` stands for ``--object-size 40``."""
         return cls(scene, tuple((f"--{key.replace('_', '-')}", v) for key, v in flags.items()))
 
+    @property
+    def seed(self) -> int | None:
+        """The seed, None if it is not given."""
+        found: int | None = dict(self.flags).get("--seed")
+        return found
+
+    @property
+    def name(self) -> str:
+        """The scene, and what distinguishes it from others: its speed."""
+        speeds = dict(self.flags).get("--speed")
+        return f"{self.scene} {speeds[0]:g}" if speeds else self.scene
+
 
 @dataclass(frozen=True)
 class ClipResults:
     """The results of models on a clip by label, and the scene's ground truth by column.
 
-    `phases` has the first and the last frame of each phase of a flight.
+    `phases` has the first and the last frame of each phase of a flight, and `sha256` is that of the
+    grey frames.
     """
 
+    clip: Clip
     results: dict[str, Result]
     truth: dict[str, Series]
     phases: dict[str, tuple[int, int]]
+    sha256: str
 
     @property
     def collision_frame(self) -> int:
@@ -86,6 +96,30 @@ class ClipResults:
         result = next(iter(self.results.values()))
         found = result.collision_frame
         return int(result.frame[-1]) if found is None else found
+
+    def joined(self, other: "ClipResults") -> "ClipResults":
+        """The results of both on the same clip."""
+        return replace(self, results={**self.results, **other.results})
+
+    def arrays(self) -> dict[str, Any]:
+        """Everything but the clip and the parameters as arrays."""
+        records = {label: one.record for label, one in self.results.items()}
+        facts = {"records": records, "phases": self.phases, "sha256": self.sha256}
+        found: dict[str, Any] = {"facts": np.array(json.dumps(facts))}
+        found |= {f"rows {label}": one.rows for label, one in self.results.items()}
+        return found | {f"truth {name}": values for name, values in self.truth.items()}
+
+    @classmethod
+    def of_arrays(cls, clip: Clip, models: "Models", arrays: dict[str, Any]) -> "ClipResults":
+        """The inverse of `arrays`; raises KeyError and ValueError if they are not of these."""
+        facts = json.loads(str(arrays["facts"]))
+        results = {
+            label: Result(arrays[f"rows {label}"], _scaled(one)[0], facts["records"][label])
+            for label, one in models.items()
+        }
+        truth = {k.removeprefix("truth "): v for k, v in arrays.items() if k.startswith("truth ")}
+        phases = {name: (first, last) for name, (first, last) in facts["phases"].items()}
+        return cls(clip, results, truth, phases, facts["sha256"])
 
 
 def model(name: str, version: str = "default", **changes: Any) -> Parameters:
@@ -107,19 +141,24 @@ def other_models(*names: str) -> Models:
     return {name: model(name) for name in names}
 
 
-def run_clip(clip: Clip, models: Models, scales: Mapping[str, float] | None = None) -> ClipResults:
-    """Render a clip once, and run every model over it, on frames scaled by `scales` if given.
+def _scaled(one: Parameters | tuple[Parameters, float]) -> tuple[Parameters, float]:
+    return one if isinstance(one, tuple) else (one, 1.0)
+
+
+def run_clip(clip: Clip, models: Models) -> ClipResults:
+    """Render a clip once, and run every model over it.
 
     If the scene has a collision, the results' peaks end there.
     """
+    digest = hashlib.sha256()
     with open_clip(clip) as video:
         (width, height), steppers = video.size_wh, []
-        for label, params in models.items():
-            scale = scales[label] if scales else 1.0
+        for params, scale in map(_scaled, models.values()):
             size_wh = max(1, round(width * scale)), max(1, round(height * scale))
             steppers.append(Stepper(params, engine="opencv", size_wh=size_wh))
         collected = [RowList() for _ in steppers]
         for frame, found in responses(video, steppers):
+            digest.update(frame.grey.tobytes())
             for rows, response in zip(collected, found, strict=True):
                 rows.append(frame, response)
     record, truth = _known(clip)
@@ -132,37 +171,21 @@ def run_clip(clip: Clip, models: Models, scales: Mapping[str, float] | None = No
         width, height = stepper.size_wh or video.size_wh
         processed = {"processed": {"width": width, "height": height}}
         results[label] = Result(rows.rows(), stepper.params, {**processed, **known})
-    return ClipResults(results, truth, phases)
+    return ClipResults(clip, results, truth, phases, digest.hexdigest())
 
 
 def open_clip(clip: Clip) -> Video:
     """The frames of a clip as a source, at full size."""
     if clip.folder:
         return open_video(clip.folder, scale=1.0, input_fps=REFERENCE_FPS)
-    return open_scene(_scene(clip.scene), dict(clip.flags), scale=1.0)
-
-
-def _scene(name: str) -> Scene[Any]:
-    """A scene of the tool, or group 2 with its brakes at frame 125 instead of 105."""
-    return _late_group2() if name == LATE else find_scene(name)
-
-
-LATE = "group2, brakes at 125"
-
-
-def _late_group2() -> FlightScene:
-    """Group 2 as the paper's Fig. 14 shows it."""
-    scene, scripts = find_scene("group2"), Path(scenes.__file__).with_name("scenes.yaml")
-    spec = yaml.safe_load(scripts.read_text("utf-8"))["group2"]
-    spec["flies"][2][1] += 20  # the phase before the brakes is longer
-    return FlightScene(LATE, LATE, scene.defaults, partial(named_flight, spec))
+    return open_scene(find_scene(clip.scene), dict(clip.flags), scale=1.0)
 
 
 def _known(clip: Clip) -> tuple[dict[str, Any], dict[str, Series]]:
     """The record of a scene, and its ground truth by column; empty for a folder and a flight."""
     if clip.folder:
         return {}, {}
-    scene = _scene(clip.scene)
+    scene = find_scene(clip.scene)
     options = scene.configure(dict(clip.flags))
     rows = [] if scene.is_flight else [vars(row) for row in scene.truth(options)]
     truth = {key: np.array([row[key] for row in rows]) for key in (rows[0] if rows else ())}
@@ -185,64 +208,6 @@ def check_reference(reference: Path | None) -> None:
         raise ParameterError("--reference", why, "Give the folder that holds them.")
 
 
-# Of the paper's Fig. 8, in a picture 800 px wide: half the size of the boxes around the capsules,
-# the distance of the ball on arrival in m, and the focal length in px.
-_HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
-# Last frame at which the boxes of the capsules and of the ball do not overlap.
-LAST_APART = 42
-
-
-def object_sums(clip: Clip, models: Models) -> dict[str, tuple[Series, Series]]:
-    """Sums of P and S within a box around each object, and `layer_shares` of each frame, by label.
-
-    Shapes (2, n_frames, 5), the ball, then the capsules; and (n_frames, 4). NaN until the model's
-    first valid frame.
-    """
-    steppers = [Stepper(params, engine="opencv") for params in models.values()]
-    sums: dict[str, list[Series]] = {label: [] for label in models}
-    shares: dict[str, list[Series]] = {label: [] for label in models}
-    with open_clip(clip) as video:
-        for frame, each in responses(video, steppers, layers=lambda frame: True):
-            boxes = object_boxes(frame.grey.shape, frame.index)
-            for label, response in zip(models, each, strict=True):
-                found, about = np.full((2, len(boxes)), np.nan), np.full(4, np.nan)
-                if response.is_valid and response.layers is not None:
-                    p, s, g = response.layers.p, response.layers.s, response.layers.g
-                    assert p is not None and s is not None and g is not None
-                    found = np.array([[float(one[box].sum()) for box in boxes] for one in (p, s)])
-                    about = layer_shares(p, s, g)
-                sums[label].append(found)
-                shares[label].append(about)
-    return {label: (np.stack(sums[label], axis=1), np.stack(shares[label])) for label in models}
-
-
-# A cell is active above this, in luminance; and sparse if at most so many of the 4x4 around it are.
-_ACTIVE, _SPARSE = 0.01, 4
-
-
-def layer_shares(p: FloatImage, s: FloatImage, g: FloatImage) -> Series:
-    """Of a frame: how P and S are spread, and which cells of S are not in G.
-
-    The standard deviations of P and of S over the cells where P is active, by their means; then the
-    shares of the sparse and of the other active cells of S that G removes. NaN without such cells.
-    """
-    moving = p > _ACTIVE
-    spread = [_spread(one[moving]) for one in (p, s)]
-    is_active = (s > _ACTIVE).astype(np.float32)
-    around = np.empty_like(is_active)
-    sum_4x4(is_active, around)
-    removed = [
-        (g[cells] == 0.0).mean() if cells.any() else np.nan
-        for cells in (is_active * (around <= _SPARSE) > 0, is_active * (around > _SPARSE) > 0)
-    ]
-    return np.array([*spread, *removed])
-
-
-def _spread(values: FloatImage) -> float:
-    """Standard deviation by mean; NaN if all are 0."""
-    return float(values.std() / values.mean()) if values.any() else math.nan
-
-
 def rectified_lgmd_db(clip: Clip) -> Series:
     """The attenuation of an LGMD with |P| and S rectified, in dB by frame; NaN while undefined."""
     earlier: list[FloatImage] = []
@@ -259,23 +224,3 @@ def rectified_lgmd_db(clip: Clip) -> Series:
             found.append(10.0 * math.log10(s_sum / p_sum) if is_valid else math.nan)
             earlier, last = [*earlier[-1:], p], grey
     return np.array(found)
-
-
-def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
-    """Rows and columns of the boxes around the ball and each capsule at a frame."""
-    height, width = shape
-    px = width / 800.0
-    far_m = _FOCAL_PX * BALL_M / BALL_PX
-    distance = _ARRIVES_M + (far_m - _ARRIVES_M) * (1.0 - index / CONTACT_FRAME)
-    radius = _FOCAL_PX * BALL_M / math.sqrt(distance**2 - BALL_M**2) + 6.0
-    places = [(0.0, 0.0, radius, radius)]
-    places += [(START_PX + speed * index, down, *_HALF_PX) for down, speed in CAPSULES]
-
-    def side(middle: float, center: float, half: float, length: int) -> slice:
-        low, high = middle + (center - half) * px, middle + (center + half) * px
-        return slice(max(0, round(low)), min(length, round(high)))
-
-    return [
-        (side(height / 2, y, half_y, height), side(width / 2, x, half_x, width))
-        for x, y, half_x, half_y in places
-    ]

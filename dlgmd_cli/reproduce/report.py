@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError
-from dlgmd_cli.lab.reproduce.claims import (
+from dlgmd_cli.plots.style import save_figure
+from dlgmd_cli.reproduce.claims import (
     EMPTY,
     NO,
     UNDECIDED,
@@ -20,9 +21,9 @@ from dlgmd_cli.lab.reproduce.claims import (
     findings,
     write_claims,
 )
-from dlgmd_cli.lab.reproduce.clips import VERSIONS, model
-from dlgmd_cli.lab.reproduce.plan import ANY, Evidence, Plan
-from dlgmd_cli.plots.style import save_figure
+from dlgmd_cli.reproduce.clips import VERSIONS, model
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
+from dlgmd_cli.results.provenance import provenance
 from dlgmd_cli.results.record import versions
 from dlgmd_cli.results.store import replacing
 
@@ -50,20 +51,69 @@ def require_jinja() -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """An exhibit in the report: its texts, and what it shows."""
+    """An exhibit in the report: its texts, and what it shows.
+
+    `others` are what it shows under other plans: at full size, or on the authors' frames.
+    """
 
     spec: ExhibitSpec
     evidence: Evidence
+    plan: Plan
+    others: Sequence[tuple[Plan, Evidence]] = ()
 
     @property
     def found(self) -> list[Finding]:
-        """The finding about each claim and formulation."""
-        return findings(self.spec, self.evidence.values)
+        """The finding about each claim and version.
+
+        A claim that the first plan does not show is judged under another one.
+        """
+        found = []
+        for claim in self.spec.claims.values():
+            plans = ((self.plan, self.evidence), *self.others)
+            each = (findings([claim], self.spec.source, one, plan) for plan, one in plans)
+            found += next(filter(None, each), [])
+        return found
+
+    @property
+    def beside(self) -> dict[str, dict[tuple[str, str], Finding]]:
+        """Name of another plan -> findings by claim and version, but those that are judged."""
+        judged = {(one.claim.id, one.version): one.frames for one in self.found}
+        return {
+            plan.name: {
+                (one.claim.id, one.version): one
+                for one in findings(self.spec.claims.values(), self.spec.source, found, plan)
+                if judged[one.claim.id, one.version] != plan.name
+            }
+            for plan, found in self.others
+        }
+
+    @property
+    def all_found(self) -> list[Finding]:
+        """The findings under every plan, for `claims.csv`."""
+        return self.found + [one for found in self.beside.values() for one in found.values()]
 
     @property
     def by_claim(self) -> list[list[Finding]]:
         """The findings grouped by claim, in the order of the file."""
         return [list(some) for _, some in groupby(self.found, lambda one: one.claim.id)]
+
+    @property
+    def figures(self) -> dict[str, tuple[str, Callable[[], Any]]]:
+        """File name without suffix -> on which frames, and the function that draws the figure."""
+        found = {stem: ("", draw) for stem, draw in self.evidence.figures.items()}
+        for plan, evidence in self.others:
+            suffix = "full" if plan.is_full_size else "authors"
+            for stem, draw in evidence.figures.items():
+                found[f"{stem}-{suffix}"] = (plan.name, draw)
+        return found
+
+    @property
+    def tables(self) -> dict[str, list[tuple[Any, ...]]]:
+        """Title -> rows of the tables, of all plans."""
+        found = dict(self.evidence.tables)
+        for plan, evidence in self.others:
+            found |= {f"{title}, {plan.name}": rows for title, rows in evidence.tables.items()}
+        return found
 
     @property
     def held(self) -> dict[str, tuple[int, int]]:
@@ -87,6 +137,11 @@ class Report:
         """The findings of all sections."""
         return [one for section in self.sections for one in section.found]
 
+    @property
+    def all_found(self) -> list[Finding]:
+        """The findings of all sections, under every plan."""
+        return [one for section in self.sections for one in section.all_found]
+
     def write(self, folder: Path, dpi: int, on_figure: Callable[[int], None]) -> list[Path]:
         """Write the figures as PNG and PDF, then `claims.csv`, then the page; returns their paths.
 
@@ -96,13 +151,13 @@ class Report:
         paths = [folder / REPORT, folder / TABLE]
         with replacing(folder, record=REPORT) as stage:
             for number, section in enumerate(self.sections, start=1):
-                for stem, draw in section.evidence.figures.items():
+                for stem, (_, draw) in section.figures.items():
                     figure = draw()
                     for suffix in ("png", "pdf"):
                         paths.append(folder / f"{stem}.{suffix}")
                         save_figure(figure, stage / paths[-1].name, dpi)
                 on_figure(number)
-            write_claims(stage / TABLE, self.found)
+            write_claims(stage / TABLE, self.all_found)
             (stage / REPORT).write_text(self.html(stage), encoding="utf-8")
         return paths
 
@@ -110,7 +165,7 @@ class Report:
         """The page, with the figures in a folder; every text is escaped."""
         jinja2 = require_jinja()
         environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        environment.filters["number"] = number
+        environment.filters["number"], environment.filters["shown"] = number, shown
         template = environment.from_string(TEMPLATE.read_text("utf-8"))
         return str(
             template.render(
@@ -120,14 +175,26 @@ class Report:
                 ).decode(),
                 versions_of={name: model("set9", name) for name in VERSIONS},
                 any=ANY,
+                with_authors=any(
+                    one.others and one.others[-1][0].reference for one in self.sections
+                ),
                 counts=counts(self.found),
                 whose=dict(zip(WHOSE, _PARTS, strict=True)),
                 words=_WORDS,
                 marks=_MARKS,
                 parameters={name: model(name).to_dict() for name in (*_SETS, "lgmd", "emd-lgmd")},
                 versions=versions(),
+                made_by=provenance(),
             )
         )
+
+
+def shown(one: Finding) -> str:
+    """The value, or the median over seeds with its interval."""
+    if len(one.values) == 1:
+        return number(one.median)
+    low, high = map(number, one.interval)
+    return number(one.median) if low == high else f"{number(one.median)} ({low} to {high})"
 
 
 def number(value: float | str) -> str:
@@ -136,5 +203,7 @@ def number(value: float | str) -> str:
         return value
     if value != value:
         return "–"
+    if abs(value) < 1e-12:  # rounding
+        return "0"
     text = f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
     return text.replace("-", "−").replace("inf", "∞")

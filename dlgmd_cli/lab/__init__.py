@@ -1,1 +1,0 @@
-"""The laboratory: what makes truth (stimuli, rendered flights) and measures against it."""

@@ -1,1 +1,0 @@
-"""How well alarms announce labelled collisions, and which parameters do it best."""

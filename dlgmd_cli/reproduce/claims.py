@@ -1,0 +1,258 @@
+"""The paper's claims with their thresholds, and the findings about them."""
+
+import math
+import operator
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import yaml
+
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.reproduce.clips import NULLS, VERSIONS
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
+from dlgmd_cli.results.csv import cell, write_rows
+from dlgmd_cli.results.provenance import provenance
+
+CLAIMS = Path(__file__).with_name("claims.yaml")
+YES, NO, UNDECIDED = "yes", "no", "undecided"
+# It holds, but it also does without inhibition, which is said to bring it about.
+EMPTY = "empty"
+# Whose a claim is: the paper's about its model, the paper's about other models, or this project's.
+OURS = "ours"
+WHOSE = ("paper", "models", OURS)
+# What a claim is about. Only one that says what inhibition brings about must fail without it.
+SELECTS, RESPONDS, PART = KINDS = ("selects", "responds", "part")
+COLUMNS = (
+    *("id", "claim", "source", "formulation", "measure", "seed", "value", "threshold", "holds"),
+    *("whose", "kind", "unit", "criterion", "reason", "paper_value", "shown_on"),
+    *("median", "low", "high", "seeds", "verdict", "null_value", "null_holds"),
+    *("input", "input_sha256", "dlgmd", "commit", "ffmpeg", "cpu", "os"),
+)
+_HOLDS = {
+    "at least": operator.ge,
+    "above": operator.gt,
+    "at most": operator.le,
+    "below": operator.lt,
+}
+# Probability that a median lies outside its interval, at most.
+_OUTSIDE = 0.05
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of the paper; `claims.yaml` explains the fields."""
+
+    id: str
+    claim: str
+    measure: str
+    threshold: float
+    holds: str
+    reason: str
+    unit: str = ""
+    whose: str = "paper"
+    kind: str = SELECTS
+    source: str = ""
+    paper: str = ""
+    why_not: str = ""
+
+    @property
+    def sign(self) -> str:
+        """The comparison with the threshold."""
+        return {"at least": "≥", "above": ">", "at most": "≤", "below": "<"}[self.holds]
+
+
+@dataclass(frozen=True)
+class ExhibitSpec:
+    """Texts and claims of an exhibit, from `claims.yaml`; `repeat` has commands that repeat it.
+
+    `says` is what the paper says, in this project's words.
+    """
+
+    id: str
+    title: str
+    source: str
+    says: str
+    about: str
+    repeat: Sequence[str]
+    claims: Mapping[str, Claim]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The values of a claim under one version of the model, one per seed, or a single one.
+
+    `frames` says on which frames, see `Plan.name`, and `inputs` which they are, see `Evidence`.
+    `null` are the values of the same version without inhibition, if it was measured.
+    """
+
+    claim: Claim
+    source: str
+    version: str
+    values: tuple[float, ...]
+    null: tuple[float, ...] = ()
+    frames: str = ""
+    seeds: tuple[int | None, ...] = (None,)
+    inputs: Mapping[int | None, Mapping[str, str]] = field(default_factory=dict)
+
+    @property
+    def of_null(self) -> "Finding | None":
+        """The same of the null model."""
+        return replace(self, values=self.null, null=()) if self.null else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the median over seeds, or the range with fewer than six."""
+        return interval(self.values)
+
+    @property
+    def median(self) -> float:
+        """The median over the seeds where the value is defined; NaN if it is nowhere."""
+        known = sorted(value for value in self.values if not math.isnan(value))
+        low, high = (
+            (known[(len(known) - 1) // 2], known[len(known) // 2]) if known else (math.nan,) * 2
+        )
+        return low if low == high else (low + high) / 2.0
+
+    @property
+    def holds(self) -> str:
+        """`yes` or `no` if the whole interval meets the criterion or fails it, or `undecided`."""
+        met = {self.meets(value) for value in self.interval}
+        return UNDECIDED if None in met or len(met) == 2 else YES if met == {True} else NO
+
+    @property
+    def verdict(self) -> str:
+        """As `holds`, but `empty` if inhibition should bring it about, and it holds without."""
+        null = self.of_null if self.claim.kind == SELECTS else None
+        return EMPTY if self.holds == YES and null is not None and null.holds == YES else self.holds
+
+    @property
+    def n_met(self) -> int:
+        """Number of seeds for which it holds."""
+        return sum(self.meets(value) is True for value in self.values)
+
+    def meets(self, value: float) -> bool | None:
+        """Whether a value meets the criterion; None if it is undefined."""
+        if math.isnan(value):
+            return None
+        return bool(_HOLDS[self.claim.holds](value, self.claim.threshold))
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """The interval between two order statistics that has the median with 95 % or more.
+
+    Values may be infinite. An undefined one could be anything, and counts as the least for the
+    lower end, and as the greatest for the upper one; an end that is undefined is NaN.
+    """
+    n, rank, tail = len(values), 0, 0.5 ** len(values)
+    while 2.0 * tail <= _OUTSIDE:
+        rank += 1
+        tail += math.comb(n, rank) * 0.5**n
+    rank = max(0, rank - 1)  # 0 is the least value
+    known, n_unknown = sorted(v for v in values if not math.isnan(v)), sum(map(math.isnan, values))
+    low, high = rank - n_unknown, len(known) - 1 - rank + n_unknown
+    return (
+        known[low] if 0 <= low < len(known) else math.nan,
+        known[high] if 0 <= high < len(known) else math.nan,
+    )
+
+
+def load_claims() -> tuple[dict[str, ExhibitSpec], dict[str, list[str]]]:
+    """The exhibits by id, in the order of the file, and the lists of remarks on the whole."""
+    document = yaml.safe_load(CLAIMS.read_text("utf-8"))
+    specs = {}
+    for name, spec in document["exhibits"].items():
+        claims = {key: Claim(key, **each) for key, each in spec.pop("claims").items()}
+        specs[name] = ExhibitSpec(name, claims=claims, **spec)
+    return specs, document["remarks"]
+
+
+def select(specs: Mapping[str, ExhibitSpec], only: Iterable[str]) -> dict[str, ExhibitSpec]:
+    """The exhibits and claims whose ids begin with one of `only`; all of them if it is empty.
+
+    `fig1` selects fig1 alone, not fig10; `fig9a` selects its claims in fig9; `table4` selects all
+    of Table IV.
+
+    Raises
+    ------
+    ParameterError
+        If nothing begins with one of `only`.
+    """
+    asked = [text.strip() for text in only if text.strip()]
+    ids = {each: spec.id for spec in specs.values() for each in (spec.id, *spec.claims)}
+    for text in asked:
+        if not any(_matches(text, each) for each in ids):
+            near = nearest(text[:100], ids)
+            hint = f"Did you mean '{near}'? " if near else ""
+            mend = f"{hint}Choose from {', '.join(specs)}, or one of their claims."
+            raise ParameterError(
+                "Invalid value for '--only'", f"there is no {text[:40]!r} to reproduce", mend
+            )
+    found = {}
+    for name, spec in specs.items():
+        claims = {
+            key: claim
+            for key, claim in spec.claims.items()
+            if not asked or any(_matches(text, each) for text in asked for each in (name, key))
+        }
+        if claims:
+            found[name] = replace(spec, claims=claims)
+    return found
+
+
+def _matches(text: str, name: str) -> bool:
+    """Whether `name` begins with `text`, and the next character, if any, is not a digit."""
+    return name.startswith(text) and not name[len(text) : len(text) + 1].isdigit()
+
+
+def findings(claims: Iterable[Claim], source: str, evidence: Evidence, plan: Plan) -> list[Finding]:
+    """Claims under each version of the model, as far as the evidence of a plan has them."""
+    found = []
+    for claim in claims:
+        values = evidence.values.get(claim.id, {})
+        for version in (one for one in (ANY, *VERSIONS) if one in values):
+            own, null = values[version], values.get(NULLS.get(version, ""), ())
+            seeds = plan.seeds if len(own) == len(plan.seeds) else (None,)
+            facts = plan.name, seeds, evidence.inputs
+            place = OURS if claim.whose == OURS else claim.source or source
+            one = Finding(claim, place, version, tuple(own), tuple(null), *facts)
+            found.append(one)
+    return found
+
+
+def write_claims(path: Path, found: Iterable[Finding]) -> None:
+    """Write `claims.csv`, a row for each claim, version and seed; OSError passes through."""
+    facts = provenance()
+    made_by = [facts.get(name, "") for name in COLUMNS[-5:]]
+    words = {True: YES, False: NO, None: UNDECIDED}
+    rows = []
+    for one in found:
+        claim, null = one.claim, one.of_null
+        about = [claim.id, claim.claim, one.source, one.version, claim.measure]
+        criterion = [claim.whose, claim.kind, claim.unit, claim.holds, claim.reason, claim.paper]
+        ends = [cell(value) for value in (one.median, *one.interval)]
+        for place, (seed, value) in enumerate(zip(one.seeds, one.values, strict=True)):
+            without = one.null[place] if null and place < len(one.null) else math.nan
+            inputs = {**one.inputs.get(None, {}), **one.inputs.get(seed, {})}
+            rows.append(
+                [
+                    *about,
+                    "" if seed is None else str(seed),
+                    *(cell(value), cell(claim.threshold), words[one.meets(value)]),
+                    *(*criterion, one.frames, *ends, str(len(one.values)), one.verdict),
+                    *((cell(without), null.holds) if null else ("", "")),
+                    *(" ".join(inputs), " ".join(inputs.values()), *made_by),
+                ]
+            )
+    write_rows(path, COLUMNS, rows)
+
+
+def counts(found: Iterable[Finding]) -> dict[str, Counter[str]]:
+    """Version -> numbers of claims by verdict, of the paper's claims about its model."""
+    numbers: dict[str, Counter[str]] = {}
+    for one in found:
+        if one.claim.whose == WHOSE[0] and one.version != ANY:
+            numbers.setdefault(one.version, Counter())[one.verdict] += 1
+    return numbers

@@ -1,0 +1,413 @@
+"""The exhibits with flights: the figures of groups 1 to 5, and what the paper says of a limit."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.style import FLOOR_DB
+from dlgmd_cli.reproduce.clips import Clip, ClipResults, Models, all_versions, other_models
+from dlgmd_cli.reproduce.plan import ANY, Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.reproduce.stimuli import (
+    FEW,
+    LGMDS,
+    ONSET,
+    SIGMOID,
+    SIZE,
+    TWO,
+    level,
+    pooled_db,
+    positive,
+    share_of_peak,
+)
+from dlgmd_cli.results.result import Result, Series
+
+_LGMD = other_models("lgmd")
+_LABELS = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
+# Length of the approach, and of the window before contact in which a model must respond.
+APPROACH_FRAMES, CONTACT_FRAMES = 30, 15
+# The threshold of a spike.
+T_MP = 0.4
+# Phases in which a model must be silent.
+_BEFORE = ("pitch", "accelerate")
+# Phases of the drone's attitude motion in groups 4 and 5, by the paper's Table III.
+_ATTITUDE = ("take off", "pitch")
+# Measures a model, given by its label, in one flight.
+Measure = Callable[[ClipResults, str], float]
+# Group 2 brakes at the frame of Fig. 14.
+_SCENES = {1: "group1", 2: "group2-late", 3: "group3", 4: "group4", 5: "group5"}
+
+
+def clips_of(plan: Plan, group: int) -> list[Clip]:
+    """The flights of a group, one per seed; the first one is in the figures."""
+    return [Clip.of(_SCENES[group], size=plan.flight_size, seed=seed) for seed in plan.seeds]
+
+
+def _set9(plan: Plan) -> Models:
+    return all_versions("set9", only=plan.versions)
+
+
+def sustained(level: Series, first: int, last: int) -> float:
+    """The greatest level that two successive frames reach, from `first` to `last`.
+
+    There is an alarm if this reaches the threshold: an alarm needs as many successive spikes.
+    """
+    return float(np.minimum(level[first:last], level[first + 1 : last + 1]).max())
+
+
+def phase(flight: ClipResults, name: str) -> tuple[int, int]:
+    """First and last frame of a phase without the approach, or of the window to contact."""
+    end = flight.collision_frame
+    if name == "contact":
+        return end - CONTACT_FRAMES, end
+    first, last = flight.phases[name]
+    return first, max(first + 1, min(last, end - APPROACH_FRAMES))
+
+
+def levels_in(flight: ClipResults, label: str, *parts: str) -> list[float]:
+    """The greatest sustained level in each of some phases, or in the window to contact."""
+    shown = level(flight.results, label)
+    return [sustained(shown, *phase(flight, part)) for part in parts]
+
+
+def before(flight: ClipResults, label: str) -> float:
+    """The greatest level in the phases before the approach."""
+    return max(levels_in(flight, label, *_BEFORE))
+
+
+def in_each(flight: ClipResults, label: str) -> float:
+    """The level that is reached in every phase before the approach."""
+    return min(levels_in(flight, label, *_BEFORE))
+
+
+def contact(flight: ClipResults, label: str) -> float:
+    """The level in the window to contact."""
+    return levels_in(flight, label, "contact")[0]
+
+
+def db_in(flight: ClipResults, label: str, first: str, last: str | None = None) -> float:
+    """The pooled attenuation from the start of one phase to the end of another."""
+    ends = phase(flight, first)[0], phase(flight, last or first)[1]
+    return pooled_db(flight.results[label], *ends)
+
+
+def _of_set9(flights: list[ClipResults], measure: Measure, plan: Plan) -> dict[str, list[float]]:
+    return by_version(lambda v: [measure(flight, f"set9/{v}") for flight in flights], plan.versions)
+
+
+def _of_other(flights: list[ClipResults], measure: Measure, label: str) -> dict[str, list[float]]:
+    return {ANY: [measure(flight, label) for flight in flights]}
+
+
+def _spans(flight: ClipResults) -> list[tuple[float, float, str]]:
+    """First frame, last frame and name of the phases that a figure shows: all but the first."""
+    short = {"accelerate": "accel.", "decelerate": "brake"}
+    return [
+        (float(first), float(last), short.get(name, name))
+        for name, (first, last) in [*flight.phases.items()][1:]
+        if name != "collision"
+    ]
+
+
+def _panel(title: str, flight: ClipResults, curves: dict[str, Series], **more: Any) -> Panel:
+    frame = np.arange(flight.collision_frame + 1.0)
+    shown = {label: (frame, values[: len(frame)]) for label, values in curves.items()}
+    return Panel(title, shown, _spans(flight), float(flight.collision_frame), **more)
+
+
+def _levels(title: str, flight: ClipResults, labels: dict[str, str]) -> Panel:
+    """A panel of levels; `labels` maps labels of results to the legend's."""
+    curves = {shown: level(flight.results, label) for label, shown in labels.items()}
+    return _panel(title, flight, curves, level=T_MP)
+
+
+def _attenuation(flight: ClipResults) -> Panel:
+    """A panel of the attenuation of set 9 and the LGMD."""
+    found = {
+        shown: np.maximum(flight.results[label].attenuation_db, FLOOR_DB)
+        for label, shown in _LABELS.items()
+        if label in flight.results
+    }
+    return _panel("Attenuation", flight, found, y_label="dB")
+
+
+def fig1(plan: Plan) -> Steps:
+    """The LGMD responds to the camera's own motion."""
+    data = yield dict.fromkeys(clips_of(plan, 1), _LGMD)
+    flights = [data[clip] for clip in clips_of(plan, 1)]
+    values = {
+        f"fig1-{part}{name}": {ANY: [levels_in(flight, label, part)[0] for flight in flights]}
+        for part in _BEFORE
+        for name, label in (("", SIGMOID), ("-raw", "lgmd"))
+    }
+    panels = [_levels("Group 1", flights[0], LGMDS)]
+    return Evidence(values, {"fig1": partial(plot_panels, panels, "Frame", "Level")})
+
+
+def roughness(result: Result, end: int) -> float:
+    """Mean absolute second difference of K / max K, up to a frame."""
+    return float(np.abs(np.diff(share_of_peak(result)[:end], 2)).mean())
+
+
+def fig13(plan: Plan) -> Steps:
+    """Three models in group 2, and in group 1; and set 9 with and without FFI-GD."""
+    without = all_versions("set9", only=plan.versions, ffi_gd=False)
+    models = _set9(plan) | other_models("lgmd", "emd-lgmd")
+    models |= {f"{label}/raw": one for label, one in without.items()}
+    data = yield dict.fromkeys(clips_of(plan, 1) + clips_of(plan, 2), models)
+    values, panels = {}, []
+    for group, suffix in ((2, ""), (1, "-chair")):
+        flights = [data[clip] for clip in clips_of(plan, group)]
+        values[f"fig13-silent{suffix}"] = _of_set9(flights, before, plan)
+        others = {"lgmd": SIGMOID, "lgmd-raw": "lgmd", "emd": "emd-lgmd"}
+        for name, label in others.items():
+            values[f"fig13-{name}{suffix}"] = _of_other(flights, in_each, label)
+        labels = {**_LABELS, "emd-lgmd": "EMD-LGMD"}
+        panels.append(_levels(f"Group {group}", flights[0], labels))
+    flights = [data[clip] for clip in clips_of(plan, 2)]
+    values |= {
+        "fig13-rises": _of_set9(flights, _near, plan),
+        "fig13-ffi-removes": _of_set9(flights, _left, plan),
+        "fig13-ffi-smooths": _of_set9(flights, _smoother, plan),
+        "fig13-ffi-range": _of_set9(flights, _lower, plan),
+        "fig13-ffi-without": _of_set9(
+            flights, lambda one, label: before(one, f"{label}/raw"), plan
+        ),
+    }
+    ffi = []
+    for v in FEW:
+        whole, kept = (flights[0].results[of].mp for of in (f"set9/{v}/raw", f"set9/{v}"))
+        curves = {"with FFI-GD": positive(kept), "removed by it": positive(whole - kept)}
+        ffi.append(_panel(v, flights[0], curves))
+    figures = {
+        "fig13": partial(plot_panels, panels, "Frame", "Level", share_y=False),
+        "fig13-ffi": partial(plot_panels, ffi, "Frame", "Raw K", log_y=True),
+    }
+    return Evidence(values, figures)
+
+
+def _near(flight: ClipResults, label: str) -> float:
+    """The share of the sum of K up to contact that falls in the last frames before it."""
+    first, end = phase(flight, "contact")
+    mp = np.nan_to_num(flight.results[label].mp[: end + 1])
+    return float(mp[first:].sum() / mp.sum()) if mp.any() else math.nan
+
+
+def _left(flight: ClipResults, label: str) -> float:
+    """The share that FFI-GD leaves of the frames before the approach with K above 0."""
+    end = flight.collision_frame - APPROACH_FRAMES
+    kept, n = (np.count_nonzero(flight.results[of].mp[:end] > 0) for of in (label, f"{label}/raw"))
+    return kept / n if n else math.nan
+
+
+def _smoother(flight: ClipResults, label: str) -> float:
+    """The roughness with FFI-GD by that without."""
+    kept, raw = (
+        roughness(flight.results[of], flight.collision_frame) for of in (label, f"{label}/raw")
+    )
+    return kept / raw if raw else math.nan
+
+
+def _lower(flight: ClipResults, label: str) -> float:
+    """The peak of K up to contact with FFI-GD by that without."""
+    end = flight.collision_frame + 1
+    kept, raw = (
+        float(np.nan_to_num(flight.results[of].mp[:end]).max()) for of in (label, f"{label}/raw")
+    )
+    return kept / raw if raw else math.nan
+
+
+_FIG_14_SETS = (3, 6, 7, 8)
+_BRAKE_FRAMES = 10
+# Least level before braking whose drop is measured, and in the pitch that is compared; as shares of
+# the peak.
+_TO_DROP, _TO_COMPARE = 0.05, 0.001
+# Lowest level in the figure.
+_LOWEST = 1e-4
+
+
+def fig14(plan: Plan) -> Steps:
+    """Sets 3, 6, 7 and 8 while the drone pitches and brakes."""
+    models = all_versions(*(f"set{n}" for n in _FIG_14_SETS), only=plan.versions) | _LGMD
+    data = yield dict.fromkeys(clips_of(plan, 2), models)
+    flights = [data[clip] for clip in clips_of(plan, 2)]
+
+    def levels(version: str, part: str, *numbers: int) -> Series:
+        """The level in a part of each flight (rows) with each set (columns)."""
+        labels = [f"set{n}/{version}" for n in numbers]
+        return np.array([[levels_in(s, label, part)[0] for label in labels] for s in flights])
+
+    def order(lower: int, higher: int, version: str) -> list[float]:
+        """The level of one set minus that of the other in the same flight."""
+        pairs = levels(version, "pitch", lower, higher)
+        return [a - b if b >= _TO_COMPARE else math.nan for a, b in pairs]
+
+    def worse(version: str) -> list[float]:
+        most = levels(version, "pitch", *_FIG_14_SETS).max(axis=1)
+        return (most - [levels_in(s, "lgmd", "pitch")[0] for s in flights]).tolist()
+
+    def drop(number: int, version: str) -> list[float]:
+        return [_drop(flight.results[f"set{number}/{version}"], flight) for flight in flights]
+
+    of = partial(by_version, versions=plan.versions)
+    values = {
+        "fig14-answers": of(lambda v: levels(v, "pitch", 3, 7).min(axis=1).tolist()),
+        "fig14-silent": of(lambda v: levels(v, "pitch", 6, 8).max(axis=1).tolist()),
+        "fig14-order-6-3": of(partial(order, 6, 3)),
+        "fig14-order-8-7": of(partial(order, 8, 7)),
+        "fig14-weaker": of(worse),
+        "fig14-lgmd": {ANY: [levels_in(flight, SIGMOID, "pitch")[0] for flight in flights]},
+        "fig14-detects": of(lambda v: levels(v, "contact", *_FIG_14_SETS).min(axis=1).tolist()),
+    }
+    values |= {f"fig14-brake-set{n}": of(partial(drop, n)) for n in _FIG_14_SETS}
+    panels = []
+    for v in FEW:
+        labels = {f"set{n}/{v}": f"set {n}" for n in _FIG_14_SETS} | LGMDS
+        curves = {text: level(flights[0].results, label) for label, text in labels.items()}
+        floored = {text: np.maximum(one, _LOWEST) for text, one in curves.items()}
+        panels.append(_panel(v, flights[0], floored, level=T_MP))
+    draw = partial(plot_panels, panels, "Frame", "Level", log_y=True)
+    return Evidence(values, {"fig14": draw})
+
+
+def _drop(result: Result, flight: ClipResults) -> float:
+    """Mean level after braking begins, divided by that before; NaN if that is too low."""
+    level, first = share_of_peak(result), flight.phases["decelerate"][0]
+    before = float(level[first - _BRAKE_FRAMES : first].mean())
+    after = float(level[first : first + _BRAKE_FRAMES].mean())
+    return after / before if before >= _TO_DROP else math.nan
+
+
+def small_peaks(level: Series, first: int, last: int) -> int:
+    """The number of separate peaks of at least `ONSET`, but below T_MP, between two frames."""
+    shown = level[first : last + 1]
+    is_peak = (shown[1:-1] > shown[:-2]) & (shown[1:-1] >= shown[2:])
+    return int(np.count_nonzero(is_peak & (shown[1:-1] >= ONSET) & (shown[1:-1] < T_MP)))
+
+
+def mean_excitation(result: Result) -> Series:
+    """K by the number of cells; 0 where undefined."""
+    return np.nan_to_num(result.mp) / result.n_cells
+
+
+def quietest(data: Any, plan: Plan, label: str) -> float:
+    """The least mean excitation at which no flight of groups 1 to 3 alarms before its approach."""
+    flights = [data[clip] for group in (1, 2, 3) for clip in clips_of(plan, group)]
+    return max(
+        sustained(mean_excitation(one.results[label]), 0, one.collision_frame - APPROACH_FRAMES)
+        for one in flights
+    )
+
+
+def _by(value: float, other: float) -> float:
+    """The ratio of two numbers that are not negative."""
+    if other == 0.0:
+        return math.inf if value > 0.0 else math.nan
+    return value / other
+
+
+def _calibration(plan: Plan) -> dict[Clip, Models]:
+    return dict.fromkeys(
+        (clip for group in (1, 2, 3) for clip in clips_of(plan, group)), _set9(plan)
+    )
+
+
+def _approach(group: int, plan: Plan) -> Steps:
+    """Fig. 15 (group 4) or Fig. 16 (group 5)."""
+    data = yield _calibration(plan) | dict.fromkeys(clips_of(plan, group), _set9(plan) | _LGMD)
+    flights, name = [data[clip] for clip in clips_of(plan, group)], f"fig{group + 11}"
+
+    def flying(flight: ClipResults, label: str) -> float:
+        """The attenuation from take-off until the drone accelerates."""
+        return db_in(flight, label, *_ATTITUDE)
+
+    def rise(flight: ClipResults, label: str) -> float:
+        return db_in(flight, label, "contact") - flying(flight, label)
+
+    def discriminates(flight: ClipResults, label: str) -> float:
+        return rise(flight, label) - rise(flight, "lgmd")
+
+    def causal(version: str) -> list[float]:
+        label = f"set9/{version}"
+        quiet = quietest(data, plan, label)
+        each = (mean_excitation(one.results[label]) for one in flights)
+        return [
+            _by(sustained(one, 0, flight.collision_frame), quiet)
+            for one, flight in zip(each, flights, strict=True)
+        ]
+
+    def peaks(flight: ClipResults, label: str) -> float:
+        shown = level(flight.results, label)
+        return sum(small_peaks(shown, *phase(flight, part)) for part in _ATTITUDE)
+
+    of_set9, of_other = partial(_of_set9, flights, plan=plan), partial(_of_other, flights)
+    panels = [_levels(f"Group {group}", flights[0], _LABELS), _attenuation(flights[0])]
+    values = {
+        f"{name}-attenuates": of_set9(flying),
+        f"{name}-stronger": of_set9(discriminates),
+        f"{name}-rising": of_set9(rise),
+        f"{name}-detects": of_set9(contact),
+        f"{name}-causal": by_version(causal, plan.versions),
+        f"{name}-lgmd": of_other(contact, "lgmd"),
+        f"{name}-lgmd-peaks": of_other(peaks, SIGMOID),
+        f"{name}-lgmd-peaks-raw": of_other(peaks, "lgmd"),
+    }
+    return Evidence(values, {name: partial(plot_panels, panels, "Frame", "Level", share_y=False)})
+
+
+def fig17(plan: Plan) -> Steps:
+    """Set 9 while the drone yaws, and at contact."""
+    data = yield dict.fromkeys(clips_of(plan, 3), _set9(plan) | _LGMD)
+    flights = [data[clip] for clip in clips_of(plan, 3)]
+
+    def turning(flight: ClipResults, label: str) -> float:
+        return db_in(flight, label, "yaw")
+
+    def opened(flight: ClipResults, label: str) -> float:
+        """The attenuation at contact minus that in the yaw."""
+        return db_in(flight, label, "contact") - turning(flight, label)
+
+    of_set9 = partial(_of_set9, flights, plan=plan)
+    values = {
+        "fig17-silent": of_set9(lambda one, label: levels_in(one, label, "yaw")[0]),
+        "fig17-answers": of_set9(contact),
+        "fig17-inhibits": of_set9(turning),
+        "fig17-opens": of_set9(opened),
+    }
+    panels = [_levels("Group 3", flights[0], _LABELS), _attenuation(flights[0])]
+    draw = partial(plot_panels, panels, "Frame", "Level", share_y=False)
+    return Evidence(values, {"fig17": draw})
+
+
+_LATERAL = Clip.of("translating-cubes", size=SIZE, object_size=160.0, speed=(12.0,))
+
+
+def lateral(plan: Plan) -> Steps:
+    """The response to a large square that translates fast."""
+    data = yield _calibration(plan) | {_LATERAL: _set9(plan)}
+    results = data[_LATERAL].results
+
+    def alarms(version: str) -> float:
+        """The median excitation by the least one at which the flights stay silent."""
+        label = f"set9/{version}"
+        k = results[label].mp / results[label].n_cells
+        return _by(float(np.nanmedian(k)), quietest(data, plan, label))
+
+    curves = {v: (results[f"set9/{v}"].frame * 1.0, results[f"set9/{v}"].mp) for v in FEW}
+    panel = Panel("Square of 160 px at 12 px/frame", curves)
+    draw = partial(plot_panels, [panel], "Frame", "Raw K", log_y=True)
+    return Evidence({"lateral-alarms": by_version(alarms, plan.versions)}, {"lateral": draw})
+
+
+EXHIBITS: dict[str, Exhibit] = {
+    "fig1": fig1,
+    "fig13": fig13,
+    "fig14": fig14,
+    "fig15": partial(_approach, 4),
+    "fig16": partial(_approach, 5),
+    "fig17": fig17,
+    "lateral": lateral,
+}

@@ -1,0 +1,179 @@
+"""The exhibit with a ball and capsules, Fig. 8: what models make of each object."""
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.models.base import FloatImage
+from dlgmd_cli.models.engines.opencv import sum_4x4
+from dlgmd_cli.models.step import Stepper
+from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.style import FLOOR_DB
+from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip
+from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.reproduce.stimuli import BY_LATENCY
+from dlgmd_cli.results.result import Series
+from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
+from dlgmd_cli.tasks.run import responses
+
+# Of the paper's Fig. 8, in a picture 800 px wide: half the size of the boxes around the capsules,
+# the distance of the ball on arrival in m, and the focal length in px.
+_HALF_PX, _ARRIVES_M, _FOCAL_PX = (38.0, 48.0), 0.6, 476.7
+# Last frame at which the boxes of the capsules and of the ball do not overlap.
+LAST_APART = 42
+
+
+@dataclass(frozen=True)
+class ObjectSums:
+    """What models make of the objects of a clip, by label.
+
+    `sums` are those of P and S within a box around each object, (2, n_frames, 5): the ball, then
+    the capsules. `shares` are the `layer_shares` of each frame, (n_frames, 5). NaN until the
+    model's first valid frame. `sha256` is that of the grey frames.
+    """
+
+    clip: Clip
+    sums: dict[str, Series]
+    shares: dict[str, Series]
+    sha256: str
+
+
+def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
+    """Run models over the clip with the ball and the capsules."""
+    steppers = [Stepper(params, engine="opencv") for params in models.values()]
+    sums: dict[str, list[Series]] = {label: [] for label in models}
+    shares: dict[str, list[Series]] = {label: [] for label in models}
+    digest = hashlib.sha256()
+    with open_clip(clip) as video:
+        for frame, each in responses(video, steppers, layers=lambda frame: True):
+            digest.update(frame.grey.tobytes())
+            boxes = object_boxes(frame.grey.shape, frame.index)
+            for label, response in zip(models, each, strict=True):
+                found, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
+                if response.is_valid and response.layers is not None:
+                    p, s, g = response.layers.p, response.layers.s, response.layers.g
+                    assert p is not None and s is not None and g is not None
+                    found = np.array([[float(one[box].sum()) for box in boxes] for one in (p, s)])
+                    about = layer_shares(p, s, g)
+                sums[label].append(found)
+                shares[label].append(about)
+    return ObjectSums(
+        clip,
+        {label: np.stack(found, axis=1) for label, found in sums.items()},
+        {label: np.stack(found) for label, found in shares.items()},
+        digest.hexdigest(),
+    )
+
+
+N_SHARES = 5
+# A cell is active above this, in luminance; and sparse if at most so many of the 4x4 around it are.
+_ACTIVE, _SPARSE = 0.01, 4
+
+
+def layer_shares(p: FloatImage, s: FloatImage, g: FloatImage) -> Series:
+    """Of a frame: how P and S are spread, which cells of S are not in G, and what G amplifies.
+
+    The standard deviations of P and of S over the cells where P is active, by their means; the
+    shares of the sparse and of the other active cells of S that G removes; and ΣG by ΣS over those
+    others. NaN without such cells.
+    """
+    moving = p > _ACTIVE
+    spread = [_spread(one[moving]) for one in (p, s)]
+    is_active = (s > _ACTIVE).astype(np.float32)
+    around = np.empty_like(is_active)
+    sum_4x4(is_active, around)
+    sparse, grouped = (is_active * is_it > 0 for is_it in (around <= _SPARSE, around > _SPARSE))
+    removed = [(g[cells] == 0.0).mean() if cells.any() else np.nan for cells in (sparse, grouped)]
+    gain = g[grouped].sum() / s[grouped].sum() if grouped.any() else np.nan
+    return np.array([*spread, *removed, gain])
+
+
+def _spread(values: FloatImage) -> float:
+    """Standard deviation by mean; NaN if all are 0."""
+    return float(values.std() / values.mean()) if values.any() else math.nan
+
+
+def object_boxes(shape: tuple[int, ...], index: int) -> list[tuple[slice, slice]]:
+    """Rows and columns of the boxes around the ball and each capsule at a frame."""
+    height, width = shape
+    px = width / 800.0
+    far_m = _FOCAL_PX * BALL_M / BALL_PX
+    distance = _ARRIVES_M + (far_m - _ARRIVES_M) * (1.0 - index / CONTACT_FRAME)
+    radius = _FOCAL_PX * BALL_M / math.sqrt(distance**2 - BALL_M**2) + 6.0
+    places = [(0.0, 0.0, radius, radius)]
+    places += [(START_PX + speed * index, down, *_HALF_PX) for down, speed in CAPSULES]
+
+    def side(middle: float, center: float, half: float, length: int) -> slice:
+        low, high = middle + (center - half) * px, middle + (center + half) * px
+        return slice(max(0, round(low)), min(length, round(high)))
+
+    return [
+        (side(height / 2, y, half_y, height), side(width / 2, x, half_x, width))
+        for x, y, half_x, half_y in places
+    ]
+
+
+# Number of frames before contact over which the ball is measured.
+_BALL_FRAMES = 10
+
+
+def fig8(plan: Plan) -> Steps:
+    """The attenuation around a ball that approaches and capsules that translate."""
+    if plan.reference is None:
+        clips = [Clip.of("ball-and-capsules", size=(600, 800), seed=seed) for seed in plan.seeds]
+    else:
+        clips = [reference_clip(plan.reference, "ball-and-capsules")]
+    keys = [f"fig8, {plan.name}, {number}" for number in range(len(clips))]
+    models = {f"set9/{v}": model("set9", v) for v in EVERY}
+    data = yield {
+        key: partial(object_sums, clip, models) for key, clip in zip(keys, clips, strict=True)
+    }
+    found = [data[key] for key in keys]
+    names = ("ball", *(f"capsule, {speed:g} px/frame" for _, speed in CAPSULES))
+
+    def of(measure: Callable[[Series], float], about: Callable[[ObjectSums, str], Series]) -> Any:
+        return by_version(lambda v: [float(measure(about(one, f"set9/{v}"))) for one in found])
+
+    def curves(sums: Series) -> dict[str, tuple[Series, Series]]:
+        db = _decibels(*sums)
+        db[LAST_APART + 1 :, 1:] = np.nan
+        frame = np.arange(float(len(db)))
+        return {name: (frame, db[:, place]) for place, name in enumerate(names)}
+
+    values = {
+        "fig8-capsules": of(lambda db: db[1:].max(), _object_db),
+        "fig8-ball": of(lambda db: db[0] - db[1:].max(), _object_db),
+        "fig8-polarised": of(lambda shares: shares[1] / shares[0], _median_shares),
+        "fig8-sparse": of(lambda shares: shares[2] - shares[3], _median_shares),
+        "fig8-amplifies": of(lambda shares: shares[4], _median_shares),
+    }
+    panels = [Panel(v, curves(found[0].sums[f"set9/{v}"])) for v in BY_LATENCY]
+    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", emphasise=names[0])
+    return Evidence(values, {"fig8": draw})
+
+
+def _decibels(p: Series, s: Series) -> Series:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.maximum(10.0 * np.log10(s / p), FLOOR_DB)
+
+
+def _object_db(found: ObjectSums, label: str) -> Series:
+    """The attenuation of the ball shortly before contact, then of each capsule."""
+    sums = found.sums[label]
+    p, s = np.nansum(sums[:, : LAST_APART + 1], axis=1)
+    p[0], s[0] = np.nansum(sums[:, -_BALL_FRAMES:, 0], axis=1)
+    return _decibels(p, s)
+
+
+def _median_shares(found: ObjectSums, label: str) -> Series:
+    """Medians of `layer_shares` over the frames."""
+    return np.nanmedian(found.shares[label], axis=0)
+
+
+EXHIBITS: dict[str, Exhibit] = {"fig8": fig8}

@@ -1,0 +1,459 @@
+"""The exhibits with simple stimuli: geometry, kernels, looming, receding and translation."""
+
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dlgmd_cli.models.detection import LEAST_PEAK
+from dlgmd_cli.models.kernels import connect, gaussian, latency_map
+from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
+from dlgmd_cli.plots.kernels import plot_kernels
+from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.plots.style import FLOOR_DB
+from dlgmd_cli.plots.sweeps import plot_sweep
+from dlgmd_cli.reproduce.clips import (
+    NULL,
+    VERSIONS,
+    Clip,
+    all_versions,
+    model,
+    other_models,
+    rectified_lgmd_db,
+    reference_clip,
+)
+from dlgmd_cli.reproduce.plan import ANY, Data, Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
+from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.sweep import FIG_11, SIDE_PX, SIZE_WH, SPEEDS_PX, Sweep, cube_input
+
+# Least response, as a share of the peak: in a figure, less cannot be told from zero.
+ONSET = 0.05
+# The LGMD, read by its own sigmoid.
+SIGMOID = "lgmd/sigmoid"
+SIZE = (270, 480)
+# Sets that differ only in their latency: radial, and none.
+_PAIRS = ((4, 1), (5, 2), (6, 3))
+
+
+def pooled_db(result: Result, first: int = 0, last: int | None = None) -> float:
+    """The attenuation 10 lg(ΣΣS / ΣΣP) over frames `first` to `last`, in dB.
+
+    It is -inf if nothing passes, and NaN if nothing changes. A mean of decibels would depend on
+    what stands for the frames through which nothing passes.
+    """
+    end = int(result.frame[-1]) if last is None else last
+    within = (result.frame >= first) & (result.frame <= end) & ~np.isnan(result.s_sum)
+    passed, changed = float(result.s_sum[within].sum()), float(result.p_sum[within].sum())
+    if changed <= 0.0:
+        return np.nan
+    return 10.0 * math.log10(passed / changed) if passed > 0.0 else -math.inf
+
+
+def share_of_peak(result: Result) -> Series:
+    """K divided by its peak up to the collision; 0 where undefined, or if nothing responds."""
+    mp = np.nan_to_num(result.mp)
+    end = result.collision_frame
+    peak = float(mp[: None if end is None else end + 1].max())
+    return mp / peak if peak >= LEAST_PEAK else np.zeros_like(mp)
+
+
+def sigmoid(result: Result) -> Series:
+    """The LGMD's own output 1/(1 + exp(-K/n_cell)), scaled to 0 at rest; 0 where undefined."""
+    return 2.0 * np.nan_to_num(result.mp_abs, nan=0.5) - 1.0
+
+
+def level(results: Mapping[str, Result], label: str) -> Series:
+    """The level of a model: `SIGMOID` reads the LGMD by its sigmoid, all else is K / max K."""
+    return sigmoid(results["lgmd"]) if label == SIGMOID else share_of_peak(results[label])
+
+
+def positive(mp: Series) -> Series:
+    """K, and NaN where it is 0, for a logarithmic axis."""
+    return np.where(mp > 0.0, mp, np.nan)
+
+
+def answering(level: Series) -> npt.NDArray[np.intp]:
+    """The frames at which a level reaches `ONSET`."""
+    return np.flatnonzero(level >= ONSET)
+
+
+# Versions in figures with a panel each; where only the connections matter; and with few curves.
+SHOWN = ("default", "bands-unlimited", "nearest", "nearest-unlimited", "interpolated", "equations")
+BY_LATENCY = ("default", "nearest", "interpolated")
+FEW, TWO = ("default", "nearest-unlimited", "equations"), ("default", "equations")
+_LOOMING_CUBE = Clip.of("looming-cube", size=SIZE)
+
+
+def fig2(plan: Plan) -> Steps:
+    """The angular size of a looming cube and its velocity."""
+    data = yield {_LOOMING_CUBE: other_models("lgmd")}
+    truth = data[_LOOMING_CUBE].truth
+    size, velocity = truth["angular_size_deg"], truth["angular_velocity_deg_s"]
+    concave = np.flatnonzero(np.diff(velocity, 2) < 0.0)
+    until = size[concave[0] + 1] if concave.size else size[-1]
+    time = truth["time_s"] - truth["time_s"][-1]
+    panels = [
+        Panel("Angular size", {"looming cube": (time, size)}, y_label="deg"),
+        Panel("Angular velocity", {"looming cube": (time, velocity)}, y_label="deg/s"),
+    ]
+    draw = partial(plot_panels, panels, "Time to the last frame (s)", "", share_y=False)
+    values = {
+        "fig2-size": {ANY: [float(np.diff(size, 2).min())]},
+        "fig2-velocity": {ANY: [float(until)]},
+    }
+    return Evidence(values, {"fig2": draw})
+
+
+def fig5(plan: Plan) -> Steps:
+    """The latency of inhibition by distance, and the kernels."""
+    yield {}
+    params = load_set(9)
+    along = latency_map(params.r, params.alpha, params.beta, params.lam)[params.r, params.r :]
+
+    def draw(version: str) -> Any:
+        found = connect(load_set(9, **VERSIONS[version]))
+        return plot_kernels(found.excitation, found.inhibition, found.latency)
+
+    def spread(version: str) -> float:
+        """The share of the excitation off the centre, the least of sets 7 to 9."""
+        each = [connect(load_set(n, **VERSIONS[version])).excitation for n in (7, 8, 9)]
+        return min(1.0 - float(one[len(one) // 2, len(one) // 2] / one.sum()) for one in each)
+
+    def held(number: int) -> float:
+        """The share of the widest Gaussian of a set that its kernel holds."""
+        own = load_set(number)
+        whole = gaussian(int(6 * own.sigma_i), own.sigma_i).sum()
+        return float(gaussian(own.r, own.sigma_i).sum() / whole)
+
+    values = {
+        "fig5-rises": {ANY: [float(np.diff(along).min())]},
+        "fig5-excitation": by_version(spread, VERSIONS),
+        "fig5-kernel-r4": {ANY: [held(7)]},
+        "fig5-kernel-r6": {ANY: [held(8)]},
+    }
+    names = {"default": "fig5", "nearest": "fig5-nearest", "interpolated": "fig5-interpolated"}
+    return Evidence(values, {stem: partial(draw, version) for version, stem in names.items()})
+
+
+_SETS_1_TO_6 = all_versions(*(f"set{n}" for n in range(1, 7)))
+_STRENGTHS = tuple(np.arange(0.5, 2.51, 0.25).tolist())
+_STRONGER = {f"set4/{v}/a{a:g}": model("set4", v, a=a) for a in _STRENGTHS for v in BY_LATENCY}
+
+
+def cube_clip(speed: float) -> Clip:
+    """A black square on white that translates at a speed in px/frame."""
+    flags = {"contrast": -1.0, "background": 1.0, "object_size": SIDE_PX, "frames": 31}
+    return Clip.of("translating-cubes", size=(100, 200), speed=(speed,), **flags)
+
+
+def _cube_db(data: Data, label: str) -> Series:
+    """The attenuation of a cube at each of `SPEEDS_PX`."""
+    found = (pooled_db(data[cube_clip(speed)].results[label]) for speed in SPEEDS_PX)
+    return np.array([max(db, FLOOR_DB) for db in found])
+
+
+def fig6(plan: Plan) -> Steps:
+    """The attenuation of cubes by their speed, with and without radial latency."""
+    data = yield {cube_clip(speed): _SETS_1_TO_6 for speed in SPEEDS_PX}
+
+    def gain(version: str) -> Series:
+        """The attenuation with radial latency minus that without, by pair of sets and speed."""
+        radial, plain = (
+            np.array([_cube_db(data, f"set{pair[place]}/{version}") for pair in _PAIRS])
+            for place in (0, 1)
+        )
+        return radial - plain
+
+    speeds = np.array(SPEEDS_PX)
+    sets = [number for pair in _PAIRS for number in pair[::-1]]
+    panels = [
+        Panel(v, {f"set {n}": (speeds, _cube_db(data, f"set{n}/{v}")) for n in sets})
+        for v in BY_LATENCY
+    ]
+    draw = partial(plot_panels, panels, "Speed (px/frame)", "Attenuation (dB)", dots=True)
+    values = {
+        "fig6-slow": by_version(lambda v: gain(v)[:, 0].max()),
+        "fig6-fast": by_version(lambda v: gain(v)[:, -1].min()),
+    }
+    return Evidence(values, {"fig6": draw})
+
+
+def strength(plan: Plan) -> Steps:
+    """The attenuation of cubes by the strength of inhibition."""
+    data = yield {cube_clip(speed): _STRONGER for speed in SPEEDS_PX}
+
+    def db(version: str) -> Series:
+        """The attenuation by strength and speed."""
+        return np.array([_cube_db(data, f"set4/{version}/a{a:g}") for a in _STRENGTHS])
+
+    def panel(version: str) -> Panel:
+        strengths, columns = np.array(_STRENGTHS), db(version).T
+        names = [f"{speed:g} px/frame" for speed in SPEEDS_PX]
+        return Panel(version, {n: (strengths, c) for n, c in zip(names, columns, strict=True)})
+
+    panels = [panel(v) for v in BY_LATENCY]
+    draw = partial(plot_panels, panels, "Strength of inhibition a", "Attenuation (dB)", dots=True)
+    values = {
+        "strength-grows": by_version(lambda v: (db(v)[-1] - db(v)[0]).max(), BY_LATENCY),
+        "strength-throughout": by_version(lambda v: np.diff(db(v), axis=0).max(), BY_LATENCY),
+    }
+    return Evidence(values, {"strength": draw})
+
+
+_FIG_9 = all_versions("set9") | other_models("lgmd")
+_APPROACHES = {
+    "cube": _LOOMING_CUBE,
+    "ball": Clip.of("looming-ball", size=SIZE),
+    "receding": Clip.of("receding-cube", size=SIZE),
+}
+LGMDS = {"lgmd": "LGMD (K)", SIGMOID: "LGMD (sigmoid)"}
+
+
+def fig9(plan: Plan) -> Steps:
+    """Set 9 and the LGMD while a cube or a ball approaches, or a cube recedes."""
+    data = yield dict.fromkeys(_APPROACHES.values(), _FIG_9)
+    results = {kind: data[clip].results for kind, clip in _APPROACHES.items()}
+
+    def frames(kind: str, label: str) -> npt.NDArray[np.intp]:
+        return answering(level(results[kind], label))
+
+    def silent(version: str) -> float:
+        """The share of the looming cube's clip before K exceeds `_SILENT` of its peak."""
+        shown = share_of_peak(results["cube"][f"set9/{version}"])
+        return float(np.argmax(shown > _SILENT) / n_cube)
+
+    def first(kind: str, version: str) -> int:
+        found = frames(kind, f"set9/{version}")
+        return int(found[0]) if found.size else len(results[kind]["lgmd"])
+
+    def after(kind: str, other: int, version: str) -> float:
+        return float(first(kind, version) - other)
+
+    def last_active(version: str) -> float:
+        """The last frame of the receding cube at which K is above 0, as a share of the clip."""
+        active = np.flatnonzero(np.nan_to_num(results["receding"][f"set9/{version}"].mp) > 0.0)
+        return float(active[-1] / n_cube) if active.size else 0.0
+
+    def sharper(kind: str, version: str) -> float:
+        return results[kind][f"set9/{version}"].sharpness / results[kind]["lgmd"].sharpness
+
+    n_cube = len(results["cube"]["lgmd"])
+    values = {
+        "fig9a-silent": by_version(silent),
+        "fig9b-rest": by_version(last_active),
+    }
+    for name, label in (("", SIGMOID), ("-raw", "lgmd")):
+        onset, end = frames("cube", label)[0], frames("receding", label)[-1]
+        values[f"fig9a-later{name}"] = by_version(partial(after, "cube", onset))
+        values[f"fig9b-lgmd{name}"] = {ANY: [end / n_cube]}
+    values |= {
+        "fig9a-sharper": by_version(partial(sharper, "cube")),
+        "fig9-ball-later": by_version(partial(after, "ball", frames("ball", "lgmd")[0])),
+        "fig9-ball-sharper": by_version(partial(sharper, "ball")),
+    }
+    shown = {f"set9/{v}": f"set 9, {v}" for v in TWO} | LGMDS
+
+    def panel(title: str, kind: str, first: int = 0, last: int | None = None) -> Panel:
+        time_s = results[kind]["lgmd"].time_s[first:last]
+        curves = {
+            text: (time_s, level(results[kind], label)[first:last]) for label, text in shown.items()
+        }
+        return Panel(title, curves, level=ONSET)
+
+    panels = [
+        panel("Looming cube", "cube"),
+        panel("Its last second", "cube", -_SECOND),
+        panel("Receding cube", "receding"),
+        panel("Its first second", "receding", 0, _SECOND),
+        panel("Looming ball (ours)", "ball"),
+        panel("Its last second", "ball", -_SECOND),
+    ]
+    draw = partial(plot_panels, panels, "Time (s)", "Level", share_x=False)
+    return Evidence(values, {"fig9": draw})
+
+
+# Frames in a second of the clips; the share of the peak below which a model is silent.
+_SECOND, _SILENT = 30, 1e-4
+
+
+def looming_ball(plan: Plan) -> Clip:
+    """The looming ball of Figs. 10 and 12: the authors', or the tool's own."""
+    return reference_clip(plan.reference, "looming-ball", size=SIZE)
+
+
+def fig10(plan: Plan) -> Steps:
+    """The attenuation of a looming ball."""
+    rectified = f"the rectified LGMD, {plan.name}"
+    data = yield {
+        looming_ball(plan): all_versions("set7") | other_models("lgmd"),
+        rectified: partial(rectified_lgmd_db, looming_ball(plan)),
+    }
+    results = data[looming_ball(plan)].results
+
+    def db(label: str) -> Series:
+        return np.maximum(results[label].attenuation_db, FLOOR_DB)[3:]
+
+    def rise(db: Series) -> float:
+        return float(np.nanmean(db[-3:]) - np.nanmean(db[:3]))
+
+    def slope(db: Series) -> float:
+        """The rise a frame over the last frames."""
+        earlier = db[-3 - _FINAL : -_FINAL]
+        return float((np.nanmean(db[-3:]) - np.nanmean(earlier)) / _FINAL)
+
+    lgmds = {"": data[rectified][3:], "-signed": db("lgmd")}
+    frame = np.arange(3.0, 3.0 + len(db("lgmd")))
+    curves = {f"set 7, {v}": (frame, db(f"set7/{v}")) for v in BY_LATENCY}
+    curves |= {
+        "LGMD, rectified": (frame, lgmds[""]),
+        "LGMD, signed": (frame, lgmds["-signed"]),
+    }
+    near = {name: curve for name, curve in curves.items() if "LGMD" in name}
+    panels = [Panel("Looming ball, set 7", curves), Panel("The LGMD alone", near)]
+    values = {
+        "fig10-rising": by_version(lambda v: rise(db(f"set7/{v}"))),
+        "fig10-sharper": by_version(lambda v: slope(db(f"set7/{v}")) - slope(lgmds[""])),
+        "fig10-stronger": by_version(
+            lambda v: np.nanmean(db(f"set7/{v}")[:_INITIAL]) - np.nanmean(lgmds[""][:_INITIAL])
+        ),
+        "fig10-attenuates": by_version(lambda v: np.nanmax(db(f"set7/{v}"))),
+    }
+    for name, one in lgmds.items():
+        values[f"fig10-lgmd{name}"] = {ANY: [float(np.nanmax(one))]}
+    values["fig10-lgmd-moderate"] = {ANY: [float(np.nanmin(lgmds[""]))]}
+    look: dict[str, Any] = {"share_y": False, "emphasise": f"set 7, {BY_LATENCY[0]}"}
+    draw = partial(plot_panels, panels, "Frame", "Attenuation (dB)", **look)
+    return Evidence(values, {"fig10": draw})
+
+
+# Frames of the initial period, a quarter of the authors' clip; and near the collision.
+_INITIAL, _FINAL = 6, 5
+
+
+def fig12(plan: Plan) -> Steps:
+    """The responses of sets 1 to 6 to a looming ball."""
+    data = yield {looming_ball(plan): _SETS_1_TO_6}
+    results = data[looming_ball(plan)].results
+
+    def k(number: int, version: str) -> Series:
+        return results[f"set{number}/{version}"].mp[3:]
+
+    def early(wide: int, narrow: int, version: str) -> float:
+        a, b = k(wide, version), k(narrow, version)
+        half = len(a) // 2
+        return float(a[:half].sum() / b[:half].sum()) if b[:half].any() else np.nan
+
+    def contact(wide: int, narrow: int, version: str) -> float:
+        return float(k(wide, version).max() / k(narrow, version).max())
+
+    def steeper(version: str) -> float:
+        """How much more a radial set grows in the frames before its peak, the worst pair."""
+
+        def rise(number: int) -> float:
+            mp = k(number, version)
+            peak = int(np.argmax(mp))
+            return float(mp[peak] / mp[peak - _RISE]) if mp[peak - _RISE] else np.nan
+
+        return float(np.min([rise(radial) / rise(plain) for radial, plain in _PAIRS]))
+
+    def sharper(version: str) -> float:
+        found = [results[f"set{n}/{version}"].sharpness for n in range(1, 7)]
+        return max(found[radial - 1] / found[plain - 1] for radial, plain in _PAIRS)
+
+    raw, scaled = [], []
+    for v in SHOWN:
+        own = {f"set {n}": results[f"set{n}/{v}"] for n in range(1, 7)}
+        frame = np.arange(float(len(own["set 1"])))
+        raw.append(Panel(v, {name: (frame, positive(r.mp)) for name, r in own.items()}))
+        last = slice(-_NEAR, None)
+        scaled.append(
+            Panel(v, {n: (frame[last], positive(share_of_peak(r)[last])) for n, r in own.items()})
+        )
+    values = {
+        "fig12a-early-plain": by_version(partial(early, 3, 1)),
+        "fig12a-early-radial": by_version(partial(early, 6, 4)),
+        "fig12a-contact-plain": by_version(partial(contact, 3, 1)),
+        "fig12a-contact-radial": by_version(partial(contact, 6, 4)),
+        "fig12a-steeper": by_version(steeper),
+        "fig12b-order": by_version(sharper),
+        "fig12b-sharper": by_version(sharper),
+    }
+    figures = {
+        "fig12a": partial(plot_panels, raw, "Frame", "Raw K", log_y=True),
+        "fig12b": partial(plot_panels, scaled, "Frame", "K / max K", log_y=True),
+    }
+    return Evidence(values, figures)
+
+
+# Frames before contact in the figure of the scaled responses; and over which raw K rises.
+_NEAR, _RISE = 15, 5
+# Only 1 px/frame is suppressed if at most a tenth of its change passes, and half at other speeds.
+_SUPPRESSED_DB, _FREE_DB = -10.0, -3.0
+
+
+def sweep_cubes(r: int, a: float, grid: Grid, n_frames: int | None) -> SweepResult:
+    """The attenuation of cubes at 1 to 4 px/frame for every point of a grid."""
+    params = load_set(1, **{**FIG_11, "a": a, "r": r})
+    subject = cube_input(SPEEDS_PX, SIDE_PX, n_frames, SIZE_WH, r)
+    with tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        sweep = Sweep(Path(folder), subject, grid, Setup(params, "fig11", "opencv"))
+        sweep.compute()
+        return sweep.result
+
+
+# The radii of Table II.
+_RADII = (4, 6)
+
+
+def fig11(plan: Plan) -> Steps:
+    """The attenuation of cubes over the widths of excitation and inhibition."""
+    step_e, step_i = (0.2, 0.5) if plan.quick else (0.1, 0.25)
+    grid = Grid(
+        Axis.parse(f"sigma_e=0.2:2:{step_e}", DlgmdParameters),
+        Axis.parse(f"sigma_i=0.5:6:{step_i}", DlgmdParameters),
+    )
+    sweep = partial(sweep_cubes, grid=grid, n_frames=21 if plan.quick else None)
+    # Without latency, all versions have the same S.
+    points = {(r, null): (r, 0.0 if null else FIG_11["a"]) for r in _RADII for null in (NULL, "")}
+    data = yield {f"fig11, r {r}{null}": partial(sweep, *at) for (r, null), at in points.items()}
+    maps = {
+        at: np.maximum(data["fig11, r {}{}".format(*at)].columns["attenuation_db"], FLOOR_DB)
+        for at in points
+    }
+
+    def of(measure: Callable[[Series], float], r: int = _RADII[0]) -> dict[str, list[float]]:
+        return by_version(lambda v: measure(maps[r, NULL if v.endswith(NULL) else ""]))
+
+    def slower(db: Series) -> float:
+        """The pair of neighbouring speeds that agrees least."""
+        return float((np.diff(db, axis=0) > 0.0).mean(axis=(1, 2)).min())
+
+    def alone(db: Series) -> float:
+        slow, others = db[0], db[1:]
+        return float(((slow <= _SUPPRESSED_DB) & (others >= _FREE_DB).all(axis=0)).mean())
+
+    def wider(db: Series) -> float:
+        """The share of steps of σ_I after which fast motion is attenuated more."""
+        return float((np.diff(db[2:], axis=1) < 0.0).mean())
+
+    values = {
+        "fig11-speed": of(slower),
+        "fig11-sigma-i": of(wider),
+        "fig11-sigma-i-r6": of(wider, _RADII[1]),
+        "fig11-sigma-e": of(lambda db: (np.diff(db[2:], axis=2) > 0.0).mean()),
+        "fig11-alone": of(alone),
+    }
+    first = data[f"fig11, r {_RADII[0]}"]
+    return Evidence(values, {"fig11": partial(plot_sweep, first, "two")})
+
+
+EXHIBITS: dict[str, Exhibit] = {
+    one.__name__: one for one in (fig2, fig5, fig6, fig9, fig10, fig11, fig12, strength)
+}

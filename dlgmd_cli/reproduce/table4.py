@@ -1,0 +1,229 @@
+"""The exhibits of Table IV: distinguishability and computing time, by radius and scale."""
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.parameters.presets import load_set
+from dlgmd_cli.plots.panels import Panel, plot_panels
+from dlgmd_cli.reproduce.clips import NULLS, VERSIONS, Clip, ClipResults, Models, model
+from dlgmd_cli.reproduce.flights import APPROACH_FRAMES, T_MP, clips_of, phase
+from dlgmd_cli.reproduce.plan import TIMING, Evidence, Exhibit, Plan, Steps, by_version
+from dlgmd_cli.reproduce.stimuli import sigmoid
+from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.tasks import bench as benchmark
+from dlgmd_cli.tasks.bench import RADII, SCALES, TABLE_IV_SET
+from dlgmd_cli.video.opening import open_video
+
+# The scale that the paper finds best, and the least that it calls satisfactory.
+BEST_SCALE, LEAST_SCALE = 0.25, 0.02
+# The paper's criterion of a sufficient DA.
+SUFFICIENT = 10.0
+# Where a figure draws an infinite DA, and one of 0.
+_INFINITE, _ZERO = 1e6, 1e-2
+
+
+def false_positive(flight: ClipResults) -> int:
+    """The frame of the LGMD's first false peak: the first that reaches T_MP before the approach.
+
+    If none does, the frame of its highest level there.
+    """
+    first, end = phase(flight, "pitch")[0], flight.collision_frame - APPROACH_FRAMES
+    shown = sigmoid(flight.results["lgmd"])[first - 1 : end]
+    is_peak = (shown[1:-1] >= shown[:-2]) & (shown[1:-1] >= shown[2:]) & (shown[1:-1] >= T_MP)
+    return int(first + (np.argmax(is_peak) if is_peak.any() else np.argmax(shown[1:-1])))
+
+
+def _point(radius: int, scale: float, version: str) -> str:
+    return f"r{radius}/x{scale:g}/{version}"
+
+
+def _models(plan: Plan, scales: tuple[float, ...]) -> Models:
+    """Set 7 with each radius in each version, on frames of each scale of 1920x1080."""
+    rendered = plan.flight_size[1] / benchmark.PAPER_SIZE_WH[0]
+    found: Models = {"lgmd": model("lgmd")}
+    for v in plan.versions:
+        for r in RADII:
+            params = model(f"set{TABLE_IV_SET}", v, r=r)
+            found |= {_point(r, x, v): (params, x / rendered) for x in scales}
+    return found
+
+
+def table4_da(plan: Plan) -> Steps:
+    """The distinguishability by radius and scale; small frames have the small scales only."""
+    scales = SCALES if plan.is_full_size else SCALES[SCALES.index(BEST_SCALE) :]
+    clips: list[Clip] = clips_of(plan, 1)
+    data = yield dict.fromkeys(clips, _models(plan, scales))
+
+    def table_of(flight: ClipResults, version: str) -> Series:
+        """DA by radius (rows) and scale."""
+        frame = false_positive(flight)
+        return np.array(
+            [[da(flight.results[_point(r, x, version)], frame) for x in scales] for r in RADII]
+        )
+
+    tables = {v: [table_of(data[clip], v) for clip in clips] for v in plan.versions}
+    paper = np.array([[benchmark.PAPER_DA[r, x] for x in scales] for r in RADII])
+
+    def of(measure: Callable[..., float], **more: Any) -> dict[str, list[float]]:
+        return by_version(lambda v: [measure(one, **more) for one in tables[v]], plan.versions)
+
+    best = scales.index(BEST_SCALE)
+    values = {
+        "table4-da-above-1": of(np.min),
+        "table4-da-above-10": of(lambda table: np.min(table[:, best])),
+        "table4-da-small": of(lambda table: np.min(table[:, scales.index(LEAST_SCALE)])),
+        "table4-da-rising": of(_rising),
+        "table4-da-apart": of(_apart, paper=paper),
+    }
+    if plan.is_full_size:
+        values |= {
+            "table4-da-best": of(_best, place=best),
+            "table4-da-smaller": of(_smaller, last=best),
+            "table4-da-turns": of(_turning, last=scales.index(LEAST_SCALE)),
+            "table4-da-r2": of(lambda table: table[RADII.index(2), 0]),
+            "table4-da-r2-only": of(_others_insufficient),
+        }
+
+    def panel(title: str, table: Series) -> Panel:
+        shown = np.clip(table, _ZERO, _INFINITE)
+        curves = {f"r = {r}": (np.array(scales), shown[row]) for row, r in enumerate(RADII)}
+        return Panel(title, curves, level=1.0)
+
+    middle = {v: np.median(tables[v], axis=0) for v in plan.versions}
+    panels = [panel("the paper", paper), *(panel(v, middle[v]) for v in VERSIONS)]
+    draw = partial(plot_panels, panels, "Scale", "DA", dots=True, log_x=True, log_y=True)
+    names = [v for v in (*VERSIONS, NULLS["default"]) if v in middle]
+    rows: list[tuple[Any, ...]] = [("r", "scale", "paper", *names)]
+    rows += [
+        (r, x, shownda(paper[row, column]), *(float(middle[v][row, column]) for v in names))
+        for row, r in enumerate(RADII)
+        for column, x in enumerate(scales)
+    ]
+    return Evidence(values, {"table4-da": draw}, {"DA, median over seeds": rows})
+
+
+def _best(table: Series, place: int) -> float:
+    """DA at the best scale by the best of the others, for the worst radius."""
+    others = np.delete(table, place, axis=1).max(axis=1)
+    return min(map(_ratio, table[:, place], others))
+
+
+def _smaller(table: Series, last: int) -> float:
+    """DA of a smaller input by that of the next larger one, down to a scale; the worst."""
+    return min(map(_ratio, table[:, 1 : last + 1].ravel(), table[:, :last].ravel()))
+
+
+def _rising(table: Series) -> float:
+    """The share of the pairs of a radius and the next smaller one in which DA rises."""
+    ratios = map(_ratio, table[:-1].ravel(), table[1:].ravel())
+    return float(np.mean([one >= 1.0 for one in ratios]))
+
+
+def _turning(table: Series, last: int) -> float:
+    """The share of radii whose DA rises and then falls as the input gets smaller."""
+    rows = table[:, :last]
+    found = [
+        0 < peak < last - 1
+        and all(a <= b for a, b in pairwise(row[: peak + 1]))
+        and all(a >= b for a, b in pairwise(row[peak:]))
+        for row, peak in zip(rows, rows.argmax(axis=1), strict=True)
+    ]
+    return float(np.mean(found))
+
+
+def _others_insufficient(table: Series) -> float:
+    """The number of cells, but that of r = 2 at full scale, whose DA is not sufficient."""
+    is_it = table < SUFFICIENT
+    is_it[RADII.index(2), 0] = False
+    return float(np.count_nonzero(is_it))
+
+
+def _apart(table: Series, paper: Series) -> float:
+    """The median factor between ours and the paper's, where both are measured."""
+    known = np.isfinite(table) & (table > 0.0) & (paper < benchmark.MOST_DA)
+    if not known.any():
+        return math.nan
+    return float(np.exp(np.median(np.abs(np.log(table[known] / paper[known])))))
+
+
+def shownda(value: float) -> str | float:
+    """The paper's DA, as it prints it where it gives a bound alone."""
+    return ">10000" if value == benchmark.MOST_DA else value
+
+
+def da(result: Result, false_positive_frame: int) -> float:
+    """DA; 0 if the model never responds."""
+    found = result.distinguishability(false_positive_frame)
+    return 0.0 if math.isnan(found) else found
+
+
+def _ratio(one: float, other: float) -> float:
+    """The ratio of two DA; 1 if both are infinite, or both 0."""
+    if math.isinf(one) and math.isinf(other):
+        return 1.0
+    if other == 0.0:
+        return 1.0 if one == 0.0 else math.inf
+    return float(one / other)
+
+
+_CORNERS = ((6, 1.0), (6, 0.25), (2, 1.0), (2, 0.02))
+# Versions that are timed: the fastest, and the slowest.
+_TIMED = ("default", "equations")
+
+
+def time_model(version: str, *, quick: bool) -> list[dict[str, Any]]:
+    """The rows of `dlgmd bench`; if `quick`, only four combinations of radius and scale."""
+    params, rows = load_set(TABLE_IV_SET, **VERSIONS[version]), []
+    points = [((r,), (x,)) for r, x in _CORNERS] if quick else [(RADII, SCALES)]
+    with benchmark.rendered_pan(24 if quick else 48) as path:
+        for radii, scales in points:
+            open_at = partial(open_video, path)
+            rows += benchmark.measure(open_at, params, radii=radii, scales=scales)["rows"]
+    return rows
+
+
+def table4_time(plan: Plan) -> Steps:
+    """The computing times by radius and scale, with loading and without."""
+    data = yield {f"{TIMING}, {v}": partial(time_model, v, quick=plan.quick) for v in _TIMED}
+    timed = {v: data[f"{TIMING}, {v}"] for v in _TIMED}
+
+    def cells(version: str) -> dict[tuple[int, float], float]:
+        return {(row["radius"], row["scale"]): row["whole_s"] for row in timed[version]}
+
+    def judged(measure: Callable[[Mapping[tuple[int, float], float]], float]) -> Any:
+        return by_version(lambda v: measure(cells(v)) if plan.is_idle else math.nan, _TIMED)
+
+    def alone_s(row: Mapping[str, Any]) -> float:
+        return float(row["core_ms"] * benchmark.N_FRAMES / 1000.0)
+
+    header = [name for v in _TIMED for name in (f"{v}, s", f"{v}, model alone, s")]
+    rows: list[tuple[Any, ...]] = [("r", "scale", "paper, s", *header)]
+    for same in zip(*timed.values(), strict=True):
+        at = same[0]["radius"], same[0]["scale"]
+        ours = [value for one in same for value in (one["whole_s"], alone_s(one))]
+        rows.append((*at, benchmark.PAPER_S[at], *ours))
+    values = {
+        "table4-time": judged(lambda s: min(benchmark.PAPER_S[at] / s[at] for at in s)),
+        "table4-time-r": judged(partial(_costs_more, by=0)),
+        "table4-time-size": judged(partial(_costs_more, by=1)),
+    }
+    return Evidence(values, tables={"Seconds for 120 frames": rows})
+
+
+def _costs_more(seconds: Mapping[tuple[int, float], float], by: int) -> float:
+    """The share of the pairs that differ in radius (0) or scale (1) in which more costs more."""
+    pairs = [
+        seconds[a] > seconds[b]
+        for a in seconds
+        for b in seconds
+        if a[by] > b[by] and a[1 - by] == b[1 - by]
+    ]
+    return float(np.mean(pairs))
+
+
+EXHIBITS: dict[str, Exhibit] = {"table4-da": table4_da, "table4-time": table4_time}
