@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dlgmd_cli.lab.flights.solids import Capsule, Solid, Texture, quad
+from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture, quad
 
 
 def plain(level):

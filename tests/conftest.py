@@ -14,8 +14,8 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from dlgmd_cli import cancel
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 

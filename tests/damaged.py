@@ -201,9 +201,18 @@ def mutants(folder, videos, count, seed=5):
 
 
 def encode(
-    path, frames, codec, *, pixels="yuv420p", stamps=None, options=None, container=None, fps=25
+    path,
+    frames,
+    codec,
+    *,
+    pixels="yuv420p",
+    stamps=None,
+    numbers=None,
+    options=None,
+    container=None,
+    fps=25,
 ):
-    """Write grey frames by PyAV, at `stamps` milliseconds if they are given."""
+    """Write grey frames by PyAV, at `stamps` milliseconds, or with gaps: at `numbers` / `fps`."""
     height, width = frames[0].shape
     with av.open(str(path), "w", options=container or {}) as file:
         stream = file.add_stream(codec, rate=fps)
@@ -216,6 +225,8 @@ def encode(
             frame = frame.reformat(format=pixels)
             if stamps is not None:
                 frame.pts, frame.time_base = int(stamps[number]), stream.time_base
+            elif numbers is not None:
+                frame.pts, frame.time_base = int(numbers[number]), Fraction(1, fps)
             file.mux(stream.encode(frame))
         file.mux(stream.encode(None))
     return path

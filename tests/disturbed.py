@@ -11,14 +11,14 @@ from pathlib import Path
 
 from dlgmd_cli.errors import DlgmdError
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.result import read_result
 
 PATIENCE_S = 60.0
 # Closes a pipe once it answers signals, which is the first thing that it does.
 _PROGRAM = """
 import os, sys
-from dlgmd_cli import cancel
+from dlgmd_cli.machine import cancel
 import dlgmd_cli.__main__ as entry
 if __name__ == "__main__":
     told = int(sys.argv.pop(1))

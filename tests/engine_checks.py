@@ -6,7 +6,7 @@ from reference import slow
 
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.engines import ENGINES
-from dlgmd_cli.parameters import MODELS
+from dlgmd_cli.parameters.presets import MODELS
 
 SUMS = ("p_sum", "s_sum", "mp", "ffi", "t_de")
 

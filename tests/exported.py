@@ -9,13 +9,13 @@ import pytest
 
 from dlgmd_cli import Alarm
 from dlgmd_cli.export.folder import files, sources
-from dlgmd_cli.lab.stimuli.flat import ball_approaches
+from dlgmd_cli.scenes.stimuli.flat import ball_approaches
 
 needs_cc = pytest.mark.skipif(
     not (shutil.which("cc") and shutil.which("make")), reason="cc and make are not installed"
 )
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Werror"
-NAMES = ("valid", "spike", "alarm", "mp", "mp_abs", "g_x", "g_y")
+NAMES = ("valid", "spike", "alarm", "mp", "mp_abs", "g_x", "g_y", "ttc_s")
 
 
 def write(export, folder):
@@ -36,25 +36,28 @@ def make(folder, *arguments):
 class Answer(ctypes.Structure):
     """`dlgmd_answer` in single precision."""
 
-    units = (1, 1, 1, 1, 1, 1, 1)
-    _fields_ = tuple(zip(NAMES, [ctypes.c_bool] * 3 + [ctypes.c_float] * 4, strict=True))
+    units = (1, 1, 1, 1, 1, 1, 1, 1)
+    _fields_ = tuple(zip(NAMES, [ctypes.c_bool] * 3 + [ctypes.c_float] * 5, strict=True))
 
 
 class FixedAnswer(ctypes.Structure):
     """`dlgmd_answer` in integers."""
 
-    units = (1, 1, 1, 2**12, 2**15, 2**15, 2**15)
+    units = (1, 1, 1, 2**12, 2**15, 2**15, 2**15, 2**12)
     _fields_ = tuple(
         zip(
             NAMES,
-            [ctypes.c_bool] * 3 + [ctypes.c_uint32, ctypes.c_uint16] + [ctypes.c_int16] * 2,
+            [ctypes.c_bool] * 3
+            + [ctypes.c_uint32, ctypes.c_uint16]
+            + [ctypes.c_int16] * 2
+            + [ctypes.c_uint16],
             strict=True,
         )
     )
 
 
 def answers_of_c(export, folder, frames):
-    """What the compiled model answers: columns as `NAMES`, (n, 7) float64."""
+    """What the compiled model answers: columns as `NAMES`, (n, 8) float64."""
     texts = sources(export)
     for name in ("dlgmd.h", "dlgmd.c", "dlgmd_model.h"):
         (folder / name).write_text(texts[name], encoding="utf-8")
@@ -78,7 +81,7 @@ def answers_of_python(params, frames):
     rows = []
     for frame in frames:
         one = alarm.step(frame)
-        numbers = (one.mp, one.mp_abs, one.g_x, one.g_y)
+        numbers = (one.mp, one.mp_abs, one.g_x, one.g_y, one.ttc_s)
         rows.append([one.is_valid, one.spike, one.alarm, *np.nan_to_num(numbers)])
     return np.array(rows, float)
 
@@ -92,4 +95,4 @@ def error_of_mp(export, answers, right):
 def error_of_place(export, answers, right):
     """By how much the centroid is wrong, times the share of mp in what mp is relative to, (n,)."""
     share = right[:, 3] / (right[:, 3] + export.params.kappa * export.n_cells)
-    return share * np.abs(answers[:, 5:] - right[:, 5:]).max(axis=1)
+    return share * np.abs(answers[:, 5:7] - right[:, 5:7]).max(axis=1)

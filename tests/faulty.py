@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from dlgmd_cli.runs import batch
+from dlgmd_cli.tasks import batch
 
 run_video = batch.run_video
 
@@ -31,3 +31,10 @@ def faulty(job, task):
     if name.startswith("bug"):
         raise IndexError("inner secret")
     return run_video(job, task)
+
+
+def slowly(path):
+    """Work of a second, which writes who does it."""
+    path.write_text(str(os.getpid()))
+    time.sleep(1)
+    return "done"

@@ -5,7 +5,7 @@ from conftest import result_of_level
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.layers import LayerSheet
 from dlgmd_cli.results.sweep import Axis, Grid, SweepResult
 

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from dlgmd_cli.errors import OutputError
-from dlgmd_cli.lab.flights.drone import PHASES
-from dlgmd_cli.lab.flights.path import Path, Stage, Stretch
-from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
-from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.scenes.flights.drone import PHASES
+from dlgmd_cli.scenes.flights.path import Path, Stage, Stretch
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene
+from dlgmd_cli.scenes.flights.solids import Solid, Texture, World, quad
 
 SMALL = {"--size": (36, 64)}
 SHAPE = (16, 32)

@@ -12,7 +12,7 @@ from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.presets import (
     ContrastParameters,
     DlgmdParameters,
     EmdLgmdParameters,
@@ -126,6 +126,8 @@ def check_contrast(frames, demand=insist, times=None, **changes):
             demand(clear.mean() > 0.9)
             assert response.ffi == pytest.approx(answer.ffi, rel=1e-3)
             np.testing.assert_allclose(response.layers.g[clear], answer.g[clear], rtol=3e-3)
+            ttc_s = 0.5 / answer.rate if answer.rate >= 0.1 else math.nan
+            assert response.ttc_s == pytest.approx(ttc_s, rel=3e-3, nan_ok=True)
             if clear.all():
                 assert response.mp == pytest.approx(answer.mp, rel=3e-3, abs=1e-6)
             if not (params["balance"] or params["c_m"] or params["d_0"]):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dlgmd_cli import DLGMD, load_set
-from dlgmd_cli.lab.benchmark import pan_frames
 from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.tasks.bench import pan_frames
 
 SIZES = [(1080, 1920), (540, 960), (270, 480), (108, 192), (22, 38)]
 N_FRAMES = 8

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli.lab.flights.camera import Camera
-from dlgmd_cli.lab.flights.painter import Renderer
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.camera import Camera
+from dlgmd_cli.scenes.flights.painter import Renderer
+from dlgmd_cli.scenes.flights.scenes import SCENES
 
 SIZES = [(360, 640), (1080, 1920)]
 SCENE = SCENES["group2"]

@@ -11,6 +11,7 @@ to FFmpeg's. What is not installed is left out. A number after the command is th
 
 import importlib.util
 import os
+import re
 import shutil
 import statistics
 import subprocess
@@ -53,18 +54,21 @@ def commands(clip: Path) -> dict[str, list[str]]:
         "ffmpeg -f null": ["ffmpeg", "-v", "error", "-i", str(clip), "-f", "null", "-"],
         "OpenCV read()": [python, "-c", READ, str(clip)],
     }
-    if importlib.util.find_spec(scenedetect):
-        detect = [python, "-m", scenedetect, "--quiet", "--input", str(clip), "detect-content"]
-        found["scenedetect detect-content"] = detect
     # Without extras, Numba is not there to be chosen for large frames.
-    variants = {"run": ["--engine", "opencv"], "run, OpenCV's decoder": ["--decoder", "opencv"]}
-    if importlib.util.find_spec("numba"):
-        variants["run, Numba"] = []
-    found["run, --no-plots"] = [*dlgmd, "bare", *variants["run"], "--no-plots"]
-    for name, options in variants.items():
-        found[name] = [*dlgmd, "small", *options]
-        found[f"{name}, --scale 1"] = [*dlgmd, "large", *options, "--scale", "1"]
-        found[f"{name}, --scale 1 --set 9"] = [*dlgmd, "set9", *options, "--scale", "1", "--set=9"]
+    engine = [] if importlib.util.find_spec("numba") else ["--engine", "opencv"]
+    decoders = {"opencv": "OpenCV"}
+    if importlib.util.find_spec("av"):
+        decoders["pyav"] = "PyAV"
+    for decoder, name in decoders.items():
+        if importlib.util.find_spec(scenedetect):
+            detect = [python, "-m", scenedetect, "--quiet", "--input", str(clip)]
+            detect += ["--backend", decoder, "detect-content"]
+            found[f"scenedetect detect-content, {name}"] = detect
+        run = [*dlgmd, decoder, "--decoder", decoder, *engine]
+        found[f"run, {name}"] = run
+        found[f"run, {name}, --no-plots"] = [*run, "--no-plots"]
+        found[f"run, {name}, --scale 1"] = [*run, "--scale", "1"]
+        found[f"run, {name}, --scale 1 --set 9"] = [*run, "--scale", "1", "--set", "9"]
     return found
 
 
@@ -92,13 +96,15 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, **kept, "PYTHONDONTWRITEBYTECODE": ""}
 
 
-def main(n_rounds: int) -> None:
-    """Run everything in turn and print the table."""
+def main(n_rounds: int, names: str) -> None:
+    """Run everything in turn, or what has one of the `names` in its own, and print the table."""
     if not shutil.which("ffmpeg"):
         raise SystemExit("ffmpeg is not installed")
     with tempfile.TemporaryDirectory(prefix="dlgmd-bench-") as name:
         folder = Path(name)
         runs = commands(make_clip(folder))
+        if names:
+            runs = {label: run for label, run in runs.items() if re.search(names, label)}
         taken: dict[str, list[tuple[float, float]]] = {label: [] for label in runs}
         for n_done in range(-1, n_rounds):
             for label, command in runs.items():
@@ -117,4 +123,4 @@ def main(n_rounds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else N_ROUNDS)
+    main(int([*sys.argv, N_ROUNDS][1]), "".join(sys.argv[2:3]))

@@ -28,9 +28,11 @@ DEFAULTS = {
     "w_fps": 0.0,
     "shift": 0,
     "balance": False,
+    "deflicker": False,
     "c_m": 0.0,
     "tau_m": 1.5,
     "d_0": 0.0,
+    "tau_d": 0.1,
     "k_0": 0.001,
 }
 
@@ -53,6 +55,7 @@ class Answer:
     steady: float | None = None
     shift: tuple[int, int] = (0, 0)
     rate: float = 0.0
+    beside: float = 0.0
     t_de: float | None = None
 
 
@@ -128,46 +131,85 @@ def between(change, i, j):
     return places
 
 
-def expansion_between(frame, before, shift, most):
-    """The least of the expansions between the quarters of the middle two thirds."""
-    now, then = blocks_of(frame), blocks_of(before)
-    limits = [min(most // 4, side // 3) for side in now.shape]
-    if min(limits) == 0 or min(now.shape) < 4:
+def reduced(frame):
+    """Means over blocks, so that 120 columns or more remain, then over 3 x 3: whole levels."""
+    n = max(1, frame.shape[1] // 120)
+    blocks = np.zeros([side // n for side in frame.shape])
+    for i, j in np.ndindex(blocks.shape):
+        blocks[i, j] = total(frame[n * i : n * i + n, n * j : n * j + n]) / n**2 * 255
+    means, (height, width) = np.zeros(blocks.shape), blocks.shape
+    for i, j in np.ndindex(blocks.shape):
+        for di in (-1, 0, 1):
+            for dj in (-1, 0, 1):
+                near = min(max(i + di, 0), height - 1), min(max(j + dj, 0), width - 1)
+                means[i, j] += blocks[near] / 9
+    return np.floor(means + 0.5001)
+
+
+def motion_of(now, then, rows, columns, start):
+    """Shift down and right, and growth along both, of a part of a picture: two Newton steps."""
+    v, u, b, a = *start, 0.0, 0.0
+    height, width = now.shape
+    mid_i, mid_j = (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2
+    for _ in range(2):
+        found = []
+        for i in range(*rows):
+            for j in range(*columns):
+                y, x = i - mid_i, j - mid_j
+                at_i, at_j = i + v + b * y, j + u + a * x
+                if not (0 <= at_i < height - 1 and 0 <= at_j < width - 1):
+                    continue
+                near_i, near_j = int(at_i), int(at_j)
+                down, right = at_i - near_i, at_j - near_j
+                upper = (1 - right) * now[near_i, near_j] + right * now[near_i, near_j + 1]
+                lower = (1 - right) * now[near_i + 1, near_j] + right * now[near_i + 1, near_j + 1]
+                around = then[i - 1 : i + 2, j - 1 : j + 2]
+                across, along = np.array([1, 2, 1]) / 8, np.array([-1, 0, 1])
+                g_y, g_x = along @ around @ across, across @ around @ along
+                rest = then[i, j] - (1 - down) * upper - down * lower
+                found.append((rest, np.array([g_y, g_x, g_y * y, g_x * x])))
+        if 4 * len(found) < (rows[1] - rows[0]) * (columns[1] - columns[0]):
+            return 0.0, 0.0, 0.0, 0.0
+        scale = 1.5 * sum(abs(rest) for rest, _ in found) / len(found) + 1
+        matrix, right_side = np.zeros((4, 4)), np.zeros(4)
+        for rest, slope in found:
+            weight = 1 / (1 + (rest / scale) ** 2)
+            matrix += weight * np.outer(slope, slope)
+            right_side += weight * rest * slope
+        matrix += np.diag(1e-6 * np.diag(matrix) + [1e-3, 1e-3, 0.1, 0.1])
+        v, u, b, a = np.array([v, u, b, a]) + np.linalg.inv(matrix) @ right_side
+    return v, u, b, a
+
+
+def growth_ahead(now, then, start):
+    """Growth of the square in the middle."""
+    half = min(now.shape) // 2
+    rows, columns = (((side - half) // 2, (side - half) // 2 + half) for side in now.shape)
+    *_, b, a = motion_of(now, then, rows, columns, start)
+    return min(a, b) - 0.25 * abs(a - b)
+
+
+def growth_beside(now, then):
+    """Growth of what moves before a still camera, about a point inside it; else 0."""
+    change, half = abs(now - then), min(now.shape) // 2
+    above = np.maximum(change - 3 - change.mean(), 0)
+    mass = total(above)
+    if mass < 0.19 * above.size or (above > 0).sum() > 0.4 * above.size:
         return 0.0
-    (y, x), (high, wide) = (side // 2 for side in now.shape), (side // 3 for side in now.shape)
-    places = {}
-    for top in (y - high, y):
-        for left in (x - wide, x):
-            places[top < y, left < x] = displacement(
-                now, then, shift, limits, [(top, top + high), (left, left + wide)]
-            )
-    across = [(places[up, False][1] - places[up, True][1]) / wide for up in (True, False)]
-    down = [(places[False, left][0] - places[True, left][0]) / high for left in (True, False)]
-    return min(across + down)
-
-
-def displacement(now, then, shift, limits, window):
-    """By how many blocks a window has moved, a fraction included."""
-
-    def change(dy, dx):
-        changes = [
-            abs(now[i, j] - then[i - dy, j - dx])
-            for i in range(*window[0])
-            for j in range(*window[1])
-            if 0 <= i - dy < then.shape[0] and 0 <= j - dx < then.shape[1]
-        ]
-        return sum(changes) / len(changes) if changes else math.inf
-
-    place = list(shift)
-    for axis in (0, 1):
-        for step in (-1, 1):
-            while True:
-                beside = list(place)
-                beside[axis] += step
-                if abs(beside[axis]) > limits[axis] or change(*beside) >= change(*place):
-                    break
-                place = beside
-    return between(change, *place)
+    windows, reaches = [], []
+    for axis, side in enumerate(now.shape):
+        places = np.indices(now.shape)[axis]
+        middle = total(above * places) / mass
+        spread = math.sqrt(total(above * (places - middle) ** 2) / mass)
+        if spread > 0.9 * half:
+            return 0.0
+        reach = math.floor(min(max(1.6 * spread, 6), half / 2) + 0.5)
+        at = min(max(math.floor(middle + 0.5), reach + 1), side - 2 - reach)
+        windows.append((at - reach, at + reach + 1))
+        reaches.append(reach)
+    v, u, b, a = motion_of(now, then, *windows, (0.0, 0.0))
+    passes = abs(v) >= b * reaches[0] or abs(u) >= a * reaches[1]
+    return 0.0 if passes else max(min(a, b), 0.0)
 
 
 def moved(image, dy, dx, entering):
@@ -201,30 +243,39 @@ def weakest(g, weights):
     return g.size * (least + second) / 2
 
 
-def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, d_0, k_0, **rest):
-    """One `Answer` for every frame; `times` are those of the frames, in seconds."""
+def run(
+    frames, *, times=None, w_fps, shift, balance, deflicker, c_m, tau_m, d_0, tau_d, k_0, **rest
+):
+    """One `Answer` for every frame, none of which flickers; `times` are theirs, in seconds."""
     interval = 1 / w_fps if w_fps else 1 / 30
     times = [t * interval for t in range(len(frames))] if times is None else times
     weights, answers, history = weights_of(frames[0].shape, rest["sigma_c"]), [], []
     excite, inhibit, values = connections_of(**rest)
-    blocks, grown = (0, 0), 0.0
+    blocks, ahead, beside = (0, 0), 0.0, 0.0
     for t, frame in enumerate(frames):
         frame = frame.astype(float)
         before, d = frame, (0, 0)
         if t > 0:
             before = frames[t - 1].astype(float)
             blocks, d = shift_between(frame, before, blocks, shift)
-            grown = expansion_between(frame, before, blocks, shift) if d_0 else 0.0
+            cells = d
             if mean_change(frame, before, *d) < 0.95 * mean_change(frame, before, 0, 0):
                 before = moved(before, *d, entering=frame)
                 history[1:] = [moved(p, *d, entering=np.zeros(p.shape)) for p in history[1:]]
             else:
                 d = (0, 0)
         seconds = times[t] - times[t - 1] if t else interval
+        if t and d_0 and min(frame.shape[0], frame.shape[1]) // max(1, frame.shape[1] // 120) >= 20:
+            now, then = reduced(frame), reduced(frames[t - 1].astype(float))
+            start = [c / max(1, frame.shape[1] // 120) for c in cells]
+            rate = min(max(growth_ahead(now, then, start) / seconds, -2.5), 2.5)
+            ahead += (1 - math.exp(-seconds / tau_d)) * (rate - ahead)
+            rate = min(growth_beside(now, then) / seconds, 2.5) if blocks == (0, 0) else 0.0
+            beside += (1 - math.exp(-2 * seconds / tau_d)) * (rate - beside)
         n = seconds * w_fps if w_fps else 1.0
         change = abs(frame - before) if t else None
         answer = see(frame, change, answers, n, **values)
-        answer.shift, answer.rate = d, grown / seconds
+        answer.shift, answer.beside, answer.rate = d, beside, max(ahead, beside / 2)
         history.append(answer.p)
         answers.append(answer)
         if t < 1 + max([1, *inhibit]):
@@ -239,7 +290,7 @@ def run(frames, *, times=None, w_fps, shift, balance, c_m, tau_m, d_0, k_0, **re
         answer.steady = past + (1 - math.exp(-seconds / tau_m)) * (kappa - past)
         answer.mp = max(kappa - c_m * past, 0.0)
         if d_0:
-            ratio = min(max(1.0, answer.rate / d_0), 8.0)
+            ratio = min(max(1.0, answer.rate / d_0), 16.0)
             answer.mp = ratio**2 * (answer.mp + k_0 * frame.size) - k_0 * frame.size
     return answers
 

@@ -7,16 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from conftest import looming_frames, until, write_video
 from disturbed import environment, files_of, hidden_in, started
-from faulty import faulty
+from faulty import faulty, slowly
 
 from dlgmd_cli.errors import ParameterError, WorkerError
-from dlgmd_cli.runs import dask as cluster
+from dlgmd_cli.machine import dask as cluster
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 pytestmark = [
@@ -93,7 +94,7 @@ def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, fold
     names = [f"{letter}{n}" for letter in "az" for n in range(3)]
     folder("killed", "segfault", "once", "bug", *names)
     with monkeypatch.context() as patch:
-        patch.setattr("dlgmd_cli.api.batch.run_video", faulty)
+        patch.setattr("dlgmd_cli.tasks.batch.run_video", faulty)
         result = dlgmd("batch", "in", "--no-plots", "--scheduler", scheduler, "--json")
     assert result.exit_code == 1
     rows = {row[0]: row for row in rows_of(Path("dlgmd-out/summary.csv"))[1:]}
@@ -102,8 +103,26 @@ def test_who_loses_workers_is_to_blame_and_others_are_not(dlgmd, scheduler, fold
         "killed.avi": "killed",
         "segfault.avi": "killed",
         "bug.avi": "failed",
-    }
+    }, result.stderr
     assert rows["killed.avi"][2].startswith("every worker that ran it was lost, as happens when")
+
+
+def test_a_result_that_is_lost_with_its_worker_is_waited_for(scheduler, tmp_path, monkeypatch):
+    """Its worker is killed after the work, and before anybody has fetched the result."""
+    asked, killed = cluster._asked, []
+
+    def killing(where, ask, *given, **options):
+        if "timeout" in options and ask.__name__ == "exception" and not killed:
+            killed.extend(int(one.read_text()) for one in tmp_path.iterdir())
+            os.kill(killed[0], signal.SIGKILL)
+            time.sleep(0.2)
+        return asked(where, ask, *given, **options)
+
+    monkeypatch.setattr(cluster, "_asked", killing)
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+    found = list(cluster.run_tasks(slowly, [tmp_path / "pid"], scheduler))
+    assert [outcome.result() for _, outcome in found] == ["done"] and killed
+    assert int((tmp_path / "pid").read_text()) != killed[0]
 
 
 def test_what_keeps_workers_from_their_work(scheduler, tmp_path, monkeypatch):

@@ -85,11 +85,15 @@ def test_the_readme_tells_when_the_alarm_begins(reader, capsys):
     test_python_runs_as_written(reader, "README.md")
     frame, side = capsys.readouterr().out.split()
     assert side == "ahead" and Path("overview.pdf").read_bytes().startswith(b"%PDF")
-    (told,) = re.findall(r"(\d+) frames\s+after the alarm begins", text_of("README.md"))
+    (told,) = re.findall(r"(\d+) frames\s+after\s+the alarm begins", text_of("README.md"))
     assert int(told) == 140 - int(frame)
 
 
 def test_a_loop_of_ones_own_brakes(reader, capsys):
     test_python_runs_as_written(reader, "docs/live.md")
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) > 5 and all(line.startswith("brake ahead") for line in lines)
+    *of_camera, command, _, end = lines
+    assert len(of_camera) > 5 and all(line.startswith("brake") for line in of_camera)
+    assert of_camera[0].startswith("brake ahead")
+    # The rendered flight that is braked in the loop.
+    assert re.fullmatch(r"[\d.]+ s: brake, .*", command) and end == "in the end no collision"

@@ -30,10 +30,10 @@ from disturbed import (
 )
 
 from dlgmd_cli.commands.app import cli
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.machine.pool import run_tasks
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.reading import read_result
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.result import read_result
 
 pytestmark = [
     pytest.mark.slow,
@@ -165,7 +165,7 @@ def test_kills(tmp_path, monkeypatch, command):
     moments, record = random.Random(command), tmp_path / "out" / KILLED[command]
     command += " out" if command.endswith("--record") else " --out out"
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["test_faults", "dlgmd_cli.runs.run", "dlgmd_cli.live.watch"])
+    context.set_forkserver_preload(["test_faults", "dlgmd_cli.tasks.run", "dlgmd_cli.live.watch"])
     took_s, n_killed, truth = [], 0, None
     for number in range(-2, 20):
         began, process = time.monotonic(), context.Process(target=call, args=(command,))

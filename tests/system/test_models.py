@@ -15,7 +15,7 @@ from plan_checks import check_both, check_fused, check_plan
 from reference import clips, slow
 
 from dlgmd_cli.models.kernels import gaussian
-from dlgmd_cli.parameters import LATENCIES, DlgmdParameters
+from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from damaged import sound_videos
 from PIL import Image
 
 from dlgmd_cli.commands.app import cli
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.machine.pool import run_tasks
 
 pytestmark = [
     pytest.mark.slow,

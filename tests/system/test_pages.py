@@ -176,7 +176,8 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
 
 
 def test_labels_that_are_known_keep_their_words(browser, index_file, dlgmd, tmp_path):
-    table = ["video,collision_frame,target,kind", "=x/a\\, b.mp4,70,wall,real", "c.mp4,,,rendered"]
+    header = "video,collision_frame,target,kind,sure"
+    table = [header, "=x/a\\, b.mp4,70.0,wall,real,yes", "c.mp4,,,rendered,"]
     text = "\n".join(table).replace("=x/a\\, b.mp4", '"./=x/a, b.mp4"')
     (tmp_path / "in/labels.csv").write_text(text + "\n")
     made = ("view", "res", "--no-film", "--labels", "in/labels.csv", "--out", "web/all.html")
@@ -193,9 +194,9 @@ def test_labels_that_are_known_keep_their_words(browser, index_file, dlgmd, tmp_
         page.click("#save")
     saved.value.save_as(tmp_path / "new.csv")
     assert (tmp_path / "new.csv").read_text().splitlines() == [
-        "video,collision_frame,target,kind",
-        '"./=x/a, b.mp4",70,wall,real',
-        f"c.mp4,{frame},gate,rendered",
+        header,
+        '"./=x/a, b.mp4",70,wall,real,yes',
+        f"c.mp4,{frame},gate,rendered,",
     ]
 
 

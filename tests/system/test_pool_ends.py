@@ -11,7 +11,7 @@ from disturbed import environment, session_of
 from pooltasks import work
 
 from dlgmd_cli.errors import WorkerError
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.machine.pool import run_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +35,7 @@ def test_processes_that_start_while_the_pool_ends_are_silent(capfd):
 
 PARENT = """
 from pooltasks import work
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.machine.pool import run_tasks
 if __name__ == "__main__":
     for task, outcome in run_tasks(work, ["pid", "hang", "hang"], 1):
         print(outcome.value, flush=True)

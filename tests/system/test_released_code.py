@@ -9,7 +9,7 @@ from reference import slow
 from reference_data import SEQUENCES, assert_released, reference_dir, reference_frames
 
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("each_engine")]
 

@@ -12,7 +12,7 @@ import yaml
 
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError, SourceError
 from dlgmd_cli.results import store
-from dlgmd_cli.runs.find import find_videos, local_copy
+from dlgmd_cli.tasks.find import find_videos, local_copy
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("s3fs", reason="s3fs is not installed")
@@ -116,7 +116,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
     place = store.place(f"{bucket.url}/out/v")
     written = {"run.yaml": "a: 1\n", "mp.csv": "x\n", "mp.svg": "<svg/>"}
     files = {name: lambda path, text=text: path.write_text(text) for name, text in written.items()}
-    store.commit(place, store.RUN, files)
+    store.Claim(place, store.RUN).commit(files)
     bucket.put("out/v/compare.csv", b"of another command")
     old = ("compare.csv", "mp.csv", "mp.svg", "run.yaml")
     assert bucket.names() == [f"out/v/{name}" for name in old]
@@ -128,7 +128,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
         put_file(local, remote)
 
     monkeypatch.setattr(place.fs, "put_file", watched)
-    store.commit(place, store.RUN, files)
+    store.Claim(place, store.RUN).commit(files)
     assert order == [("mp.csv", False), ("run.yaml", False)]
     assert bucket.names() == [f"out/v/{name}" for name in ("compare.csv", "mp.csv", "run.yaml")]
 
@@ -139,7 +139,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
 
     monkeypatch.setattr(place.fs, "put_file", broken)
     with pytest.raises(OutputError, match=r"out/v: cannot be written \(the line is dead\)"):
-        store.commit(place, store.RUN, files)
+        store.Claim(place, store.RUN).commit(files)
     assert bucket.names() == ["out/v/compare.csv", "out/v/mp.csv"]
     assert store.check(place, store.RUN, {}, overwrite=False) is False
 

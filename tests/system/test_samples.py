@@ -10,7 +10,7 @@ import pytest
 import yaml
 from conftest import read_video
 
-from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
 
 pytestmark = pytest.mark.slow
 

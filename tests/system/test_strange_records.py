@@ -10,16 +10,18 @@ import yaml
 from click.testing import CliRunner
 
 from dlgmd_cli.commands.app import cli
-from dlgmd_cli.commands.batch import _cells
 from dlgmd_cli.errors import DlgmdError
-from dlgmd_cli.lab.evaluation.cases import Evaluation, read_cases, stored_results
 from dlgmd_cli.pages.gather import gather
 from dlgmd_cli.pages.page import Part, _drawer
+from dlgmd_cli.results.batch import Summary, _cells
+from dlgmd_cli.results.candidates import Candidates
+from dlgmd_cli.results.labels import read_cases
+from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.result import read_comparison, read_result
-from dlgmd_cli.runs.batch import Job, Summary, plan
-from dlgmd_cli.runs.find import find_videos
-from dlgmd_cli.runs.setup import choose, input_options
+from dlgmd_cli.tasks.batch import Shared, plan
+from dlgmd_cli.tasks.evaluate import stored_results
+from dlgmd_cli.tasks.find import find_videos
+from dlgmd_cli.tasks.setup import Asked, choose, input_options
 
 pytestmark = pytest.mark.slow
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -92,8 +94,8 @@ def batch(folder):
     setup = choose()
     found = find_videos([str(folder / "loom.avi")], [], ())
     options = input_options(setup, {"size": (16, 12)})
-    job = Job((setup,), (str(folder / "b"),), options, (), 100, overwrite=True)
-    made = plan(found.videos, job)
+    asked = Asked((setup,), options)
+    made = plan(found.videos, Shared(asked, (str(folder / "b"),), (), 100, overwrite=True))
     for row in made.summaries[0].rows.values():
         _cells(row)
     summary = Summary(folder / "b")
@@ -102,11 +104,11 @@ def batch(folder):
 
 
 def evaluate(folder):
-    evaluation = Evaluation()
+    candidates = Candidates()
     for case, found in stored_results(folder / "b", read_cases(folder / "labels.csv")):
         if isinstance(found, DlgmdError):
             raise found
-        evaluation.add(case, found)
+        candidates.add(case, found)
 
 
 def config(path):

@@ -17,10 +17,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import printable
-from dlgmd_cli.plain_yaml import MAX_CONFIG_BYTES
+from dlgmd_cli.parameters.plain_yaml import MAX_CONFIG_BYTES
 from dlgmd_cli.results.csv import cell, text_cell
+from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.results.record import yaml_text
-from dlgmd_cli.results.result import read_comparison
 from dlgmd_cli.results.store import fitting
 
 pytestmark = pytest.mark.slow

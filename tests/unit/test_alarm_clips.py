@@ -6,7 +6,8 @@ import pytest
 from conftest import csv_rows, looming_frames, read_video, write_video
 
 from dlgmd_cli.errors import OutputExistsError, SourceError
-from dlgmd_cli.video.clips import refuse_clips, write_clips
+from dlgmd_cli.tasks.call import write_clips
+from dlgmd_cli.video.clips import refuse_clips
 
 pytest.importorskip("av", reason="copies need PyAV")
 FPS, N = 20.0, 200

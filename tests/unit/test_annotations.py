@@ -9,9 +9,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.commands.plot import annotation_options
-from dlgmd_cli.plots.annotations import Annotations
 from dlgmd_cli.plots.style import BLACK, VERMILION
 from dlgmd_cli.plots.traces import plot
+from dlgmd_cli.results.annotations import Annotations
 
 EVERYTHING = Annotations(
     marks=((5, "pitching"), (9, "rolling"), (38, "near the right edge")),

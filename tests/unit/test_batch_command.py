@@ -11,11 +11,10 @@ from pathlib import Path
 import pytest
 from conftest import looming_frames, write_video, yaml_of
 
-from dlgmd_cli import cancel
-from dlgmd_cli.pool import DONE, FAILED, Outcome
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.pool import DONE, FAILED, Ended
 from dlgmd_cli.results import store
-from dlgmd_cli.runs import batch
-from dlgmd_cli.runs.batch import COLUMNS
+from dlgmd_cli.results.batch import COLUMNS
 
 QUICK = ("--no-plots", "--jobs", 2)
 
@@ -28,12 +27,12 @@ def here(monkeypatch):
         for task in tasks:
             cancel.check()
             try:
-                outcome = Outcome(DONE, function(task))
+                outcome = Ended(DONE, function(task))
             except Exception as error:
-                outcome = Outcome(FAILED, error=error)
+                outcome = Ended(FAILED, error=error)
             yield task, outcome
 
-    monkeypatch.setattr("dlgmd_cli.pool.run_tasks", run_tasks)
+    monkeypatch.setattr("dlgmd_cli.machine.pool.run_tasks", run_tasks)
 
 
 @pytest.fixture
@@ -85,10 +84,10 @@ def test_a_tree_with_broken_files_in_processes_of_their_own(dlgmd, flights):
     assert result.exit_code == 1
     *lines, last = result.stderr.splitlines()
     assert len(lines) == 2 and last.startswith("Error: 2 of 4 videos failed")
-    for words in ("empty.mp4: failed: the file is empty", "text.mkv: failed: no frame could be"):
+    for words in ("empty.mp4: failed: the file is empty", "text.mkv: failed: is a text file"):
         assert f"Error: {words}" in result.stderr
     path, counts = result.stdout.splitlines()[-2:]
-    assert path == os.path.join("dlgmd-out", "summary.csv") and "2 done, 2 failed, 0 with" in counts
+    assert path == os.path.join("dlgmd-out", "summary.csv") and "2 done, 2 failed, 2 with" in counts
     names = ["a/deep/other.mp4", "a/loom.avi", "empty.mp4", "text.mkv"]
     assert list(statuses().items()) == list(zip(names, ["done"] * 2 + ["failed"] * 2, strict=True))
     results = {path.parent.as_posix() for path in Path("dlgmd-out").rglob("run.yaml")}
@@ -418,7 +417,7 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
                 files = {"summary.csv": full}
         return write_files(folder, files, **options)
 
-    monkeypatch.setattr(batch, "_SHARE_OF_TIME", math.inf)  # no write is postponed
+    monkeypatch.setattr("dlgmd_cli.results.batch._SHARE_OF_TIME", math.inf)  # no write is postponed
     monkeypatch.setattr(store, "write_files", refusing)
     refused = {2, 3}  # in between: it is written later
     assert "Error: 2 of 4 videos failed" in dlgmd("batch", flights, *QUICK).stderr
@@ -434,3 +433,12 @@ def test_frames_are_counted_as_by_run(dlgmd, clips):
     alone = dlgmd("run", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "a")
     many = dlgmd("batch", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "b")
     assert "7 of 20 at 32x24" in alone.stdout and "done     7 of 20 " in many.stdout
+
+
+def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path):
+    (tmp_path / "slow").mkdir()
+    for name in "abc":
+        write_video(tmp_path / f"slow/{name}.avi", looming_frames(), fps=12)
+    told = dlgmd("batch", "slow", "--no-plots", "--jobs", 1).stderr
+    assert told.count("12 frames/s: alarms are unreliable") == 1
+    assert "a.avi and 2 other videos: 12 frames/s" in told

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.results.batch import COLUMNS, Row, Summary
 from dlgmd_cli.results.store import failure_text, place
-from dlgmd_cli.runs.batch import COLUMNS, Row, Summary
-from dlgmd_cli.runs.find import find_videos, result_folders
+from dlgmd_cli.tasks.find import find_videos, result_folders
 
 LINKS = pytest.mark.skipif(sys.platform == "win32", reason="links need rights on Windows")
 
@@ -274,10 +274,10 @@ def test_cells_of_the_summary(tmp_path):
 
 def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
     clock, written = [0.0], []
-    monkeypatch.setattr("dlgmd_cli.runs.batch.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("dlgmd_cli.results.batch.time.monotonic", lambda: clock[0])
     summary = Summary(tmp_path)
 
-    def write_files(folder, files):
+    def write_files(folder, files, **_):
         written.append(clock[0])
         clock[0] += 0.1
 

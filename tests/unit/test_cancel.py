@@ -10,7 +10,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals differ 
 
 PROGRAM = """
 import time
-from dlgmd_cli import cancel
+from dlgmd_cli.machine import cancel
 cancel.listen()
 print("ready", flush=True)
 while not cancel.requested():

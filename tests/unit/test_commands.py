@@ -11,7 +11,7 @@ import pytest
 
 from dlgmd_cli import __version__
 from dlgmd_cli.commands.app import COMMANDS, cli
-from dlgmd_cli.parameters import MODELS, load_config, load_preset, parameters_of
+from dlgmd_cli.parameters.presets import MODELS, load_config, load_preset, parameters_of
 
 
 def python(*words, **options):
@@ -63,7 +63,7 @@ def test_general_options_before_and_after_the_command(dlgmd):
         assert dlgmd(*arguments, "-o", f"b{number}").stderr == ""
 
 
-def test_arguments_too_many_are_not_all_listed(dlgmd):
+def test_arguments_too_many_are_not_alllisted(dlgmd):
     for number in range(155):
         open(f"{number}.png", "w").close()
     names = [f"{number}.png" for number in range(155)]
@@ -198,7 +198,7 @@ def test_an_interrupt_before_signals_are_answered_is_quiet():
 import sys
 class Interrupting:
     def find_spec(self, name, *_):
-        if name == "dlgmd_cli.cancel":
+        if name == "dlgmd_cli.machine.cancel":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Interrupting())
 from dlgmd_cli.__main__ import main
@@ -242,3 +242,14 @@ def test_kernels_of_the_printed_equations(dlgmd):
     assert own.stdout.splitlines() == [os.path.join("dlgmd-out", "kernels-set4-nearest.csv")]
     with open(result.stdout.strip(), encoding="ascii") as file:
         assert file.readline() == "x_px,y_px,latency_frames,k_e,k_0,k_1,k_2\n"
+
+
+def test_the_table_of_collisions_has_the_same_names_everywhere():
+    found = {
+        name: {*option.opts}
+        for name in ("layers", "plot", "view")
+        for option in cli.get_command(None, name).params
+        if {*option.opts} & {"--collisions", "--labels"}
+    }
+    assert set(found) == {"layers", "plot", "view"}
+    assert all(names == {"--collisions", "--labels"} for names in found.values())

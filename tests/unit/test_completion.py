@@ -9,7 +9,7 @@ from click.shell_completion import ShellComplete
 
 from dlgmd_cli.commands.app import COMMANDS, cli
 from dlgmd_cli.commands.completion import SHELLS
-from dlgmd_cli.parameters import MODELS
+from dlgmd_cli.parameters.presets import MODELS
 
 
 def completed(*words):
@@ -35,7 +35,7 @@ def test_commands_and_options():
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),
         ("sweep --x tau_l", ["tau_low="]),
         ("calibrate a.csv --search kap", ["kappa="]),
-        ("synth group", [f"group{number}" for number in range(1, 6)]),
+        ("synth group", ["group1", "group2", "group2-late", "group3", "group4", "group5"]),
         ("sets l", ["lgmd"]),
         ("sets show dlgmd-c", ["dlgmd-contrast"]),
         ("plot ov", ["overview"]),

@@ -1,6 +1,7 @@
 """The user's own defaults: dlgmd.yaml sets them, options outdo it, and records tell of it."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from conftest import csv_rows, yaml_of
 
 import dlgmd_cli
+from dlgmd_cli.commands import defaults
 
 
 @pytest.fixture
@@ -29,6 +31,7 @@ def settings_of(folder):
 
 
 def test_defaults_are_used_recorded_and_outdone_by_options(dlgmd, own, clips, tmp_path):
+    pytest.importorskip("av", reason="one of the options is --decoder pyav")
     cv2.imwrite(str(tmp_path / "mask.png"), np.full((24, 32), 255, np.uint8))
     own("size: 16x12\nmask: mask.png\ndecoder: opencv\nformat: [svg, pdf]\nout: results\n")
     assert dlgmd("run", clips / "loom.avi").stdout.splitlines()[-1] == "results/loom"
@@ -63,6 +66,86 @@ def test_the_file_is_found_above_and_its_paths_are_its_own(
     monkeypatch.chdir(tmp_path / "day" / "one")
     done = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert done.stdout.splitlines()[-1] == str(tmp_path / "results" / "loom")
+
+
+def test_every_command_that_follows_a_file_says_so(dlgmd, own, clips, tmp_path):
+    own("out: results\nsize: 16x12\n")
+    run = ["run", clips / "loom.avi", "--no-plots", "--overwrite"]
+    line = f"Settings from {tmp_path / 'dlgmd.yaml'}: "
+    assert f"{line}size, out.\n" in dlgmd(*run).stderr
+    assert f"{line}size.\n" in dlgmd(*run, "--out", "a").stderr
+    assert f"{line}out.\n" in dlgmd(*run, "--scale", 0.5).stderr
+    assert f"{line}out.\n" in dlgmd(*run, "--config", "a/loom/run.yaml").stderr
+    plot = ["plot", "mp", "a/loom", "--overwrite"]
+    assert f"{line}out.\n" in dlgmd(*plot).stderr
+    for quiet in (
+        dlgmd(*run, "-q"),
+        dlgmd(*run, "--out", "a", "--size", "9x9"),
+        dlgmd(*run, "--settings", "none"),
+        dlgmd("sets"),
+    ):
+        assert quiet.exit_code == 0 and "Settings from" not in quiet.stderr
+
+
+def another_user(monkeypatch, path, stat="stat"):
+    """Let a file, or a link, belong to another user."""
+    real = getattr(Path, stat)
+
+    def with_owner(self, **how):
+        found = real(self, **how)
+        if self.name != path.name:
+            return found
+        return os.stat_result((*found[:4], os.geteuid() + 1, *found[5:]))
+
+    monkeypatch.setattr(Path, stat, with_owner)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows knows no such owner")
+@pytest.mark.parametrize("stat", ["stat", "lstat"])
+def test_a_file_of_another_user_is_refused(dlgmd, own, clips, tmp_path, monkeypatch, stat):
+    own("out: theirs\n")
+    (tmp_path / "below").mkdir()
+    monkeypatch.chdir(tmp_path / "below")
+    run = ["run", clips / "loom.avi", "--no-plots"]
+    path = tmp_path / "dlgmd.yaml"
+    another_user(monkeypatch, path, stat)
+    result = dlgmd(*run)
+    assert result.exit_code == 2 and result.stderr.splitlines()[-1] == (
+        f"Error: {path}: belongs to another user. If you trust it, add --settings {path}; "
+        "--settings none leaves it out."
+    )
+    assert not list(tmp_path.rglob("run.yaml"))
+    assert dlgmd(*run, "--settings", "none").exit_code == 0
+    assert dlgmd(*run, "--settings", path).exit_code == 0
+    assert (tmp_path / "theirs/loom/run.yaml").exists()
+    assert dlgmd("run", "--help").exit_code == dlgmd("sets").exit_code == 0
+
+
+def test_the_search_ends_at_the_home_folder(dlgmd, own, clips, tmp_path, monkeypatch):
+    own("out: above\n")
+    home = tmp_path / "home"
+    (home / "day").mkdir(parents=True)
+    monkeypatch.chdir(home / "day")
+    assert defaults.find(None) == tmp_path / "dlgmd.yaml"
+    monkeypatch.setenv("HOME", str(home))
+    assert defaults.find(None) is None
+    (home / "dlgmd.yaml").write_text("out: here\n")
+    assert defaults.find(None) == home / "dlgmd.yaml"
+
+
+def test_the_search_ends_at_the_edge_of_the_file_system(own, tmp_path, monkeypatch):
+    own("out: above\n")
+    (tmp_path / "disk" / "day").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "disk" / "day")
+    real = Path.stat
+
+    def stat(self, **how):
+        found = real(self, **how)
+        is_inside = "disk" in self.parts
+        return os.stat_result((*found[:2], 7 if is_inside else 8, *found[3:]))
+
+    monkeypatch.setattr(Path, "stat", stat)
+    assert defaults.find(None) is None
 
 
 def test_a_recorded_run_is_repeated_whatever_the_defaults_are(dlgmd, own, clips):
@@ -104,19 +187,26 @@ def test_python_does_not_read_them(own, clips, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("sizes: 3x3", "there is no setting 'sizes'. Did you mean 'size'?"),
-        ("fps: 30", "there is no setting 'fps'. Choose from size, mask, decoder, format, out."),
+        ("sizes: 3x3", "contains an unknown setting. Did you mean 'size'?"),
+        ("secret: 1", "contains an unknown setting. Choose from size, mask, decoder, format, out."),
         ("size: 5", "size: this is no text. It is the size of the processed frames"),
-        ("size: wide", "size: 'wide' is not WIDTHxHEIGHT. Write 480x270."),
-        ("decoder: vlc", "decoder: 'vlc' is not one of"),
-        ("format: [gif]", "format: 'gif' is not one of"),
+        ("size: secret", "size: this value cannot be used. It is the size of the processed"),
+        (
+            "decoder: secret",
+            "decoder: this value cannot be used. It is the library that decodes videos",
+        ),
+        ("format: [secret]", "format: this value cannot be used. It is the formats of figures"),
         ("format: []", "format: this is no text."),
         ("out: [a]", "out: this is no text."),
-        ("out: a.mp4", "out: 'a.mp4' is the name of a file."),
-        ("mask: none.png", "mask: File 'none.png' does not exist."),
+        ("out: secret.mp4", "out: this value cannot be used. It is the folder for the results."),
+        ("mask: secret.png", "mask: this value cannot be used. It is the picture that is black"),
+        ("out: ftp://secret/x", "out: a URL is not allowed here. Give --out."),
+        ("mask: ftp://secret/x", "mask: a URL is not allowed here. Give --mask."),
         ("- size", "does not consist of 'option: value' lines."),
-        ("size: [", "is not valid YAML"),
-        ("size: &a 3x3\nout: *a", "the reference 'a' is not allowed"),
+        ("size: [", "is not plain YAML in line 1."),
+        ("size: &secret 3x3\nout: *secret", "is not plain YAML. 'dlgmd info --settings' lists"),
+        ("size: 3x3\nsecret: 1\nsecret: 2", "is not plain YAML in line 3."),
+        ("root:secret:0:0:/root", "does not consist of 'option: value' lines."),
     ],
 )
 def test_what_is_wrong_with_a_file_is_one_line(dlgmd, own, clips, text, words):
@@ -124,6 +214,7 @@ def test_what_is_wrong_with_a_file_is_one_line(dlgmd, own, clips, text, words):
     result = dlgmd("run", clips / "loom.avi", "--out", "x")
     assert result.exit_code == 2 and f"Error: dlgmd.yaml: {words}" in result.stderr
     assert "Usage: dlgmd run" in result.stderr and not Path("x").exists()
+    assert "secret" not in result.stderr  # the file may be a link to anything
     assert dlgmd("run", "--help").exit_code == 0
     assert dlgmd("run", clips / "loom.avi", "--no-plots", "--settings", "none").exit_code == 0
 

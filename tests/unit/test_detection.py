@@ -17,7 +17,7 @@ from reference import clips
 from dlgmd_cli.errors import FrameError
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.models.detection import Alarm, AlarmSpan, absolute, detect, sequence, side_of, spans
-from dlgmd_cli.parameters import (
+from dlgmd_cli.parameters.presets import (
     MODELS,
     ContrastParameters,
     LgmdParameters,
@@ -25,7 +25,7 @@ from dlgmd_cli.parameters import (
     load_set,
     parameters_of,
 )
-from dlgmd_cli.runs.setup import choose
+from dlgmd_cli.tasks.setup import choose
 from dlgmd_cli.video.luma import to_grey
 
 NAN = np.nan

@@ -8,7 +8,7 @@ from model_checks import answers_of, check_dlgmd, undecided
 from reference import clips, slow
 
 from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 

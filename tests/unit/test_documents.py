@@ -10,12 +10,13 @@ import pytest
 import yaml
 from documents import PAGES, ROOT, blocks, commands, names_in, table_below, text_of
 
-from dlgmd_cli import __version__, cancel
+from dlgmd_cli import __version__
 from dlgmd_cli.commands import console
 from dlgmd_cli.commands.app import COMMANDS, cli
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.lab.flights.truth import FlightTruth
-from dlgmd_cli.parameters import MODELS
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.parameters.presets import MODELS
+from dlgmd_cli.scenes.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.truth import FlightTruth
 
 README, PROJECT = text_of("README.md"), text_of("pyproject.toml")
 FENCED = ("sh", "bash", "made")

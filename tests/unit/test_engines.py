@@ -15,7 +15,7 @@ from dlgmd_cli.models.contrast import lower_quartile
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import Counting, just_below
 from dlgmd_cli.models.engines.opencv import TILE_HW, tiles
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from dlgmd_cli import load_set
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.parameters import ContrastParameters, load_config, parameters_of
+from dlgmd_cli.parameters.presets import ContrastParameters, load_config, parameters_of
 
 FLIGHT = parameters_of(load_config("flight"))
 
@@ -43,7 +43,7 @@ def test_the_example_prints_csv(dlgmd, tmp_path):
     dlgmd("export", "c", "--size", "16x16", "--out", "x")
     make(tmp_path / "x")
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
-    assert printed[:3] == ["frame,mp,mp_abs,spike,alarm,g_x,g_y", "0,,,0,0,,", "1,,,0,0,,"]
+    assert printed[:3] == ["frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s", "0,,,0,0,,,", "1,,,0,0,,,"]
     assert len(printed) == 21 and printed[3].startswith("2,")
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
         make(tmp_path / "x", "--eval=play: ; head -c 300 frames.gray | ./dlgmd", "play")

@@ -109,12 +109,75 @@ def test_the_record_and_info_say_so(dlgmd, unflagged, tmp_path):
     assert source["decoder"] == "opencv" and "deinterlaced" not in source
 
 
-def test_without_pyav_it_is_refused(dlgmd, unflagged, monkeypatch, tmp_path):
+INSTALL = "and the package 'av' is not installed. Install it with: pip install 'dlgmd[fast]'."
+
+
+def test_without_pyav_it_is_refused(dlgmd, unflagged, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    why = f"{unflagged}: it is interlaced, and the package 'av' is not installed. "
     for command in ("run", "info", "compare"):
-        result = dlgmd(command, unflagged, "--decoder", "opencv")
-        assert result.exit_code == 1 and why in result.stderr
-        assert "pip install av" in result.stderr and result.stdout == ""
+        result = dlgmd(command, unflagged)
+        assert result.exit_code == 1 and result.stdout == ""
+        assert f"{unflagged}: it is interlaced, {INSTALL}" in result.stderr
     with pytest.raises(MissingExtraError, match="it is interlaced"):
-        dlgmd_cli.run(unflagged, decoder="opencv")
+        dlgmd_cli.run(unflagged)
+
+
+def test_flagged_video_is_refused_without_pyav(dlgmd, flagged, monkeypatch):
+    """OpenCV shows the same memory throughout, which is not taken for the video."""
+    monkeypatch.setitem(sys.modules, "av", None)
+    result = dlgmd("run", flagged, "--no-plots")
+    assert result.exit_code == 1 and result.stdout == ""
+    why = f"Error: {flagged}: nothing can be seen, as if OpenCV read interlaced video, {INSTALL}\n"
+    assert result.stderr == why
+
+
+@pytest.fixture(scope="module")
+def av1(tmp_path_factory):
+    """A codec that OpenCV has no decoder for."""
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    from damaged import encode
+
+    codec = next((one for one in ("libsvtav1", "libaom-av1") if one in av.codecs_available), "")
+    if not codec:
+        pytest.skip("PyAV has no encoder for AV1")
+    frames = [cv2.resize(one, (128, 96)) for one in WHOLE[:12]]
+    return encode(tmp_path_factory.mktemp("codecs") / "flight.mp4", frames, codec)
+
+
+def test_a_codec_that_opencv_lacks(dlgmd, av1, monkeypatch, tmp_path):
+    assert dlgmd("run", av1, "--no-plots").exit_code == 0
+    record = yaml_of(tmp_path / "dlgmd-out/flight/run.yaml")
+    assert (record["input"]["decoder"], record["input"]["frames"]) == ("pyav", 12)
+    assert "av" in record["versions"] and "decoder" not in record["options"]
+    monkeypatch.setitem(sys.modules, "av", None)
+    result = dlgmd("run", av1, "--no-plots", "--overwrite")
+    assert result.exit_code == 1 and result.stdout == ""
+    why = f"{av1}: OpenCV decodes none of its frames (codec av01)"
+    assert result.stderr.lower() == f"Error: {why}, {INSTALL}\n".lower()
+
+
+@pytest.mark.parametrize(("pixels", "bits"), [("gray", 8), ("gray10le", 10), ("gray16le", 16)])
+def test_the_range_of_grey_pictures(dlgmd, tmp_path, monkeypatch, pixels, bits):
+    """OpenCV takes grey for full range: right if that is stated or nothing is."""
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    levels = np.tile(np.linspace(16, 235, 64), (48, 1)) * 2 ** (bits - 8)
+    stored = levels.astype(np.uint8 if bits == 8 else np.uint16)
+    for limit, decoder, darkest in ((1, "pyav", 0), (2, "opencv", 16), (0, "opencv", 16)):
+        path = tmp_path / f"{limit}.mkv"
+        with av.open(str(path), "w") as file:
+            stream = file.add_stream("ffv1", rate=25)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
+            stream.codec_context.color_range = limit
+            for turn in range(4):
+                frame = av.VideoFrame.from_ndarray(np.roll(stored, turn, 1), format=pixels)
+                frame.color_range = limit
+                file.mux(stream.encode(frame))
+            file.mux(stream.encode(None))
+        with open_video(path) as video:
+            grey = next(iter(video)).grey
+            assert video.info.decoder == decoder and video.progress.warnings == []
+        scale = 255 if grey.dtype == np.float32 else 1
+        assert np.min(grey) * scale == pytest.approx(darkest, abs=1.0)
+    monkeypatch.setitem(sys.modules, "av", None)
+    result = dlgmd("run", "1.mkv", "--no-plots")
+    assert "Warning: 1.mkv: the pictures are grey, and their black is taken for 0" in result.stderr

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.parameters import FlowDivergenceParameters
+from dlgmd_cli.parameters.presets import FlowDivergenceParameters
 
 SIZE = 120, 160
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import slow
 
 from dlgmd_cli.models.kernels import connect, gaussian, latency_map
-from dlgmd_cli.parameters import LATENCIES, DlgmdParameters, load_set
+from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters, load_set
 
 
 def as_array(weights, r):

@@ -1,31 +1,27 @@
-"""Imports point one way: a folder may import only what stands on an earlier step; no circles.
-
-The product never imports the laboratory, where truth is made and measured against.
-"""
+"""Imports point one way: a folder may import only what stands on an earlier step; no circles."""
 
 import ast
 from graphlib import TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 import dlgmd_cli
+from dlgmd_cli.results.outcome import Outcome, drawn_by
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors", "cancel", "files", "names", "threads", "words"},
-    {"checks", "plain_yaml", "frame"},
-    {"keys"},
-    {"parameters", "pool"},
+    {"errors", "names", "words"},
+    {"frame"},
+    {"parameters"},
+    {"machine"},
     {"models", "video"},
     {"results"},
-    {"plots", "runs"},
-    {"export", "live", "pages"},
-    {"lab/stimuli"},
-    {"lab/benchmark", "lab/flights"},
-    {"lab/plots"},
-    {"lab/evaluation", "lab/reproduce"},
-    {"api"},
+    {"scenes"},
+    {"plots"},
+    {"tasks"},
+    {"export", "live", "pages", "reproduce"},
     {"commands"},
     {"__main__"},
 ]
@@ -33,29 +29,20 @@ STEP = {name: number for number, step in enumerate(STEPS) for name in step}
 ONLY_IN = {
     "click": {"commands"},
     "rich": {"commands"},
-    "matplotlib": {"plots", "lab/plots"},
-    "jinja2": {"pages", "lab/reproduce"},
+    "matplotlib": {"plots", "results"},  # results: the type of a figure
+    "jinja2": {"pages", "reproduce"},
     "PIL": {"plots"},
     "numba": {"models"},
     "av": {"video"},
-    "pebble": {"pool"},
+    "pebble": {"machine"},
     "filelock": {"results"},
-    "distributed": {"runs"},
-    "fsspec": {"results", "runs"},
-    "upath": {"results", "runs"},
-    "optuna": {"lab/evaluation"},
+    "distributed": {"machine"},
+    "fsspec": {"results", "tasks"},
+    "upath": {"results", "tasks"},
     "plotly": {"pages"},
     "pymavlink": {"live"},
     "starlette": {"live"},
     "uvicorn": {"live"},
-}
-# Results draw themselves: the one step up.
-EXCEPTIONS = {
-    ("results/sweep.py", "dlgmd_cli.plots.sweeps"),
-    ("results/sweep.py", "dlgmd_cli.plots.style"),
-    ("results/result.py", "dlgmd_cli.plots.traces"),
-    ("results/result.py", "dlgmd_cli.plots.style"),
-    ("results/result.py", "dlgmd_cli.plots.pictures"),
 }
 
 
@@ -81,9 +68,8 @@ def imports(path):
 
 
 def home(parts):
-    """The folder of a module, or its own name at the top; in the laboratory, the one below."""
-    n = 2 if parts[0] == "lab" else 1
-    return "/".join(parts[:n]).removesuffix(".py")
+    """The folder of a module, or its own name at the top."""
+    return parts[0].removesuffix(".py")
 
 
 @pytest.mark.parametrize("path", modules(), ids=relative)
@@ -91,8 +77,6 @@ def test_imports_point_left(path):
     folder = home(path.relative_to(PACKAGE).parts)
     for name in imports(path):
         parts = name.split(".")
-        if (relative(path), name) in EXCEPTIONS:
-            continue
         if parts[0] != "dlgmd_cli":
             assert folder in ONLY_IN.get(parts[0], {folder}), f"{name} in {path}"
             continue
@@ -104,17 +88,25 @@ def test_imports_point_left(path):
 
 def test_every_folder_has_its_step():
     found = {home(path.relative_to(PACKAGE).parts) for path in modules()}
-    assert found == set(STEP) | {"__init__", "lab/__init__"}
+    assert found == set(STEP) | {"__init__"}
 
 
 def test_there_are_no_circles():
     graph = {}
     for path in modules():
         name = ".".join(["dlgmd_cli", *path.relative_to(PACKAGE).with_suffix("").parts])
-        ours = {other for other in imports(path) if (relative(path), other) not in EXCEPTIONS}
-        graph[name.removesuffix(".__init__")] = ours
+        graph[name.removesuffix(".__init__")] = {*imports(path)}
     del graph["dlgmd_cli"]  # it only hands names on, and they are imported when they are used
     tuple(TopologicalSorter(graph).static_order())  # raises CycleError
+
+
+def test_an_outcome_is_drawn_by_what_there_is():
+    for path in PACKAGE.glob("results/*.py"):
+        import_module(f"dlgmd_cli.results.{path.stem}")
+    kinds = [kind for kind in Outcome.__subclasses__() if kind.FIGURES]
+    assert len(kinds) >= 6
+    for where in {where for kind in kinds for where in kind.FIGURES.values()}:
+        assert callable(drawn_by(where)), where
 
 
 def test_pyplot_and_capture_stay_in_their_places():

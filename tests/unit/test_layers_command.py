@@ -11,7 +11,7 @@ from conftest import FPS, WIDTH, looming_frames, read_video, result_of_level, ya
 
 from dlgmd_cli import DLGMD, load_set, open_video, read_result
 from dlgmd_cli.plots.film import Film
-from dlgmd_cli.runs.layers import strongest_frames
+from dlgmd_cli.tasks.layers import strongest_frames
 
 NAN = np.nan
 FILES = {"layers.yaml", "layers.png"}
@@ -258,7 +258,7 @@ def test_an_earlier_film_and_the_input_are_kept(dlgmd, clips):
 
 
 def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.runs.layers.run_layers", None)
+    monkeypatch.setattr("dlgmd_cli.tasks.layers.run_layers", None)
     Path("file").touch()
     result = dlgmd("layers", clips / "loom.avi", "--video", "file/x.mp4")
     assert result.exit_code == 1 and "Choose another --video" in result.stderr

@@ -3,13 +3,14 @@
 import json
 import logging
 import os
+import pickle
 import re
 from pathlib import Path
 
 import pytest
 
 import dlgmd_cli
-from dlgmd_cli.errors import DlgmdError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError
 
 
 def test_a_folder_that_looks_like_a_url_is_a_folder(dlgmd, clips):
@@ -45,7 +46,7 @@ def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
 
 def test_verbose_says_what_is_read_and_with_what(dlgmd, clips):
     lines = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", "-v").stderr.splitlines()
-    assert any("32x24, 25 frames a second, decoded by pyav" in line for line in lines)
+    assert any("32x24, 25 frames a second, decoded by opencv" in line for line in lines)
     assert any("sigma_e = 1.5" in line for line in lines)
 
 
@@ -121,3 +122,34 @@ def test_wrong_arguments_in_python(call, words):
     with pytest.raises(DlgmdError) as error:
         call()
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "line", "text"),
+    [
+        (
+            ParameterError("Invalid value for '--frames'", "13 are too many", "Choose 12."),
+            "Invalid value for '--frames': 13 are too many. Choose 12.",
+            "frames: 13 are too many. Choose 12.",
+        ),
+        (
+            ParameterError("a--fps.mp4", "--input-fps is missing", "See 'dlgmd run --help'."),
+            "a--fps.mp4: --input-fps is missing. See 'dlgmd run --help'.",
+            "a--fps.mp4: input_fps is missing. See 'dlgmd run --help'.",
+        ),
+        (
+            OutputExistsError("out", "already exists", "Add --overwrite, or choose another --out."),
+            "out: already exists. Add --overwrite, or choose another --out.",
+            "out: already exists. Add overwrite=True, or choose another out.",
+        ),
+        (
+            ParameterError("", "--x and --y are both r"),
+            "--x and --y are both r.",
+            "x and y are both r.",
+        ),
+    ],
+)
+def test_the_command_names_options_and_python_arguments(error, line, text):
+    assert (error.line, str(error)) == (line, text)
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.line, str(again)) == (line, text)

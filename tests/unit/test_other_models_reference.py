@@ -8,7 +8,7 @@ from reference import clips
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.emd_lgmd import EmdLGMD
 from dlgmd_cli.models.lgmd import LGMD
-from dlgmd_cli.parameters import LgmdParameters
+from dlgmd_cli.parameters.presets import LgmdParameters
 
 CLIPS = {
     "drifting 9x12": clips.drifting(9, 12, 8, seed=1),

@@ -14,9 +14,12 @@ import yaml
 from conftest import looming_frames, write_video
 
 import dlgmd_cli
-from dlgmd_cli import parameters
 from dlgmd_cli.errors import ModelError, ParameterError
 from dlgmd_cli.models.base import create_model
+from dlgmd_cli.parameters import presets as parameters
+from dlgmd_cli.parameters.keys import OWN_MODELS
+from dlgmd_cli.plots.sweeps import axis_name
+from dlgmd_cli.results.sweep import Axis
 
 MINE = """
 import dlgmd_cli
@@ -46,6 +49,25 @@ class Returns(dlgmd_cli.Model):
     def step(self, luminance, time_s=None):
         return 3.0
 
+class Adapting(dlgmd_cli.Model):
+    def reset(self):
+        super().reset()
+        self.slow = None
+
+    def step(self, luminance, time_s=None, *, layers=False):
+        self.receptors.take(luminance)
+        if self.receptors.frame < self.first_valid_frame:
+            return dlgmd_cli.Response()
+        p = self.receptors.p(0) * self.receptors.unit
+        self.slow = p if self.slow is None else 0.9 * self.slow + 0.1 * p
+        g = abs(p - self.slow).astype("float32")
+        shown = dlgmd_cli.Layers(p, p, g) if layers else None
+        return dlgmd_cli.Response(p.sum(), p.sum(), mp=g.sum(), layers=shown)
+
+class Forgetful(dlgmd_cli.Model):
+    def reset(self):
+        self.slow.clear()
+
 class Unready(dlgmd_cli.Model):
     def __init__(self, params=None, engine="auto"):
         self.gain = params.gain
@@ -70,9 +92,11 @@ def own(tmp_path, monkeypatch):
 
 @pytest.fixture
 def gone(own, monkeypatch):
-    """Call it, and the module cannot be imported any more."""
+    """Call it, and the module cannot be imported any more, as in another process."""
 
     def remove():
+        for model in [name for name in OWN_MODELS if name.startswith("mymodel:")]:
+            monkeypatch.delitem(OWN_MODELS, model)
         monkeypatch.setitem(sys.modules, "mymodel", None)
 
     return remove
@@ -99,7 +123,25 @@ def test_runs_and_its_record_repeats_the_run(dlgmd, clips, own, tmp_path):
     assert again == (folder / "mp.csv").read_bytes()
 
 
-def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_path, caplog):
+@pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])
+def test_a_state_may_be_set_in_reset_alone(dlgmd, clips, own, command, tmp_path):
+    axes = ["--x", "n_sp=1,2", "--y", "t_mp=0.1:0.3:0.1"] if command == "sweep" else []
+    film = ["--video", "film.mp4"] if command == "layers" else []
+    made = dlgmd(command, clips / "loom.avi", "--model", "mymodel:Adapting", *axes, *film)
+    assert made.exit_code == 0, made.stderr
+    assert not film or (tmp_path / "film.mp4").stat().st_size > 1000
+    assert dlgmd_cli.Alarm(own.Adapting().params).step(np.zeros((9, 9), np.uint8))
+
+
+def test_pages_have_films_of_models_with_undefined_frames(dlgmd, clips, own, tmp_path):
+    named = ["--model", "mymodel:Adapting"]
+    assert dlgmd("run", clips / "loom.avi", *named, "--no-plots").exit_code == 0
+    made = dlgmd("view", "dlgmd-out/loom", *named, "--out", "page.html")
+    assert made.exit_code == 0 and "layers" not in made.stderr, made.stderr
+    assert b"<video" in (tmp_path / "page.html").read_bytes()
+
+
+def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_path):
     dlgmd("run", clips / "loom.avi", *FAST, "--param", "kappa=0.3", "--no-plots")
     folder = tmp_path / "dlgmd-out/loom"
     before = dlgmd_cli.read_result(folder)
@@ -107,15 +149,20 @@ def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_pat
     gone()
     after = dlgmd_cli.read_result(folder)
     assert after.params.to_dict() == before.params.to_dict()
-    assert after.params.model == "mymodel:Fast" and "cannot be imported" in caplog.text
+    assert after.params.model == "mymodel:Fast"
+    # Evaluating compares them, and worker processes get them.
+    assert after.params == dlgmd_cli.read_result(folder).params != before.params
+    assert pickle.loads(pickle.dumps(after.params)) == copy.deepcopy(after.params) == after.params
     np.testing.assert_array_equal(after.mp_abs, before.mp_abs)
     np.testing.assert_array_equal(after.spikes, before.spikes)
     plotted = dlgmd("plot", "overview", folder, "--out", "overview.png")
     assert plotted.exit_code == 0 and (tmp_path / "overview.png").exists()
-    with pytest.raises(ParameterError, match="mymodel:Fast cannot be imported"):
+    with pytest.raises(ParameterError, match="mymodel:Fast is Python code"):
         create_model(after.params)
-    again = dlgmd("run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again")
-    assert again.exit_code == 2 and "run.yaml: the model mymodel:Fast cannot" in again.stderr
+    again = ["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"]
+    refused, unknown = dlgmd(*again), dlgmd(*again, *FAST)
+    assert refused.exit_code == 2 and "run.yaml: its model mymodel:Fast is" in refused.stderr
+    assert unknown.exit_code == 2 and "mymodel:Fast cannot be imported" in unknown.stderr
 
 
 def test_a_record_without_a_threshold_is_damaged(dlgmd, clips, own, gone, tmp_path):
@@ -228,6 +275,7 @@ def test_a_class_may_derive_from_ours(dlgmd, clips, own):
         ("run V --model mymodel:Fast --engine numba", 2, "has no engine 'numba'"),
         ("run V --model mymodel:Raises", 1, "mymodel:Raises: the model fails with IndexError"),
         ("run V --model mymodel:Returns", 1, "its step returns float, not a Response"),
+        ("run V --model mymodel:Forgetful", 1, "the model fails with AttributeError"),
         ("run V --model mymodel:Unready", 1, "the model fails with AttributeError"),
         ("layers V --model mymodel:Fast", 1, "its step returns no layers"),
         ("export c --model mymodel:Fast", 2, "there is no C version of the model mymodel:Fast"),
@@ -253,7 +301,7 @@ def test_the_cause_is_kept(own):
 
 
 def test_entry_points_are_names(dlgmd, clips, own, monkeypatch):
-    for module in ("parameters", "commands.options"):
+    for module in ("parameters.presets", "commands.options"):
         monkeypatch.setattr(
             f"dlgmd_cli.{module}.installed_models", lambda: {"quick": "mymodel:Fast"}
         )
@@ -301,6 +349,13 @@ def test_keys_without_a_range_and_those_of_every_model():
     with pytest.raises(FrozenInstanceError):
         params.gain = 1.0
     assert pickle.loads(pickle.dumps(params)) == copy.deepcopy(params) == params
+
+
+def test_no_unit_and_no_symbol_may_be_empty_texts():
+    spec = dlgmd_cli.key(1.0, "κ", "").metadata["spec"]
+    assert axis_name(Axis("gain", spec, (1.0, 2.0))) == "κ"
+    spec = dlgmd_cli.key(1.0, "", "").metadata["spec"]
+    assert axis_name(Axis("gain", spec, (1.0, 2.0))) == "gain"
 
 
 @pytest.mark.parametrize(

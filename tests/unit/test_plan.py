@@ -8,7 +8,7 @@ from reference import slow
 from dlgmd_cli.models.engines.opencv import apply, sum_4x4
 from dlgmd_cli.models.engines.plan import decompose, fuse, plan
 from dlgmd_cli.models.kernels import connect, gaussian
-from dlgmd_cli.parameters import LATENCIES, load_set
+from dlgmd_cli.parameters.presets import LATENCIES, load_set
 
 
 def products(filters):

@@ -260,8 +260,8 @@ def test_a_comparison_is_drawn_as_it_drew_itself(dlgmd, drawn):
     record = Path("absolute/compare.yaml")
     record.write_text(record.read_text().replace("options: {}", "options: {normalise: absolute}"))
     for paths, column in (
-        (["cmp"], "mp_seq"),
-        (["absolute"], "mp_abs"),
+        (["cmp"], "level"),
+        (["absolute"], "level"),
         (["cmp", "--normalise", "absolute"], "mp_abs"),
         (["cmp", "run"], "level"),
     ):

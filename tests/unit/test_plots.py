@@ -10,16 +10,16 @@ from conftest import result_of_level
 from figures import NAN, curve, frame_axis, legend, long_result, make_result, part
 from matplotlib.colors import to_rgb
 
-from dlgmd_cli.lab.plots.evaluation import trade_off
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.pages.page import Part, _result_data
-from dlgmd_cli.parameters import load_set
-from dlgmd_cli.plots.annotations import Annotations
+from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
+from dlgmd_cli.plots.evaluation import trade_off
 from dlgmd_cli.plots.kernels import plot_kernels
 from dlgmd_cli.plots.style import BLACK, ORANGE, VERMILION, figure_files, save_figure
 from dlgmd_cli.plots.timeline import Timeline
 from dlgmd_cli.plots.traces import plot
+from dlgmd_cli.results.annotations import Annotations
 
 
 def handles(figure):
@@ -134,7 +134,8 @@ def test_the_emphasised_result_is_the_strongest_line():
     figure = plot("mp", results, emphasise="looming")
     lines = dict(zip(results, figure.axes[0].get_lines()[::2], strict=False))
     strong = lines.pop("looming")
-    assert (strong.get_color(), strong.get_marker()) == (LOOKS[0][0], "o")
+    # Without markers, which would look like data, or like spikes.
+    assert (strong.get_color(), strong.get_marker()) == (LOOKS[0][0], "None")
     assert all(strong.get_linewidth() > 1.5 * line.get_linewidth() for line in lines.values())
     assert all(strong.get_zorder() > line.get_zorder() for line in lines.values())
     assert [line.get_color() for line in lines.values()] == [color for color, _ in LOOKS[1:4]]
@@ -323,7 +324,7 @@ def test_pictures_cut_from_one_drawing_are_those_of_each_figure(tmp_path):
     is_old = tuple(map(int, matplotlib.__version__.split(".")[:2])) < (3, 11)
     for result in (make_result(), undefined, long_result(), make_result()):
         result.record["input"]["name"] = next(names)
-        result.save(tmp_path, ["png"])
+        result.save(tmp_path, ["png"], overwrite=True)
         for kind in ("mp", "attenuation", "spikes"):
             save_figure(result.plot(kind), tmp_path / "alone.png")
             alone = cv2.imread(str(tmp_path / "alone.png")).astype(int)

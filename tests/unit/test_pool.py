@@ -1,10 +1,13 @@
 """The pool of processes: what goes wrong in one task is that task's outcome."""
 
+import subprocess
+import sys
+
 import pytest
 from pooltasks import work
 
-from dlgmd_cli import cancel
-from dlgmd_cli.pool import run_tasks
+from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.pool import run_tasks
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*leaked semaphore")
 
@@ -28,3 +31,13 @@ def test_a_stop_drops_what_is_being_worked_on(stop):
     with pytest.raises(cancel.Interrupted):
         for _ in run_tasks(work, iter(["ab", *["hang"] * 1000]), 1):
             stop()
+
+
+def test_a_script_without_its_main_guard_is_told_once(tmp_path):
+    script = tmp_path / "script.py"
+    call = "from dlgmd_cli.machine.pool import run_tasks\nlist(run_tasks(len, ['ab'], 2))\n"
+    script.write_text(call)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    lines = done.stderr.splitlines()
+    assert done.returncode == 1 and "A Python script needs if __name__" in lines[-1]
+    assert done.stderr.count("Traceback") == 1 and len(lines) < 20

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import yaml
+from conftest import make_result
 
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.parameters import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.result import read_comparison, read_result
+from dlgmd_cli.results.reading import read_comparison, read_result
 
 NAN, INF = np.nan, np.inf
 
@@ -64,3 +65,10 @@ def test_what_is_no_comparison(tmp_path):
     for read in (read_result, read_comparison):
         with pytest.raises(ResultError):
             read(tmp_path / "a\0b")
+
+
+def test_an_ffi_without_limit_is_read(tmp_path):
+    result = make_result(np.linspace(0, 500, 60))
+    result.rows["ffi"][3] = np.inf  # the model `flight`, where nothing changed before
+    result.save(tmp_path)
+    assert read_result(tmp_path).ffi[3] == np.inf

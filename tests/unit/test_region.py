@@ -7,7 +7,7 @@ from conftest import looming_frames, write_video, yaml_of
 
 import dlgmd_cli
 from dlgmd_cli.errors import ParameterError, SourceError
-from dlgmd_cli.results.result import read_comparison
+from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.base import Crop, parse_crop
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
@@ -183,5 +183,5 @@ def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):
     assert not (tmp_path / "dlgmd-out").exists()
     with pytest.raises(SourceError, match="reaches outside"):
         InputOptions(crop="32x24+0+1").open(clip)
-    with pytest.raises(ParameterError, match="--mask = 5 is not a picture's file"):
+    with pytest.raises(ParameterError, match="mask = 5 is not a picture's file"):
         InputOptions(mask=5)

@@ -20,7 +20,7 @@ from dlgmd_cli.results.labels import Label, read_labels, write_labels
 NAN = math.nan
 
 
-def test_everything_public_is_listed():
+def test_everything_public_islisted():
     listed = set(dir(dlgmd_cli))
     assert {"run", "open_video", "load_set", "read_result", "Result", "Alarm", "DLGMD"} <= set(
         listed
@@ -78,14 +78,14 @@ def test_summary():
     assert result.alarm_onsets.tolist() == [6]
 
 
-def test_alarms_are_merged_and_listed(tmp_path):
+def test_alarms_are_merged_andlisted(tmp_path):
     """Two pauses: one of 0.24 s, which does not end the alarm, and one of 0.32 s."""
     level = np.zeros(40)
     level[[3, 4, 10, 11, 12, 20, 21, 22]] = 0.5
     level[[5, 15]] = 0.9  # the latter is no alarm
     result = result_of_level(level, frame=np.arange(40) + 5)
     result.rows["g_x"] = np.linspace(-1, 1, 40)
-    result.rows["g_y"] = -result.g_x
+    result.rows["g_y"], result.rows["ttc_s"] = -result.g_x, 0.7
     assert np.flatnonzero(result.alarms).tolist() == [4, 5, 11, 12, 21, 22]
     assert np.flatnonzero(result.alarmed).tolist() == [*range(4, 13), 21, 22]
     first, last = result.alarm_list
@@ -96,8 +96,8 @@ def test_alarms_are_merged_and_listed(tmp_path):
     assert (result.summary["alarms"], result.summary["first_alarm_side"]) == (2, "left low")
     result.save(tmp_path / "r")
     lines = (tmp_path / "r/alarms.csv").read_text().splitlines()
-    assert lines[0] == "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side"
-    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith(",left low")
+    assert lines[0] == "start_frame,start_s,end_frame,end_s,peak_mp_abs,g_x,g_y,side,ttc_s"
+    assert lines[1].startswith("9,0.36,17,0.68,0.9,-0.794") and lines[1].endswith(",left low,0.7")
     (tmp_path / "r/alarms.csv").unlink()  # as in results of earlier versions
     assert len(read_result(tmp_path / "r").alarm_list) == 2
     make_result([NAN, 0.0]).save(tmp_path / "silent")
@@ -169,7 +169,7 @@ def test_to_dataframe_needs_pandas(monkeypatch):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     table = result_of_level([0.1, 0.5, 0.5]).to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 14
+    assert table["alarm"].tolist() == [False, False, True] and len(table.columns) == 17
 
 
 def damage(folder, name, change):
@@ -182,8 +182,8 @@ def damage(folder, name, change):
     [
         ("mp.csv", lambda text: text.replace(",mp,", ",x,"), "its columns are not"),
         ("mp.csv", lambda text: text.replace("\n1,", "\none,"), "something other than numbers"),
-        ("mp.csv", lambda text: text + "0,9,1,1,1,0,0\n", "its rows are not frames in order"),
-        ("mp.csv", lambda text: text + "7,1\n", "does not have 7 cells"),
+        ("mp.csv", lambda text: text + "0,9,1,1,1,0,0,1,1,1\n", "its rows are not frames in order"),
+        ("mp.csv", lambda text: text + "7,1\n", "does not have 10 cells"),
         ("mp.csv", lambda text: text.splitlines()[0], "contains no frames"),
         # Python 3.10 reads no NUL.
         ("attenuation.csv", lambda text: "\x00" + text, "its columns are not|not a CSV file"),
@@ -205,9 +205,9 @@ def test_a_commit_replaces_what_its_command_wrote_and_nothing_else(tmp_path):
     for name in ("mp.pdf", "compare.csv", "compare.yaml", "notes.txt", ".dlgmd-mp.csv"):
         (tmp_path / name).write_text("old")
     files = make_result([1.0, 2.0]).files()
-    store.commit(tmp_path, store.RUN, files)
+    store.Claim(tmp_path, store.RUN).commit(files)
     assert set(os.listdir(tmp_path)) == {*files, "compare.csv", "compare.yaml", "notes.txt"}
-    store.commit(tmp_path, store.RUN, files, is_new_input=True)
+    store.Claim(tmp_path, store.RUN, is_new_input=True).commit(files)
     assert set(os.listdir(tmp_path)) == {*files, "notes.txt"}
 
 
@@ -249,11 +249,16 @@ def test_labels(tmp_path):
     # As a spreadsheet may write it: a byte order mark, other columns, another order.
     text = "\ufeffnote,kind,collision_frame,video\nat night,real,7,a.mp4\n,,,b.mp4\n"
     (tmp_path / "labels.csv").write_text(text, encoding="utf-8")
-    found = [Label("a.mp4", 7, kind="real"), Label("b.mp4")]
+    found = [
+        Label("a.mp4", 7, kind="real", further=(("note", "at night"),)),
+        Label("b.mp4", further=(("note", ""),)),
+    ]
     assert read_labels(tmp_path / "labels.csv") == found
     for text, why in (
-        ("\ufeff".encode("utf-16"), "not a CSV file"),
-        (b"video\na.mp4\n", "no labels"),
+        ("\ufeff".encode("utf-16"), "no labels"),
+        (b"video,\0collision_frame\n", "not a CSV file"),
+        (b"video\na.mp4\n", "no labels: its columns are video .UTF-8, separated by commas"),
+        (b"Film;Bild\na.mp4;3\n", "its columns are Film, Bild .UTF-8, separated by semicolons"),
     ):
         (tmp_path / "labels.csv").write_bytes(text)
         with pytest.raises(ResultError, match=why):
@@ -262,6 +267,31 @@ def test_labels(tmp_path):
         (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{line}\n")
         with pytest.raises(ResultError, match="line 2 is not a label"):
             read_labels(tmp_path / "labels.csv")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "name"),
+    [("utf-8", "UTF-8"), ("utf-8-sig", "UTF-8"), ("utf-16", "UTF-16"), ("cp1252", "cp1252")],
+)
+@pytest.mark.parametrize(
+    ("mark", "number", "said"),
+    [
+        (",", "32.0", "commas"),
+        (";", "32,0", "semicolons"),
+        ("\t", "32", "tabs"),
+        (",", '"32,0"', "c"),
+    ],
+)
+def test_tables_of_other_programs(tmp_path, caplog, encoding, name, mark, number, said):
+    caplog.set_level("INFO")
+    lines = (("video", "collision_frame", "sure"), ("Flüge/ä.mp4", number, "ja"), ("b.mp4", "", ""))
+    text = "\r\n".join(mark.join(line) for line in lines) + f"\r\n{mark * 2}\r\n"
+    (tmp_path / "labels.csv").write_bytes(text.encode(encoding))
+    more = (("sure", "ja"),)
+    found = [Label("Flüge/ä.mp4", 32, further=more), Label("b.mp4", further=(("sure", ""),))]
+    assert read_labels(tmp_path / "labels.csv") == found
+    assert f"read as {name}, separated by {said}" in caplog.text
+    assert "further columns: sure." in caplog.text
 
 
 def test_what_a_result_shows_is_one_line(clips, tmp_path):

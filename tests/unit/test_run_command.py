@@ -1,5 +1,6 @@
 """`dlgmd run`: its files, options, errors and exit codes."""
 
+import hashlib
 import json
 import math
 import os
@@ -12,10 +13,12 @@ import yaml
 from conftest import FPS, N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
 from dlgmd_cli import DLGMD, load_config, load_set, open_video
-from dlgmd_cli.commands.run import _listed
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.detection import AlarmSpan
+from dlgmd_cli.results.result import listed
 
+# Versions that every record has.
+NUMERIC = {"dlgmd", "python", "numpy", "opencv"}
 FILES = {"mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv", "run.yaml"}
 PLOTS = {"mp.png", "attenuation.png", "spikes.png"}
 
@@ -32,7 +35,7 @@ def test_files_and_columns(dlgmd, clips, tmp_path):
     assert os.listdir(folder.parent) == ["loom"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
     headers = {
-        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y",
+        "mp.csv": "frame,time_s,mp,mp_abs,mp_seq,g_x,g_y,ffi,t_de,ttc_s",
         "attenuation.csv": "frame,time_s,p_sum,s_sum,attenuation_db",
         "spikes.csv": "frame,time_s,level,threshold,spike,alarm",
     }
@@ -50,6 +53,8 @@ def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
     folder = tmp_path / "dlgmd-out/loom"
     for name, attribute, file in [
         ("mp", "mp", "mp.csv"),
+        ("ffi", "ffi", "mp.csv"),
+        ("t_de", "t_de", "mp.csv"),
         ("p_sum", "p_sum", "attenuation.csv"),
         ("s_sum", "s_sum", "attenuation.csv"),
         ("attenuation_db", "attenuation_db", "attenuation.csv"),
@@ -133,10 +138,10 @@ def test_the_table_and_json_list_the_alarms(dlgmd, tmp_path):
 
 def test_the_table_lists_five_alarms_at_most():
     alarms = [AlarmSpan(n, n / 30, n + 2, (n + 2) / 30, 0.5) for n in range(0, 140, 20)]
-    *lines, last = _listed(alarms)
+    *lines, last = listed(alarms)
     assert len(lines) == 5 and last == "and 2 more in alarms.csv"
     assert lines[1] == "0.667 to 0.733 s, frames 20 to 22, peak MP 0.50"
-    assert len(_listed(alarms[:5])) == 5 and _listed([]) == []
+    assert len(listed(alarms[:5])) == 5 and listed([]) == []
 
 
 def test_engine(dlgmd, clips):
@@ -158,15 +163,15 @@ def test_engine(dlgmd, clips):
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "package", "what"),
-    [("--engine", "numba", "numba", "'dlgmd[fast]'"), ("--decoder", "pyav", "av", "av")],
+    ("option", "value", "package"),
+    [("--engine", "numba", "numba"), ("--decoder", "pyav", "av")],
 )
-def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package, what):
+def test_what_is_not_installed(dlgmd, clips, monkeypatch, option, value, package):
     monkeypatch.setitem(sys.modules, package, None)
     result = dlgmd("run", clips / "loom.mp4", option, value)
     assert result.exit_code == 1 and result.stdout == "" and os.listdir(".") == []
     why = f"Error: {option} {value}: the package '{package}' is not installed. "
-    assert result.stderr.startswith(f"{why}Install it with: pip install {what}, or use")
+    assert result.stderr.startswith(f"{why}Install it with: pip install 'dlgmd[fast]', or use")
 
 
 def test_summary_as_json(dlgmd, clips):
@@ -195,7 +200,7 @@ def test_run_yaml(dlgmd, clips):
         "fps": FPS,
         "frames": N_FRAMES,
         "duration_s": pytest.approx(N_FRAMES / FPS),
-        "decoder": "pyav",
+        "decoder": "opencv",
         "repeats": 0,
         "bytes": (clips / "loom.avi").stat().st_size,
         "mtime_ns": (clips / "loom.avi").stat().st_mtime_ns,
@@ -206,7 +211,7 @@ def test_run_yaml(dlgmd, clips):
     assert record["engine"] == "opencv"
     assert record.keys() >= load_set(9).to_dict().keys()
     assert record["complete"] is True
-    assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv", "av"}
+    assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
     assert set(record["summary"]) == {
         "mp_max",
         "mp_max_frame",
@@ -341,16 +346,14 @@ def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
         assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_without_pyav_opencv_reads_videos_and_pictures(
-    dlgmd, clips, pictures, tmp_path, monkeypatch
-):
+def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    assert dlgmd("run", clips / "loom.mp4", "--decoder", "opencv", "--no-plots").exit_code == 0
-    assert dlgmd("run", pictures, "--no-plots").exit_code == 0
+    assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
+    assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
     for name in ("loom", pictures.name):
         record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
         assert record["input"]["decoder"] == "opencv"
-        assert set(record["versions"]) == {"dlgmd", "python", "numpy", "opencv"}
+        assert set(record["versions"]) - {"commit"} == {*NUMERIC, "ffmpeg"}
 
 
 def test_an_unknown_decoder(clips):
@@ -369,6 +372,7 @@ def test_too_short(dlgmd, clips):
 
 
 def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
+    pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     result = dlgmd("run", "still.avi", "--normalise", "sequence")
     assert result.exit_code == 1 and "the membrane potential never changes" in result.stderr
@@ -402,6 +406,7 @@ def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
 
 
 def test_a_video_without_any_change_is_doubted(dlgmd, tmp_path, decoder):
+    pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     write_video(tmp_path / "still.avi", looming_frames(1) * 6)
     result = dlgmd("run", "still.avi", "--no-plots", "--decoder", decoder)
     assert result.exit_code == 1 and "all pictures are the same" in result.stderr
@@ -432,7 +437,7 @@ def test_a_stop_keeps_what_was_computed(dlgmd, clips, monkeypatch, tmp_path, sto
 
 
 def test_a_stop_before_the_first_frame_writes_nothing(dlgmd, clips, monkeypatch, stop):
-    monkeypatch.setattr("dlgmd_cli.runs.run.responses", lambda *_, **__: stop() or [])
+    monkeypatch.setattr("dlgmd_cli.tasks.run.responses", lambda *_, **__: stop() or [])
     result = dlgmd("run", clips / "loom.avi")
     assert result.exit_code == 130 and os.listdir(".") == []
 
@@ -514,7 +519,7 @@ def test_models_of_several_widths_share_a_decoding(dlgmd, tmp_path):
 
 def test_a_formulation_of_a_default_without_any(dlgmd, clips, monkeypatch):
     lgmd = replace(load_config("flight"), model="lgmd", values={})
-    monkeypatch.setattr("dlgmd_cli.runs.setup.load_config", lambda path: lgmd)
+    monkeypatch.setattr("dlgmd_cli.tasks.setup.load_config", lambda path: lgmd)
     result = dlgmd("run", clips / "loom.avi", "--formulation", "released")
     assert result.exit_code == 2
     assert "--formulation works only with the D-LGMD model. Add --set 9." in result.stderr
@@ -528,3 +533,30 @@ def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
         assert ("alarms are unreliable below 15 frames/s" in told) == is_warned
     options = ("--model", "dlgmd-contrast", "--input-fps", 10, "--overwrite", "--no-plots")
     assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
+
+
+def test_provenance_is_recorded(dlgmd, clips, tmp_path):
+    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots", "--hash")
+    found = yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")
+    digest = hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest()
+    assert found["input"]["content_sha256"] == digest
+    assert found["machine"]["cpu"] and found["machine"]["os"]
+    assert {"dlgmd", "numpy", "ffmpeg"} <= set(found["versions"])
+    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots", "--overwrite")
+    assert "content_sha256" not in yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")["input"]
+
+
+@pytest.mark.parametrize(
+    ("more", "is_warned"),
+    [
+        ([], False),
+        (["--formulation", "released"], False),
+        (["--formulation", "equations"], True),
+        (["--param", "saturate=false"], True),
+        (["--formulation", "equations", "--param", "kappa=0.02"], False),
+        (["--formulation", "equations", "--normalise", "sequence"], False),
+    ],
+)
+def test_a_kappa_of_another_formulation_is_doubted(dlgmd, clips, more, is_warned):
+    result = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", *more)
+    assert result.exit_code == 0 and ("kappa 0.0028 was calibrated" in result.stderr) == is_warned

@@ -11,10 +11,10 @@ import dlgmd_cli
 from dlgmd_cli import Alarm, load_set, open_video
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.lab.flights.scenes import open_scene
 from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.results.csv import TABLES
-from dlgmd_cli.results.result import read_result
+from dlgmd_cli.results.reading import read_result
+from dlgmd_cli.scenes.flights.scenes import open_scene
 
 FRAMES = looming_frames()
 
@@ -203,7 +203,7 @@ def test_fps_states_the_rate_of_images_in_memory_and_limits_a_stated_one(tmp_pat
     (tmp_path / "x").mkdir()
     pictures(tmp_path / "x").close()
     assert dlgmd_cli.run(FRAMES, fps=15).record["input"]["fps"] == 15
-    with pytest.raises(ParameterError, match=r"--fps 15 limits .* state none\. Give theirs"):
+    with pytest.raises(ParameterError, match=r"fps 15 limits .* state none\. Give theirs"):
         dlgmd_cli.run(name, fps=15)
     refused = dlgmd("run", name, "--fps", 15)
     assert refused.exit_code == 2 and "Give theirs with --input-fps" in refused.stderr

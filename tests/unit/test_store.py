@@ -11,19 +11,19 @@ from flightscenes import Quick
 
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import OutputError, ResultError
-from dlgmd_cli.files import LOCK, PREFIX, open_regular, staging
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.pool import DONE, Outcome
+from dlgmd_cli.machine.files import LOCK, PREFIX, open_regular, staging
+from dlgmd_cli.machine.pool import DONE, Ended
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.record import differences, read_record, yaml_text
+from dlgmd_cli.scenes.flights.scenes import SCENES
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there")
 
 
 def in_this_process(function, tasks, jobs, *, timeout_s=None):
     for task in tasks:
-        yield task, Outcome(DONE, function(task))
+        yield task, Ended(DONE, function(task))
 
 
 def contents(folder):
@@ -57,7 +57,7 @@ def test_an_error_leaves_the_earlier_result_whole(tmp_path, error, name):
 
     files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
     with pytest.raises((OutputError, RuntimeError)):
-        store.commit(tmp_path, store.RUN, files)
+        store.Claim(tmp_path, store.RUN).commit(files)
     assert contents(tmp_path) == before and hidden(tmp_path) == []
 
 
@@ -67,13 +67,13 @@ def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
     code = (
         "import os, sys; from dlgmd_cli.results import store\n"
         "files = {'mp.csv': store.file_of('new'), 'run.yaml': lambda path: os._exit(9)}\n"
-        "store.commit(store.place(sys.argv[1]), 'run.yaml', files)"
+        "store.Claim(store.place(sys.argv[1]), 'run.yaml').commit(files)"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(store.__file__).parents[2])}
     done = subprocess.run([sys.executable, "-c", code, tmp_path], env=environment)
     assert done.returncode == 9
     assert contents(tmp_path) == before and len(hidden(tmp_path)) == 1
-    make_result([3.0, 4.0]).save(tmp_path)  # removes what the killed one left
+    make_result([3.0, 4.0]).save(tmp_path, overwrite=True)  # removes what the killed one left
     assert hidden(tmp_path) == [] and contents(tmp_path).keys() == before.keys()
 
 
@@ -95,8 +95,7 @@ def test_links_that_wait_under_a_name_are_not_followed(tmp_path):
     folder.mkdir()
     for name in (LOCK, f"{PREFIX}mp.csv", "mp.csv", "spikes.csv", "run.yaml"):
         (folder / name).symlink_to("../victim")
-    with store.locked(folder):
-        make_result([1.0, 2.0]).save(folder)
+    make_result([1.0, 2.0]).save(folder, overwrite=True)
     assert victim.read_text() == "mine" and read_result(folder).n_valid == 2
     assert not any(path.is_symlink() for path in folder.iterdir())
 
@@ -107,7 +106,7 @@ def test_a_folder_in_the_way_is_an_error_before_anything_changes(tmp_path):
     (tmp_path / "spikes.csv").mkdir()
     before = contents(tmp_path)
     with pytest.raises(OutputError, match=r"spikes\.csv is a folder"):
-        make_result([3.0]).save(tmp_path)
+        make_result([3.0]).save(tmp_path, overwrite=True)
     assert contents(tmp_path) == before
 
 
@@ -137,7 +136,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_numbers(
 ):
     (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
     if name == "batch":  # in this process, where figures fail
-        monkeypatch.setattr("dlgmd_cli.pool.run_tasks", in_this_process)
+        monkeypatch.setattr("dlgmd_cli.machine.pool.run_tasks", in_this_process)
     arguments, record = COMMANDS[name]
     words = {"clip": clips / "loom.avi", "labels": "labels.csv"}
     given = [str(one).format(**words) for one in arguments]
@@ -258,6 +257,6 @@ def test_the_record_goes_first_and_comes_last(tmp_path, monkeypatch):
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", watched)
-    make_result([0, 1, 3]).save(tmp_path)
+    make_result([0, 1, 3]).save(tmp_path, overwrite=True)
     assert arrived[-1] == (store.RUN, False) and len(arrived) == 5
     assert not any(has_record for _, has_record in arrived)

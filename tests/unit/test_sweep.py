@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from dlgmd_cli.errors import OutputError, OutputExistsError, ParameterError
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.models.base import create_model
-from dlgmd_cli.parameters import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters, EmdLgmdParameters, LgmdParameters
+from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
-from dlgmd_cli.runs.setup import Setup
-from dlgmd_cli.runs.sweep import Sweep, SweepInput, engine_for
+from dlgmd_cli.tasks.setup import Setup
+from dlgmd_cli.tasks.sweep import Sweep, SweepInput, engine_for
 
 
 def axis(text, kind=DlgmdParameters):
@@ -90,7 +91,7 @@ def test_grid_counts_along_x():
     assert len(grid) == 6 and grid.shape == (2, 3)
     assert grid.values(2) == (4, True) and grid.values(3) == (2, False)
     assert grid.overrides(4) == {"r": 3, "ffi_gd": False}
-    with pytest.raises(ParameterError, match="--x and --y are both r"):
+    with pytest.raises(ParameterError, match="x and y are both r"):
         Grid(axis("r=2:4:1"), axis("r=5:6:1"))
     with pytest.raises(ParameterError, match=f"1000 x 101 points are more than {MAX_POINTS}"):
         Grid(axis("a=0.1:100:0.1"), axis("sigma_e=1:11:0.1"))
@@ -164,7 +165,7 @@ def done(folder, what, **options):
     one = sweep(folder, what, **options)
     one.resume()
     one.compute()
-    one.finish({})
+    one.result.write(store.Claim(folder, one.result.RECORD))
     return one
 
 

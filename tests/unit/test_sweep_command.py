@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from conftest import N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
-from dlgmd_cli.parameters import DlgmdParameters
-from dlgmd_cli.runs import sweep as sweeps
+from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.tasks import sweep as sweeps
 
 CUBES = os.path.join("dlgmd-out", "sweep-translating-cubes")
 FILES = {"sweep.csv", "sweep.yaml"}
@@ -159,7 +159,7 @@ def test_the_record_is_a_config(dlgmd, clips):
     assert found["input"]["frames"] == found["processed"]["frames"] == N_FRAMES
     assert found["processed"]["width"] == 24 and found["options"] == {"scale": 0.75}
     assert (found["complete"], found["engine"], found["sigma_e"]) == (True, "opencv", 0.5)
-    assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv", "av"}
+    assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
 def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
@@ -174,7 +174,7 @@ def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
 
 
 def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, stop, monkeypatch):
-    measured = sweeps._Probe._measured
+    measured = sweeps.measured
 
     def stopping(*arguments):
         stop()
@@ -182,14 +182,14 @@ def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, stop, monkey
 
     command = ["sweep", *TINY, "--speed", 1, "--no-plots"]
     with monkeypatch.context() as patch:
-        patch.setattr(sweeps._Probe, "_measured", stopping)
+        patch.setattr(sweeps, "measured", stopping)
         result = dlgmd(*command)
     assert result.exit_code == 130
     assert result.stderr == (
         f"{CUBES} holds 1 of 6 points; the same command continues from there.\nInterrupted.\n"
     )
     assert set(os.listdir(CUBES)) == FILES and record(CUBES)["complete"] is False
-    monkeypatch.setattr("dlgmd_cli.cancel._requested", False)
+    monkeypatch.setattr("dlgmd_cli.machine.cancel._requested", False)
     with Path(CUBES, "sweep.csv").open("a") as file:
         file.write("1,1.5,1,-3.1")
     Path(CUBES, ".dlgmd-frames-0").write_bytes(b"of a process that was killed")

@@ -10,7 +10,13 @@ from dlgmd_cli.models.contrast import ContrastDLGMD
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.on_off import OnOffDLGMD
-from dlgmd_cli.parameters import ContrastParameters, DlgmdParameters, OnOffParameters
+from dlgmd_cli.parameters.presets import (
+    ContrastParameters,
+    DlgmdParameters,
+    OnOffParameters,
+    load_config,
+    parameters_of,
+)
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 
@@ -53,6 +59,21 @@ def test_contrast_with_other_thresholds(changes):
     check_contrast(CLIPS["looming 10x13"], **changes)
 
 
+def towards_a_still_camera(height, width, rate, fps, *, across=0.0):
+    """A square on a still wall; it grows by `rate` a second, and moves `across` cells a second."""
+    rng = np.random.default_rng(4)
+    ground, skin = (cv2.GaussianBlur(rng.random((99, 99), np.float32), (0, 0), 2) for _ in "ab")
+    wall = cv2.resize(ground, (width, height))
+    for t in range(fps // 2):
+        half = height / 10.0 * (1.0 + rate / fps) ** t
+        middle = (0.6 * width + across * t / fps, 0.45 * height)
+        grows = cv2.getRotationMatrix2D((0, 0), 0.0, half / 49.0)
+        grows[:, 2] = np.subtract(middle, half)
+        yield cv2.warpAffine(
+            1.0 - skin, grows, (width, height), wall.copy(), borderMode=cv2.BORDER_TRANSPARENT
+        )
+
+
 # A picture that turns by up to 8 cells from frame to frame.
 _GROUND = np.kron(clips.drifting(26, 30, 1, seed=7)[0], np.ones((3, 3), np.float32))
 TURNING = [
@@ -64,6 +85,7 @@ TURNING = [
         strict=True,
     )
 ]
+STILL = list(towards_a_still_camera(40, 52, 4.0, 12))
 UNEVEN_S = (0.0, 0.02, 0.06, 0.1, 0.15, 0.16, 0.2, 0.3)
 QUIET = [
     {"shift": 8},
@@ -90,6 +112,9 @@ def test_what_keeps_contrast_quiet_agrees_with_its_equations(changes, times):
         answers = check_contrast(frames, times=times and times[: len(frames)], **changes)
     if "shift" in changes:
         assert len({one.shift for one in answers}) > 3
+    if "d_0" in changes:
+        answers = check_contrast(STILL, times=times and times[: len(STILL)], **changes)
+        assert max(one.beside for one in answers) > 0.5 and max(one.rate for one in answers) > 0.3
     plain = check_contrast(TURNING)
     assert [one.mp for one in answers[2:]] != [one.mp for one in plain[2:]]
 
@@ -107,16 +132,35 @@ def test_a_camera_that_turns_changes_nothing():
 
 def test_the_faster_a_picture_expands_the_higher_is_the_potential_at_any_frame_rate():
     ground = cv2.GaussianBlur(np.random.default_rng(8).random((120, 160), np.float32), (0, 0), 4)
+    ground = cv2.normalize(ground, None, 0.0, 1.0, cv2.NORM_MINMAX)
     params = ContrastParameters(shift=16, d_0=0.25, k_0=0.001, s_min=100.0)  # no cell is active
     for rate in (0.0, 0.8, 1.6, -1.6):  # 1/s
         for fps in (15, 30, 60):
             model = ContrastDLGMD(params)
-            for t in range(4):
+            for t in range(fps // 2):
                 grows = cv2.getRotationMatrix2D((80, 60), 0.0, (1.0 + rate / fps) ** t)
                 frame = cv2.warpAffine(ground, grows, (160, 120), flags=cv2.INTER_CUBIC)
-                mp = model.step(frame, t / fps).mp
-            found = 0.25 * np.sqrt(mp / ground.size / 0.001 + 1.0)
-            assert found == pytest.approx(max(rate, 0.25), rel=0.35), (rate, fps)
+                answer = model.step(frame, t / fps)
+            found = 0.25 * np.sqrt(answer.mp / ground.size / 0.001 + 1.0)
+            assert found == pytest.approx(max(rate, 0.25), rel=0.1), (rate, fps)
+            if rate > 0.0:
+                assert answer.ttc_s == pytest.approx(0.5 / rate, rel=0.1)
+            else:
+                assert np.isnan(answer.ttc_s)
+
+
+def test_what_comes_at_a_still_camera_beside_its_middle_has_a_time_to_contact():
+    params = parameters_of(load_config("flight"))
+    for rate, across in ((3.0, 0.0), (0.0, 120.0)):
+        model = ContrastDLGMD(params)
+        for t, frame in enumerate(towards_a_still_camera(136, 240, rate, 30, across=across)):
+            answer = model.step(frame, t / 30)
+        if rate:
+            assert answer.ttc_s == pytest.approx(1.0 / rate, rel=0.3)
+        else:
+            assert not answer.ttc_s < 1.5
+        share = answer.mp / frame.size
+        assert (absolute(share, 1, params.kappa) >= params.t_mp) == bool(rate)
 
 
 def test_one_side_alone_raises_no_potential_and_a_hidden_side_does_not_matter():

@@ -18,13 +18,13 @@ from PIL import Image
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import Frame, resized, sampling_step
-from dlgmd_cli.threads import n_threads
+from dlgmd_cli.machine.threads import n_threads
 from dlgmd_cli.video.base import decoder_threads
 from dlgmd_cli.video.luma import to_grey
 from dlgmd_cli.video.opening import open_video, processed_size
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Selection
-from dlgmd_cli.video.timestamps import FrameClock, missing_frames
+from dlgmd_cli.video.timestamps import FrameClock, frame_rates, missing_frames, steady_fps
 
 NAN = math.nan
 
@@ -208,13 +208,15 @@ def test_clock_always_increases(stamps):
 
 def holes(intervals, fps=30.0):
     """What is said of frames at these intervals, in frames."""
-    return missing_frames(np.cumsum([0.0, *intervals]) / fps, fps)
+    times = np.cumsum([0.0, *intervals]) / fps
+    return missing_frames(times, frame_rates(times))
 
 
 @pytest.mark.parametrize(
     ("intervals", "told"),
     [
         ([10], "about 9 frames are missing after frame 30 (1.000 s), "),
+        ([82], "about 81 frames are missing"),
         ([2, 7, 1, 2], "about 8 frames are missing after frame 30 (1.000 s), "),  # one ragged hole
         ([4] + [1] * 30 + [5], "7 frames are missing after frame 30 (1.000 s) and in 1 more place"),
     ],
@@ -237,6 +239,24 @@ def test_a_hole_in_a_steady_stream_is_told(intervals, told):
 )
 def test_a_variable_rate_is_no_hole(intervals):
     assert holes(intervals) is None
+
+
+@pytest.mark.parametrize("fps", [24000 / 1001, 25, 60000 / 1001, 60, 120, 12.5])
+@pytest.mark.parametrize("digits", [3, 9])  # Times in Matroska are whole milliseconds.
+@pytest.mark.parametrize("pause_s", [0, 6])
+def test_the_rate_of_the_first_stamps_is_that_between_gaps(fps, digits, pause_s):
+    times = np.arange(100) / fps + pause_s * (np.arange(100) >= 40)
+    order = np.random.default_rng(1).permutation(100)  # B-frames
+    assert steady_fps(np.round(times, digits)[order]) == pytest.approx(fps, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [np.arange(8) / 30, np.cumsum([0.02, 0.045, 0.033, 0.06, 0.025] * 20), [0.0] * 100, []],
+    ids=["few", "varies", "none", "empty"],
+)
+def test_no_rate_by_stamps(stamps):
+    assert steady_fps(stamps) is None
 
 
 # Videos
@@ -266,6 +286,33 @@ def test_a_wrong_frame_count_is_only_a_hint(tmp_path, clips, stated, decoder):
     with open_video(path, decoder=decoder) as source:
         assert source.info.n_frames == stated
         assert len(list(source)) == N_FRAMES
+
+
+@pytest.mark.parametrize("dropped", [[], [40], [30, 60]])
+def test_single_frames_that_the_file_promises_are_missed(tmp_path, decoder, dropped):
+    """One of many is no sign of damage, unless the file states that it is there."""
+    av = pytest.importorskip("av", reason="PyAV drops the frames")
+    from damaged import encode
+
+    whole = encode(tmp_path / "whole.mkv", looming_frames(90), "mjpeg", pixels="yuvj420p")
+    path = tmp_path / "x.mkv"
+    with av.open(str(whole)) as reader, av.open(str(path), "w") as writer:
+        copy = writer.add_stream_from_template(reader.streams.video[0])
+        for number, packet in enumerate(reader.demux(video=0)):
+            if number not in dropped and packet.dts is not None:
+                packet.stream = copy
+                writer.mux(packet)
+    with open_video(path, decoder=decoder) as source:
+        assert len(list(source)) == 90 - len(dropped)
+    found = source.progress.damage
+    if not dropped:
+        assert found == []
+    elif len(dropped) == 1:
+        assert len(found) == 1 and found[0].startswith(
+            "1 frame is missing after frame 39 (1.560 s)"
+        )
+    else:
+        assert found[0].startswith("about 2 frames are missing after frame 29 (1.160 s) and in 1 ")
 
 
 def jpeg(frame):
@@ -341,11 +388,18 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
     ("content", "why"),
     [
         (b"", "the file is empty"),
-        (b"hello " * 300, "no frame could be decoded"),
+        (b"hello " * 300, "is a text file, not a video"),
+        ("naïve ".encode() * 60000, "is a text file, not a video"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a Git LFS pointer"),
+        (b"<!DOCTYPE html><html><body>Not found", "is a web page, not a video"),
+        (b"PK\x03\x04" + bytes(99), "is a ZIP archive, not a video"),
+        (b"ID3\x04" + bytes(99), "has sound, but no picture"),
+        (b"RIFF\x24\x00\x00\x00WAVEfmt " + bytes(99), "has sound, but no picture"),
+        (b"\0\0\0\x10ftypisom\0\0\0\0\0\0\0\x20hdlr" + bytes(8) + b"soun", "has sound, but no"),
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=["empty", "text", "noise", "header"],
+    ids=["empty", "text", "umlauts", "lfs", "page", "zip", "mp3", "wav", "m4a", "noise", "header"],
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)
@@ -382,6 +436,21 @@ def test_natural_order_and_what_is_left_out(tmp_path):
         with open_video(path) as source:
             values = [round(float(f.luminance[0, 0]) * 255) for f in source]
         assert values == [1, 9, 10, 100]
+
+
+def test_a_thumbnail_beside_videos_is_no_sequence(dlgmd, tmp_path, clips):
+    folder = tmp_path / "flights"
+    folder.mkdir()
+    for number in range(7):
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((24, 32), 9 * number, np.uint8))
+    assert len(list(open_video(folder))) == 7  # pictures alone are a sequence
+    for name in ("a.avi", "b.AVI"):
+        (folder / name).write_bytes((clips / "loom.avi").read_bytes())
+    result = dlgmd("run", folder)
+    assert result.exit_code == 1 and "holds 2 videos and 7 pictures" in result.stderr
+    assert "use 'dlgmd batch'" in result.stderr
+    cv2.imwrite(str(folder / "7.png"), np.full((24, 32), 99, np.uint8))
+    assert len(list(open_video(folder))) == 8
 
 
 @pytest.mark.parametrize("channels", [None, 3, 4])
@@ -516,6 +585,7 @@ def seen(kinds):
 )
 @pytest.mark.parametrize("repeats", ["keep", "skip"])
 def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
+    pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
     for path in (video, np.array(seen(kinds))):
         with open_video(path, decoder=decoder, repeats=repeats, input_fps=25.0) as source:
@@ -529,6 +599,7 @@ def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
 
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_a_result_of_nothing_seen_is_kept_and_no_success(dlgmd, tmp_path, command):
+    pytest.importorskip("av", reason="OpenCV alone cannot tell still from interlaced video")
     video = write_video(tmp_path / "x.avi", seen("b" * 30))
     result = dlgmd(command, video, "--no-plots")
     assert result.exit_code == 1 and "dlgmd-out/x" in result.stdout

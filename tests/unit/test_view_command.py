@@ -203,7 +203,8 @@ def test_the_index_counts_hits_as_evaluate_does(dlgmd, tmp_path):
     save("unknown", 50)
     (tmp_path / "res/summary.csv").write_text("video,status\n")
     labels = ["hit-and-false.mp4,120", "early.mp4,120", "after.mp4,120", "none.mp4,"]
-    (tmp_path / "labels.csv").write_text("\n".join(["video,collision_frame", *labels, ""]))
+    lines = ["video,collision_frame", *(f"/videos/{one}" for one in labels), ""]
+    (tmp_path / "labels.csv").write_text("\n".join(lines))
     made = dlgmd("view", "res", "--collisions", "labels.csv", "--no-film", "--out", "all.html")
     assert made.exit_code == 0, made.output
     rows = rows_of(tmp_path / "all.html")

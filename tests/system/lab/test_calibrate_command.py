@@ -1,6 +1,7 @@
 """`dlgmd calibrate`: thresholds found again, folds that are held out, searches that continue."""
 
 import json
+import re
 from contextlib import closing
 from dataclasses import replace
 
@@ -10,23 +11,22 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import load_config
 from dlgmd_cli.errors import OutputExistsError
-from dlgmd_cli.lab.evaluation.calibration import (
+from dlgmd_cli.models.detection import absolute
+from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
+from dlgmd_cli.results.calibration import (
     Choice,
     Rules,
-    best_trial,
     choose,
     fold_of,
     tally_held_out,
     tally_of,
     with_choice,
-    with_values,
 )
-from dlgmd_cli.lab.evaluation.cases import strength_at
-from dlgmd_cli.lab.evaluation.scoring import Signal, score
-from dlgmd_cli.lab.evaluation.search import Search, parse_range
-from dlgmd_cli.models.detection import absolute
-from dlgmd_cli.parameters import DlgmdParameters, LgmdParameters
-from dlgmd_cli.runs.setup import Setup
+from dlgmd_cli.results.candidates import strength_at
+from dlgmd_cli.results.scoring import Signal, score
+from dlgmd_cli.tasks.calibrate import best_trial
+from dlgmd_cli.tasks.search import Search, parse_range, with_values
+from dlgmd_cli.tasks.setup import Setup
 
 pytestmark = pytest.mark.slow
 
@@ -184,6 +184,10 @@ def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
     assert result.exit_code == 0, result.output
     assert "held out (3 folds)" in result.stdout and "before (set3)" in result.stdout
     assert "only 4 videos have a collision" in result.stderr
+    verdict = next(line for line in result.stdout.splitlines() if line.startswith("Held out, "))
+    keeps, rate = re.search(r"It (\w+) the limit: ([0-9.]+) of 1\.$", verdict).groups()
+    assert " set3: recall " in verdict and (keeps == "keeps") == (float(rate) <= 1)
+    assert (tmp_path / "dlgmd-out/mine.png").stat().st_size > 5000
     preset = tmp_path / "dlgmd-out/mine.yaml"
     text = preset.read_text(encoding="utf-8")
     assert "6 videos, 4 collisions" in text and "# Held out (3 folds): recall" in text
@@ -192,6 +196,7 @@ def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
     assert again.exit_code == 2 and "already exists" in again.stderr
     facts = json.loads(dlgmd(*common, "--size", "32x24", "--overwrite", "--json").stdout)
     assert preset.read_text(encoding="utf-8") == text and len(facts["folds"]) == 3
+    assert facts["verdict"] == verdict and facts["preset"].endswith("mine.yaml")
     same = facts["same_videos"]
     assert same["recall"] >= 0.75 and same["false_alarms"] == 0
     more = ("--config", preset, "--jobs", 1, "--json", "--no-plots", "--no-baselines")

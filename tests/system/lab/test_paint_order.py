@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from bodies import rays_of
 
-from dlgmd_cli.lab.flights.camera import Camera, Pose, rotation
-from dlgmd_cli.lab.flights.painter import Renderer
-from dlgmd_cli.lab.flights.scenes import SCENES
-from dlgmd_cli.lab.flights.solids import Solid, Texture, World
-from dlgmd_cli.lab.flights.visibility import PaintOrder
+from dlgmd_cli.scenes.flights.camera import Camera, Pose, rotation
+from dlgmd_cli.scenes.flights.painter import Renderer
+from dlgmd_cli.scenes.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.solids import Solid, Texture, World
+from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 pytestmark = pytest.mark.slow
 

@@ -16,9 +16,9 @@ from flightscenes import SHAPE, Quick, stage_of
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import OutputError, OutputExistsError
-from dlgmd_cli.lab.flights.scenes import SCENES, FlightOptions, FlightScene
-from dlgmd_cli.lab.flights.truth import FlightTruth
-from dlgmd_cli.lab.stimuli.clip import Rendering, choose_codec, n_digits, write_truth
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene
+from dlgmd_cli.scenes.flights.truth import FlightTruth
+from dlgmd_cli.scenes.stimuli.clip import Rendering, choose_codec, n_digits, write_truth
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.writer import best_codec, write_video
 
@@ -217,7 +217,7 @@ def test_a_clip_has_no_record_until_it_is_whole(scene, tmp_path, monkeypatch):
 
 
 def test_a_stop_ends_rendering(scene, tmp_path, monkeypatch):
-    from dlgmd_cli import cancel
+    from dlgmd_cli.machine import cancel
 
     monkeypatch.setattr(cancel, "_requested", True)
     with pytest.raises(cancel.Interrupted):

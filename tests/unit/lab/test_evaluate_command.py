@@ -10,9 +10,10 @@ from conftest import csv_rows, looming_frames, write_video, yaml_of
 import dlgmd_cli
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import ResultError
-from dlgmd_cli.lab.evaluation.cases import Case, Evaluation, of_kind, read_cases
-from dlgmd_cli.lab.evaluation.report import groups
-from dlgmd_cli.lab.evaluation.scoring import alarms
+from dlgmd_cli.results.candidates import Candidates
+from dlgmd_cli.results.evaluation import groups
+from dlgmd_cli.results.labels import Case, of_kind, read_cases
+from dlgmd_cli.results.scoring import alarms
 
 NAN = float("nan")
 STILL = [looming_frames(1)[0]] * 12
@@ -35,11 +36,15 @@ def recorded():
     return yaml_of("ev/evaluate.yaml")
 
 
+NAMES = ("--label", "set3", "--label", "set9")
 SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats", "keep")
 
 
+BASELINES = ("ΣP alone", "flow divergence")
+
+
 def test_files_and_tables(dlgmd, footage, tmp_path):
-    command = ("evaluate", footage / "labels.csv", *SETS, "--out", "ev", "--format", "svg")
+    command = ("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev", "--format", "svg")
     result = dlgmd(*command)
     assert result.exit_code == 0, result.output
     figures = {"evaluate-trade-off.svg", "evaluate-leads.svg"}
@@ -76,7 +81,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     assert dlgmd("batch", footage, *SETS, "--no-plots", "--out", "ba").exit_code == 0
     common = ("evaluate", footage / "labels.csv", "--no-baselines", "--no-plots")
     both = []
-    for source in (SETS, ("--results", "ba")):
+    for source in ((*SETS, *NAMES), ("--results", "ba")):
         result = dlgmd(*common, *source, "--json", "--out", f"ev{len(both)}")
         assert result.exit_code == 0, result.output
         both.append(json.loads(result.stdout)["models"])
@@ -86,7 +91,7 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     assert facts["intervals"]["recall"][0] <= facts["recall"] <= facts["intervals"]["recall"][1]
     for row, other in zip(csv_rows("ev0/evaluate.csv"), csv_rows("ev1/evaluate.csv"), strict=True):
         for key, text in row.items():
-            if key in ("model", "at", "target", "kind", "manner"):
+            if key in ("model", "at", "target", "kind", "manner", "speed"):
                 assert text == other[key]
             else:
                 assert float(text or NAN) == pytest.approx(
@@ -126,9 +131,9 @@ def test_alarms_are_those_of_a_run(footage, options, repeats):
     found = dlgmd_cli.run(footage / "twice.avi", repeats=repeats, **options)
     level = np.sort(found.level[np.isfinite(found.level)])[-4]
     found = replace(found, params=replace(found.params, t_mp=float(level) - 1e-9, n_sp=1))
-    evaluation = Evaluation(baselines=False)
+    evaluation = Candidates(baselines=False)
     evaluation.add(Case("twice.avi", "", (51,), ("",)), {"x": found})
-    one = evaluation.candidates["x"]
+    one = evaluation.by_label["x"]
     rows = [row for row, _ in alarms(one.signals["twice.avi"], one.n_sp, one.threshold[1])]
     assert rows == found.alarm_onsets.tolist() and rows
     assert found.is_repeat.any() == (repeats == "skip")
@@ -141,7 +146,7 @@ def test_a_video_that_fails_is_named_and_the_others_are_scored(dlgmd, footage, t
     assert result.exit_code == 1 and "2 of 3 videos" in result.stderr
     found = json.loads(result.stdout)
     assert found["videos"] == 1 and list(found["failed"]) == ["gone.avi", "still.avi"]
-    for name, why in (("gone.avi", "no such file"), ("still.avi", "frames 0 to 11")):
+    for name, why in (("gone.avi", f"it is not in {footage}"), ("still.avi", "frames 0 to 11")):
         assert name in result.stderr and why in found["failed"][name]
     labels.write_text("video,collision_frame\ngone.avi,3\n")
     alone = dlgmd("evaluate", labels, "--out", "x")
@@ -225,3 +230,46 @@ def test_a_limit_that_cannot_be(dlgmd, footage, limit, why):
         result = dlgmd(command, footage / "labels.csv", "--max-false-per-min", limit)
         assert result.exit_code == 2 and "'--max-false-per-min'" in result.stderr
         assert why in result.stderr
+
+
+def test_baselines_do_not_depend_on_the_models(dlgmd, footage):
+    found = {}
+    for name, models in {"flight": (), "nine": ("--set", 9)}.items():
+        common = ("evaluate", footage / "labels.csv", *models, "--no-plots", "--out", name)
+        assert dlgmd(*common, "--jobs", 1).exit_code == 0
+        rows = csv_rows(f"{name}/evaluate.csv")
+        found[name] = [r for r in rows if r["model"] in BASELINES]
+    assert found["flight"] == found["nine"] and found["nine"]
+
+
+def test_where_there_is_nothing_to_announce_no_threshold_is_best(dlgmd, footage):
+    labels = footage / "none.csv"
+    labels.write_text("video,collision_frame\nstill.avi,\n")
+    made = dlgmd("evaluate", labels, "--no-plots", "--out", "none", "--jobs", 1)
+    assert made.exit_code == 0, made.stderr
+    best = [row for row in csv_rows("none/evaluate.csv") if row["at"] == "best"]
+    assert len(best) == 3 and {row["threshold"] for row in best} == {"inf"}
+    assert made.stdout.count("best: none") == 3
+
+
+def test_the_figure_of_the_leads_names_the_thresholds(footage):
+    found = dlgmd_cli.evaluate(footage / "labels.csv", set=9, jobs=1)
+    words = [text.get_text() for text in found.plot("leads").legends[0].get_texts()]
+    assert words == ["set9, default threshold", *(f"{one}, best threshold" for one in BASELINES)]
+
+
+def test_variants_labels_and_parameters_are_named(dlgmd, footage):
+    def models(*options):
+        more = ("--no-baselines", "--no-plots", "--jobs", 1, "--overwrite", "--out", "ev")
+        made = dlgmd("evaluate", footage / "labels.csv", *options, *more)
+        assert made.exit_code == 0, made.stderr
+        return list(dict.fromkeys(row["model"] for row in csv_rows("ev/evaluate.csv")))
+
+    assert models("--set", 9, "--variant", "weak:kappa=0.1") == ["set9", "weak"]
+    assert models("--set", 9, "--param", "kappa=0.1") == ["set9 kappa=0.1"]
+    two = ("--set", 3, "--set", 9, "--variant", "weak:kappa=0.1")
+    assert models(*two) == ["set3", "set3_weak", "set9", "set9_weak"]
+    named = (word for name in "abcd" for word in ("--label", name))
+    assert models(*two, *named) == [*"abcd"]
+    refused = dlgmd("evaluate", footage / "labels.csv", "--results", "x", "--label", "a")
+    assert refused.exit_code == 2 and "--label" in refused.stderr

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from flightscenes import accelerate, cruise, decelerate, hover, pitch, roll, stand, take_off, yaw
 
-from dlgmd_cli.lab.flights.drone import RESTITUTION, SPIN_UP_S, fly
-from dlgmd_cli.lab.flights.path import shaken
+from dlgmd_cli.scenes.flights.drone import RESTITUTION, SPIN_UP_S, fly
+from dlgmd_cli.scenes.flights.path import shaken
 
 START = (1.0, -2.0, 1.5)
 GRAVITY, DRAG = 9.81, 0.35

@@ -7,15 +7,15 @@ import pytest
 from bodies import project
 from flightscenes import DURATION_S, Quick, cruise, hover, scene_of, yaw
 
-from dlgmd_cli.lab.flights.camera import Camera
-from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.furniture import furniture, placement
-from dlgmd_cli.lab.flights.painter import Renderer
-from dlgmd_cli.lab.flights.path import Stage
-from dlgmd_cli.lab.flights.scenes import FlightOptions, film
-from dlgmd_cli.lab.flights.solids import Solid, Texture, World, quad
-from dlgmd_cli.lab.flights.stages import MissedError, obstacle_in_path, with_unique_name
-from dlgmd_cli.lab.flights.truth import first_contact
+from dlgmd_cli.scenes.flights.camera import Camera
+from dlgmd_cli.scenes.flights.drone import fly
+from dlgmd_cli.scenes.flights.furniture import furniture, placement
+from dlgmd_cli.scenes.flights.painter import Renderer
+from dlgmd_cli.scenes.flights.path import Stage
+from dlgmd_cli.scenes.flights.scenes import FlightOptions, film
+from dlgmd_cli.scenes.flights.solids import Solid, Texture, World, quad
+from dlgmd_cli.scenes.flights.stages import MissedError, obstacle_in_path, with_unique_name
+from dlgmd_cli.scenes.flights.truth import first_contact
 
 
 @pytest.fixture

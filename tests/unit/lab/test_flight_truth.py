@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.camera import Camera
-from dlgmd_cli.lab.flights.drone import fly
-from dlgmd_cli.lab.flights.path import REACH_M, Stage, State
-from dlgmd_cli.lab.flights.solids import Capsule, Face, Solid, Texture, World
-from dlgmd_cli.lab.flights.truth import (
+from dlgmd_cli.scenes.flights.camera import Camera
+from dlgmd_cli.scenes.flights.drone import fly
+from dlgmd_cli.scenes.flights.path import REACH_M, Stage, State
+from dlgmd_cli.scenes.flights.solids import Capsule, Face, Solid, Texture, World
+from dlgmd_cli.scenes.flights.truth import (
     FlightTruth,
     ImageSpeed,
     Nearest,

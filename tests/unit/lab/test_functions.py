@@ -23,7 +23,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (
             lambda v: dlgmd_cli.batch(v, jobs=2, scheduler="tcp://x:1"),
             errors.ParameterError,
-            "--jobs does not work with --scheduler",
+            "jobs does not work with scheduler",
         ),
         (lambda v: dlgmd_cli.evaluate("gone.csv"), errors.ResultError, "this file is missing"),
         (
@@ -31,9 +31,9 @@ ROOT = Path(dlgmd_cli.__file__).parent
             errors.ParameterError,
             "set does not work with results",
         ),
-        (lambda v: dlgmd_cli.evaluate("l.csv", horizon=0), errors.ParameterError, "'--horizon'"),
+        (lambda v: dlgmd_cli.evaluate("l.csv", horizon=0), errors.ParameterError, "horizon: "),
         (lambda v: dlgmd_cli.evaluate("l.csv"), errors.SourceError, "no video could be scored"),
-        (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), errors.ParameterError, "--folds = 1"),
+        (lambda v: dlgmd_cli.calibrate("l.csv", folds=1), errors.ParameterError, "folds = 1"),
         (
             lambda v: dlgmd_cli.calibrate("l.csv", normalise="sequence"),
             errors.ParameterError,
@@ -58,18 +58,18 @@ ROOT = Path(dlgmd_cli.__file__).parent
         (
             lambda v: dlgmd_cli.sweep(x="r=2,3", y="sigma_e=1", fps=5),
             errors.ParameterError,
-            "--fps works only with an INPUT",
+            "fps works only with an INPUT",
         ),
         (
             lambda v: dlgmd_cli.sweep(x="r=2,3", y="sigma_e=1", param={"r": 3}),
             errors.ParameterError,
-            "--param sets r, which is an axis",
+            "param sets r, which is an axis",
         ),
         (lambda v: dlgmd_cli.synth("cube"), errors.ParameterError, "there is no scene 'cube'"),
         (
             lambda v: dlgmd_cli.synth("looming-cube", distanc=3),
             errors.ParameterError,
-            "--distanc: looming-cube has no such option",
+            "distanc: looming-cube has no such option",
         ),
         (
             lambda v: dlgmd_cli.synth("looming-cube", sheet=True),

@@ -7,7 +7,7 @@ import pytest
 from conftest import yaml_of
 from flightscenes import SHORT, Quick
 
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.scenes import SCENES
 
 OUT = Path("flights")
 HEADER = "video,collision_frame,target,kind,manner\n"

@@ -10,10 +10,10 @@ from bodies import ball, board, box, capsule, plain, project, rays_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.lab.flights.camera import Camera, Pose, Sensor, rotation
-from dlgmd_cli.lab.flights.painter import Coverage, Renderer
-from dlgmd_cli.lab.flights.solids import Shade, Solid, Texture, World, quad
-from dlgmd_cli.lab.flights.visibility import PaintOrder, separating_plane
+from dlgmd_cli.scenes.flights.camera import Camera, Pose, Sensor, rotation
+from dlgmd_cli.scenes.flights.painter import Coverage, Renderer
+from dlgmd_cli.scenes.flights.solids import Shade, Solid, Texture, World, quad
+from dlgmd_cli.scenes.flights.visibility import PaintOrder, separating_plane
 
 X, Y, Z = np.eye(3)
 CAMERA = Camera((120, 160), 80.0)

@@ -1,28 +1,40 @@
 """`dlgmd reproduce`: claims and thresholds, what ids stand for, the report, one-line errors."""
 
 import math
+import re
 import shlex
 import sys
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
+from conftest import csv_rows
 
 from dlgmd_cli.commands.app import cli
-from dlgmd_cli.lab.reproduce import clips, flights, stimuli
-from dlgmd_cli.lab.reproduce.claims import (
+from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.parameters.presets import load_set
+from dlgmd_cli.reproduce import ablation, clips, flights, objects, stimuli
+from dlgmd_cli.reproduce.claims import (
+    COLUMNS,
     EMPTY,
+    KINDS,
     NO,
+    PART,
+    RESPONDS,
+    SELECTS,
     UNDECIDED,
     WHOSE,
     YES,
     Claim,
     ExhibitSpec,
     Finding,
+    interval,
     load_claims,
     select,
+    write_claims,
 )
-from dlgmd_cli.lab.reproduce.clips import (
+from dlgmd_cli.reproduce.clips import (
     EVERY,
     NULLS,
     VERSIONS,
@@ -31,47 +43,62 @@ from dlgmd_cli.lab.reproduce.clips import (
     model,
     other_models,
 )
-from dlgmd_cli.lab.reproduce.plan import TIMING, Evidence, Plan, compute, needed, shown_by
-from dlgmd_cli.lab.reproduce.report import Report, Section, number
-from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.parameters import load_set
+from dlgmd_cli.reproduce.exhibits import EXHIBITS
+from dlgmd_cli.reproduce.finished import Finished
+from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Started, compute, needed
+from dlgmd_cli.reproduce.report import Report, Section, number
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.rows import rows_of
 
 NAN = math.nan
 SPECS, REMARKS = load_claims()
-EXHIBITS = stimuli.EXHIBITS | flights.EXHIBITS
 
 
 @pytest.mark.parametrize(
-    ("values", "holds", "value", "verdict"),
+    ("values", "holds", "verdict"),
     [
-        ([2, 1], "at least", 1, YES),
-        ([2, 1], "above", 1, NO),
-        ([0, 1], "at most", 1, YES),
-        ([0, 1], "below", 1, NO),
-        ([NAN, 2], "above", 2, UNDECIDED),
-        ([NAN, 0.5], "above", 0.5, NO),  # one that fails is enough
-        ([NAN], "above", NAN, UNDECIDED),
-        ([math.inf], "above", math.inf, YES),
+        ([2], "at least", YES),
+        ([1], "above", NO),
+        ([1], "at most", YES),
+        ([1], "below", NO),
+        ([2] * 6, "above", YES),
+        ([2] * 5 + [0], "above", UNDECIDED),  # the interval of six is their range
+        ([2] * 15 + [0] * 5, "above", YES),  # of twenty, from the sixth to the fifteenth
+        ([2] * 14 + [0] * 6, "above", UNDECIDED),
+        ([0] * 15 + [2] * 5, "above", NO),
+        ([2] * 15 + [NAN] * 5, "above", YES),  # whatever the undefined ones are
+        ([2] * 14 + [NAN] * 6, "above", UNDECIDED),
+        ([NAN], "above", UNDECIDED),
+        ([math.inf] * 20, "above", YES),
     ],
 )
-def test_a_claim_holds_if_it_does_for_the_worst_seed(values, holds, value, verdict):
+def test_a_claim_holds_if_the_interval_of_the_median_does(values, holds, verdict):
     claim = Claim("x", "It is so.", "what", 1.0, holds, "because")
-    one = Finding(claim, "Fig. 0", "default", tuple(values))
-    assert one.holds == verdict and (one.value == value or math.isnan(value))
+    assert Finding(claim, "Fig. 0", "default", tuple(values)).holds == verdict
 
 
 @pytest.mark.parametrize(
-    ("values", "null", "verdict"),
+    ("n", "ends"),
+    # Two-sided binomial test at one half, as in tables of the sign test.
+    [(1, (0, 0)), (5, (0, 4)), (6, (0, 5)), (8, (0, 7)), (9, (1, 7)), (20, (5, 14)), (25, (7, 17))],
+)
+def test_intervals_of_medians(n, ends):
+    assert interval(range(n)) == ends
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "null", "verdict"),
     [
-        ((2.0,), (0.5,), YES),
-        ((2.0,), (3.0,), EMPTY),
-        ((2.0,), (3.0, 0.5), YES),  # the null model fails for one seed
-        ((2.0,), (), YES),
-        ((0.5,), (3.0,), NO),
+        (SELECTS, (2.0,), (0.5,), YES),
+        (SELECTS, (2.0,), (3.0,), EMPTY),
+        (SELECTS, (2.0,), (), YES),
+        (SELECTS, (0.5,), (3.0,), NO),
+        (RESPONDS, (2.0,), (3.0,), YES),
+        (PART, (2.0,), (3.0,), YES),
     ],
 )
-def test_a_claim_that_holds_without_inhibition_says_nothing(values, null, verdict):
-    claim = Claim("x", "It is so.", "what", 1.0, "above", "because")
+def test_what_inhibition_brings_about_must_fail_without_it(kind, values, null, verdict):
+    claim = Claim("x", "It is so.", "what", 1.0, "above", "because", kind=kind)
     assert Finding(claim, "Fig. 0", "default", values, null).verdict == verdict
 
 
@@ -93,7 +120,10 @@ def test_every_exhibit_is_computed_and_every_claim_has_its_texts():
         for key, claim in spec.claims.items():
             assert key.startswith(spec.id), key
             assert Finding(claim, "", "", (claim.threshold,)).holds in (YES, NO)
-            assert claim.whose in WHOSE
+            assert claim.whose in WHOSE and claim.kind in KINDS
+            place = claim.source or spec.source
+            is_place = re.match(r"(I|III|IV|V|Abstract|Fig|Table)\b", place)
+            assert claim.whose == "ours" or is_place, key
             for text in (claim.claim, claim.reason, spec.about, spec.says):
                 assert text[-1] == "." and text[0] == text[0].upper(), text
 
@@ -113,7 +143,7 @@ def test_commands_that_repeat_an_exhibit_exist():
         (["fig6"], {"fig6": ["fig6-slow", "fig6-fast"]}),
         (
             ["fig17", "fig2-size"],
-            {"fig2": ["fig2-size"], "fig17": ["fig17-silent", "fig17-answers", "fig17-db"]},
+            {"fig2": ["fig2-size"], "fig17": list(SPECS["fig17"].claims)},
         ),
         (["fig10-rising", "fig5-rises"], {"fig5": ["fig5-rises"], "fig10": ["fig10-rising"]}),
         ([], {name: list(spec.claims) for name, spec in SPECS.items()}),
@@ -131,48 +161,116 @@ def test_levels_that_are_held():
     assert flights.sustained(level, 0, 2) == 0.0
 
 
+def exhibit(needs):
+    data = yield needs
+    return Evidence({"seen": {"any": [len(data)]}})
+
+
 def test_clips_are_rendered_for_all_exhibits_together(monkeypatch):
-    monkeypatch.setattr("dlgmd_cli.lab.reproduce.plan._AT_ONCE", 8)
-    clip = Clip.of("looming-cube", size=(30, 40))
+    monkeypatch.setattr("dlgmd_cli.reproduce.plan._PIXELS_AT_ONCE", 8 * 30 * 40)
+    clip = Clip.of("looming-cube", size=(30, 40), seed=4)
     order = []
-
-    def exhibit(needs):
-        data = yield needs
-        return Evidence({"seen": {"any": [len(data)]}})
-
+    half = model("set3"), 0.5
     started = [
-        exhibit({f"{TIMING}, x": lambda: order.append("timed")}),
-        exhibit({clip: other_models("lgmd"), "more": lambda: True}),
-        exhibit({clip: all_versions("set3")}),
+        Started.of(exhibit({f"{TIMING}, x": lambda: order.append("timed")})),
+        Started.of(exhibit({clip: other_models("lgmd") | {"half": half}, "more": lambda: True})),
+        Started.of(exhibit({clip: all_versions("set3")})),
     ]
     data = compute(needed(started), 1, lambda n, name: order.append(name))
-    # 13 models, 8 at once.
+    # 14 models, 8 at once.
     assert order == ["looming-cube", "looming-cube", "more", "timed", f"{TIMING}, x"]
-    assert shown_by(started[0], data).values == {"seen": {"any": [3]}}
-    results = data[clip].results
-    assert set(results) == {"lgmd", *all_versions("set3")}
-    assert np.array_equal(
-        results["set3/default"].mp,
-        clips.run_clip(clip, {"x": model("set3")}).results["x"].mp,
-        equal_nan=True,
+    found = data[clip]
+    assert started[0].evidence(data).values == {"seen": {"any": [3]}}
+    assert started[2].evidence(data).inputs == {4: {"looming-cube": found.sha256}}
+    assert set(found.results) == {"lgmd", "half", *all_versions("set3")}
+    assert found.results["half"].record["processed"] == {"width": 20, "height": 15}
+    again = clips.run_clip(clip, {"x": model("set3")})
+    assert np.array_equal(found.results["set3/default"].mp, again.results["x"].mp, equal_nan=True)
+    assert found.truth["frame"][-1] == 74 and found.sha256 == again.sha256
+
+
+def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
+    clip = Clip.of("group1", size=(18, 32), seed=0)
+    models = {"lgmd": model("lgmd"), "half": (model("set3"), 0.5)}
+    finished = Finished(tmp_path / "kept")
+    first = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
+    with monkeypatch.context() as patch:
+        patch.setattr("dlgmd_cli.reproduce.plan.run_clip", None)
+        again = compute([(clip, models)], 1, lambda n, name: None, finished)[clip]
+    assert again.phases == first.phases and again.sha256 == first.sha256
+    assert again.collision_frame == 120
+    for label, one in first.results.items():
+        assert one.rows.tobytes() == again.results[label].rows.tobytes()
+        assert one.params == again.results[label].params
+        assert one.record == again.results[label].record
+    changed = {"lgmd": model("lgmd", w_i=0.4), "half": models["half"]}
+    assert finished.read((clip, changed)) is None
+    (file,) = (tmp_path / "kept").iterdir()
+    file.write_bytes(b"damaged")
+    assert finished.read((clip, models)) is None
+    finished.remove()
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_pooled_attenuation_does_not_depend_on_a_floor():
+    rows = rows_of(
+        {
+            "frame": np.arange(4),
+            "time_s": np.arange(4) / 30,
+            "p_sum": [1.0, 1.0, 1.0, 0.0],
+            "s_sum": [0.0, 0.0, 0.3, 0.0],
+        }
     )
-    assert data[clip].truth["frame"][-1] == 74
+    result = Result(rows, model("set3"), {"processed": {"width": 2, "height": 2}})
+    assert stimuli.pooled_db(result) == pytest.approx(-10.0)
+    assert stimuli.pooled_db(result, 0, 1) == -math.inf
+    assert math.isnan(stimuli.pooled_db(result, 3, 3))
 
 
 def test_peaks_are_small_and_separate():
     level = np.array([0, 0.1, 0, 0.3, 0.2, 0.35, 0, 0.04, 0, 0.9, 0])
-    assert flights.small_peaks(level, len(level)) == 3
-    assert flights.small_peaks(level, 4) == 1
+    assert flights.small_peaks(level, 0, len(level)) == 3
+    assert flights.small_peaks(level, 0, 3) == 1
 
 
 def test_layers_of_moving_cells():
     p, s, g = (np.zeros((8, 8), np.float32) for _ in range(3))
-    p[2:6, 2:6], s[2:6, 2:6], g[3:5, 3:5] = 0.5, 0.5, 0.25
+    p[2:6, 2:6], s[2:6, 2:6], g[3:5, 3:5] = 0.5, 0.5, 2.0
     s[0, 0] = 0.5  # a cell on its own, which G removes
-    spread_p, spread_s, sparse, others = clips.layer_shares(p, s, g)
+    spread_p, spread_s, sparse, others, gain = objects.layer_shares(p, s, g)
     assert spread_p == spread_s == 0.0 and sparse == 1.0 and 0.0 < others < 1.0
+    assert gain > 1.0
     s[2:6, 2:4] = 0.0
-    assert clips.layer_shares(p, s, g)[1] == pytest.approx(1.0)
+    assert objects.layer_shares(p, s, g)[1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("reading", "own"), [("default", "gated"), ("equations", "whole")])
+@pytest.mark.parametrize("number", [4, 7, 9])
+def test_the_ablation_has_each_readings_own_connections(reading, own, number):
+    mine = connect(model(f"set{number}", reading))
+    found = ablation.connections_of(ablation.parameters_of(number, reading, own, "radial"))
+    assert np.allclose(mine.excitation, found.excitation)
+    assert mine.inhibition.keys() == found.inhibition.keys()
+    for delay, kernel in mine.inhibition.items():
+        assert np.allclose(kernel, found.inhibition[delay])
+
+
+def test_the_ablation_replaces_one_part():
+    def of(*cell):
+        return ablation.connections_of(ablation.parameters_of(8, "default", *cell))
+
+    whole, gated, cell = (of(name, "constant") for name in ablation.EXCITATIONS)
+    assert [*whole.inhibition] == [*gated.inhibition] == [*cell.inhibition] == [1]
+    assert np.allclose(whole.inhibition[1], gated.inhibition[1])
+    counts = [np.count_nonzero(one.excitation) for one in (whole, gated, cell)]
+    assert counts == [13 * 13, 5, 1]
+    strengths = [one.excitation[6, 6] for one in (whole, gated, cell)]
+    assert strengths[0] == strengths[1] == strengths[2]
+    assert set(of("whole", "radial").inhibition) == {0, 1, 2}
+    # A constant latency is that of sets 1 to 3.
+    plain = connect(load_set(8, alpha=0.0, beta=0.0, lam=0.0))
+    assert np.allclose(plain.excitation, whole.excitation)
+    assert np.allclose(plain.inhibition[1], whole.inhibition[1])
 
 
 def test_boxes_hold_the_objects_of_fig_8():
@@ -181,28 +279,62 @@ def test_boxes_hold_the_objects_of_fig_8():
         frames = [frame.grey.astype(float) for frame in islice(video, 42)]
     for index in (5, 20, 41):
         change = np.abs(frames[index] - frames[index - 1]) > 12
-        boxes = clips.object_boxes(change.shape, index)
+        boxes = objects.object_boxes(change.shape, index)
         assert change.sum() > 50 and all(change[box].any() for box in boxes)
         for box in boxes:
             change[box] = False
         assert not change.any()
 
 
-def test_texts_are_escaped():
+def section_of(plan, values, **more):
     claim = Claim("c", "<dfn>", "<b>x", 1.0, "above", "<u>", "<q>", why_not="<s>", paper="<p>7")
     spec = ExhibitSpec("fig1", "<script>", "&", "<h1>z", "<img>", ["dlgmd '<x>'"], {"c": claim})
-    evidence = Evidence({"c": {v: [0.5, 2.0] for v in EVERY}}, table=[("<y>", 1.0)])
+    return Section(spec, Evidence({"c": dict.fromkeys(EVERY, values)}, **more), plan)
+
+
+def test_texts_are_escaped():
+    plan = Plan(quick=True)
+    tables = {"<em>": [("<y>", 1.0)]}
+    section = section_of(plan, [0.5, 2.0, 2.0, 2.0, 2.0, 2.0], tables=tables)
     remarks = {"objections": ["<em>"], "contradictions": ["<tt>"]}
-    report = Report([Section(spec, evidence)], remarks, Plan(quick=True), "dlgmd --out '<y>'")
-    html = report.html(None)
+    html = Report([section], remarks, plan, "dlgmd --out '<y>'").html(None)
     raws = "<dfn> <b>x <u> <q> <s> <p>7 <h1>z <img> <script> <x> <y> <em> <tt>"
     for raw in raws.split():
         assert raw not in html
-    assert html.count("1 of 2 seeds") == len(VERSIONS) and "&lt;script&gt;" in html
+    assert html.count("2 (0.5 to 2)") == len(VERSIONS) and "&lt;script&gt;" in html
+
+
+def test_a_row_for_each_claim_version_and_seed(tmp_path):
+    plan = Plan(quick=True)
+    inputs = {seed: {"group1": f"sha{seed}"} for seed in plan.seeds}
+    section = section_of(plan, [0.0, 2.0, 3.0, 4.0, 5.0, NAN], inputs=inputs)
+    other = replace(plan, reference=tmp_path)
+    both = replace(section, others=[(other, Evidence({"c": {"default": [7.0]}}))])
+    write_claims(tmp_path / "claims.csv", both.all_found)
+    rows = csv_rows(tmp_path / "claims.csv")
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 6 * len(VERSIONS) + 1
+    first, last = rows[0], rows[5]
+    assert (first["seed"], first["value"], first["holds"]) == ("0", "0", NO)
+    assert first["verdict"] == UNDECIDED
+    assert (last["seed"], last["value"], last["holds"]) == ("5", "", UNDECIDED)
+    assert first["input_sha256"] == "sha0" and first["input"] == "group1" and first["seeds"] == "6"
+    assert first["cpu"] and first["os"] and first["dlgmd"]
+    assert [
+        (row["seed"], row["value"]) for row in rows if row["shown_on"] == "authors' frames"
+    ] == [("", "7")]
+
+
+def test_a_claim_that_small_frames_do_not_show_is_judged_at_full_size():
+    plan = Plan()
+    section = section_of(plan, [2.0] * 20)
+    full = replace(plan, is_full_size=True), section.evidence
+    nothing = replace(section, evidence=Evidence({}), others=[full])
+    assert {one.frames for one in nothing.found} == {"1920x1080"}
+    assert not any(nothing.beside.values())
 
 
 def test_numbers_for_readers():
-    shown = [number(value) for value in (-1.2345, 9789.28, math.inf, NAN, 2e-7, 0.0, ">10000")]
+    shown = [number(value) for value in (-1.2345, 9789.28, math.inf, NAN, 2e-7, -8e-16, ">10000")]
     assert shown == ["−1.23", "9789", "∞", "–", "2e−07", "0", ">10000"]
 
 

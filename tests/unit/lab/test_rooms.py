@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from dlgmd_cli.lab.flights import rooms, textures
-from dlgmd_cli.lab.flights.furniture import (
+from dlgmd_cli.scenes.flights import rooms, textures
+from dlgmd_cli.scenes.flights.furniture import (
     block,
     catalogue,
     furniture,
     placement,
 )
-from dlgmd_cli.lab.flights.solids import Capsule, Solid, Texture
-from dlgmd_cli.lab.flights.visibility import PaintOrder
+from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture
+from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 SIZE = (1.1, 0.8)

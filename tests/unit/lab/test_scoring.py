@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlgmd_cli.lab.evaluation import scoring
-from dlgmd_cli.lab.evaluation.scoring import KINDS, Signal
 from dlgmd_cli.models.detection import detect, spans
+from dlgmd_cli.results import scoring
+from dlgmd_cli.results.intervals import binomial_interval, poisson_interval
+from dlgmd_cli.results.scoring import KINDS, Signal
 
 FPS = 30.0
 NAN = np.nan
@@ -190,12 +191,29 @@ def test_an_interval_is_that_of_resampled_videos():
 
 
 @pytest.mark.parametrize(
+    ("count", "n", "low", "high"),
+    [(0, 13, 0, 0.2471), (3, 3, 0.2924, 1), (5, 10, 0.1871, 0.8129), (1, 1, 0.025, 1)],
+)
+def test_the_exact_binomial_interval(count, n, low, high):
+    """Clopper and Pearson's, to four decimals."""
+    assert binomial_interval(count, n) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_nothing_and_everything_have_wide_intervals():
+    announced, missed = (scoring.tally(signal(one, [150]), 2, 0.5) for one in ([(130, 140)], []))
+    none, every = scoring.score([missed] * 13), scoring.score([announced] * 3)
+    assert [none[f"recall{end}"] for end in ("", "_low")] == [0, 0]
+    assert none["recall_high"] == pytest.approx(0.2471, abs=1e-4)
+    assert every["recall_low"] == pytest.approx(0.2924, abs=1e-4) == every["precision_low"]
+
+
+@pytest.mark.parametrize(
     ("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.025, 5.572), (10, 4.795, 18.390)]
 )
 def test_the_exact_poisson_interval(count, low, high):
     """Garwood's table, to three decimals."""
-    assert scoring.poisson_interval(count) == pytest.approx((low, high), abs=1e-3)
-    assert scoring.poisson_interval(3000)[1] == pytest.approx(3000 + 1.96 * 3000**0.5, rel=1e-3)
+    assert poisson_interval(count) == pytest.approx((low, high), abs=1e-3)
+    assert poisson_interval(3000)[1] == pytest.approx(3000 + 1.96 * 3000**0.5, rel=1e-3)
 
 
 def test_false_alarms_in_bunches_and_none_at_all_have_wide_intervals():
@@ -260,3 +278,13 @@ def test_of_very_many_thresholds_the_high_ones_are_exact(monkeypatch):
     assert len(at) <= 21
     monkeypatch.setattr(scoring, "MAX_THRESHOLDS", 10**6)
     assert set(at[-8:]) <= set(scoring.thresholds(signals, 1))
+
+
+def test_differences_are_those_of_the_same_videos():
+    videos = [signal([(130, 140)] if number % 3 else [], [150]) for number in range(30)]
+    some = [scoring.tally(one, 2, 0.5) for one in videos]
+    every = [scoring.tally(signal([(130, 140)], [150]), 2, 0.5)] * 30
+    found = scoring.differences(every, some)
+    assert found["recall"][0] == pytest.approx(1 / 3)
+    assert 0.1 < found["recall"][1] < 1 / 3 < found["recall"][2] < 0.6
+    assert scoring.differences(some, some)["recall"] == (0.0, 0.0, 0.0)

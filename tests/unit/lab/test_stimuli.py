@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.lab.flights.scenes import SCENES, FlightScene
-from dlgmd_cli.lab.stimuli.flat import disc, rectangle
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
+from dlgmd_cli.scenes.stimuli.flat import disc, rectangle
 
 SHAPE = (24, 32)
 SMALL = {"--size": (48, 64), "--frames": 6}

@@ -11,7 +11,7 @@ import pytest
 from conftest import read_video
 from flightscenes import Quick
 
-from dlgmd_cli.lab.flights.scenes import SCENES
+from dlgmd_cli.scenes.flights.scenes import SCENES
 
 ROOT = Path(__file__).parents[3]
 SMALL = ["--size", "64x48", "--frames", "5"]
@@ -80,9 +80,12 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd):
     text = dlgmd("synth", "--help").stdout
     every, flights, flat = re.split(r"^\w.* only:$", text, flags=re.M)
     for section, flags in (
-        (every, "--size --fps --frames --fov --noise --seed --lossless --png --list"),
-        (flights, "--exposure --rolling-shutter --vignette --shot-noise --gamma --count --jobs"),
-        (flat, "--object-size --speed --distance --contrast --background"),
+        (every, "--size --fps --frames --fov --noise --speed --seed --lossless --png --list"),
+        (
+            flights,
+            "--exposure --rolling-shutter --vignette --shot-noise --manner --gamma --count --jobs",
+        ),
+        (flat, "--object-size --distance --contrast --background"),
     ):
         assert set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", section, re.M)) >= set(flags.split())
     assert "SCENE\n" not in every.partition("Options:")[2]
@@ -134,7 +137,7 @@ def test_help_says_what_is_for_which_scenes_and_its_example_runs(dlgmd):
 )
 def test_wrong_usage(dlgmd, monkeypatch, arguments, message):
     monkeypatch.setitem(SCENES, "quick", Quick())
-    monkeypatch.setattr("dlgmd_cli.lab.flights.scenes.MAX_FRAMES", 180)
+    monkeypatch.setattr("dlgmd_cli.scenes.flights.scenes.MAX_FRAMES", 180)
     result = dlgmd("synth", "--out", "new", *arguments.split())
     assert result.exit_code == 2
     assert message in result.stderr and result.stdout == ""

@@ -1,0 +1,89 @@
+"""What an alarm is worth: the drone brakes, and the path is followed to its end."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
+from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, Stretch
+from dlgmd_cli.scenes.flights.solids import Capsule, Solid, Texture, World, quad
+
+GREY = Texture([[0.5]])
+WALL = quad((5, 20, 9), (0, -40, 0), (0, 0, -9), GREY)
+
+
+def flight(speed, *bodies, contact_s=None, agile=False, seconds=4.0):
+    """Along x from x = 0, at a height of 4 m; the wall is at x = 5."""
+    start = [0.0, 0.0, 4.0, speed, 0, 0, 0, 0, 0, 0, 0, 0]
+    end = [speed * seconds, *start[1:]]
+    path = Path([Stretch(0.0, seconds, np.array([start, end]))], (("cruise", 0.0, seconds),))
+    solid = Solid("wall", [WALL])
+    target, wall = (bodies[0].name, None) if bodies else ("wall", solid)
+    world = World(solid, bodies)
+    return Stoppable(Stage(world, path, target, contact_s, seconds, agile, wall))
+
+
+def needed_m(speed, react_s, brake=None):
+    """The way to the stop: at once with `brake`, or at 8 m/s³ up to a lean of 25 degrees."""
+    if brake is not None:
+        return speed * react_s + speed**2 / 2 / brake
+    most = 9.81 * math.tan(math.radians(25))
+    times = np.arange(0.0, 3.0, 1e-5)
+    speeds = speed - np.cumsum(np.minimum(8.0 * times, most)) * 1e-5
+    return speed * react_s + np.maximum(speeds, 0.0).sum() * 1e-5
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize(
+    ("brakes", "decel"),
+    [
+        (Brakes(), None),
+        (Brakes(react_s=0.3), None),
+        (Brakes(agile=True), 9.81 * math.tan(math.radians(25))),
+        (Brakes(brake_m_s2=8.0), 8.0),
+    ],
+)
+def test_the_latest_alarm_that_saves_leaves_just_the_way_that_braking_takes(speed, brakes, decel):
+    contact_s = (5.0 - REACH_M) / speed
+    found = flight(speed, contact_s=contact_s, seconds=contact_s + 1)
+    lead_s = needed_m(speed, brakes.react_s, decel) / speed
+    early, late = (found.stop(contact_s - lead_s * share, brakes) for share in (1.01, 0.99))
+    assert early.saved and early.stopped_m == pytest.approx(0.01 * lead_s * speed, abs=2e-3)
+    assert math.isnan(early.impact_m_s) and math.isnan(late.stopped_m)
+    assert not late.saved and 0.0 < late.impact_m_s < 0.3 * speed
+    assert found.can_stop and found.speed_m_s == pytest.approx(speed)
+
+
+def test_an_alarm_within_the_reaction_changes_nothing():
+    found = flight(2.0, contact_s=2.45)
+    for alarm_s in (2.36, 2.45):
+        assert found.stop(alarm_s, Brakes()).impact_m_s == pytest.approx(2.0)
+
+
+def test_the_drone_of_the_flight_brakes_as_it_can_unless_told_otherwise():
+    agile = flight(3.0, contact_s=4.9 / 3, agile=True)
+    alarm_s = 4.9 / 3 - 0.5
+    assert agile.stop(alarm_s, Brakes()).saved
+    assert not agile.stop(alarm_s, Brakes(agile=False)).saved
+
+
+def test_a_stop_is_justified_if_straight_on_something_would_be_hit_within_a_second_and_a_half():
+    found = flight(2.0)
+    at_wall_s = 4.9 / 2.0
+    assert not found.is_justified(at_wall_s - 1.52) and found.is_justified(at_wall_s - 1.48)
+    assert not flight(0.0).is_justified(1.0)
+
+
+def test_who_hovers_cannot_stop_what_comes_but_a_stop_for_it_is_justified():
+    ends = np.array([[3.0, 0.0, 4.0]] * 2)
+
+    def comes(time_s):
+        return -1.0 * time_s, 0.0, 0.0
+
+    ball = Capsule("ball", ends, 0.2, GREY, motion=comes)
+    found = flight(0.0, ball, contact_s=2.7)
+    assert not found.can_stop and found.speed_m_s == pytest.approx(1.0)
+    assert found.is_justified(1.3) and not found.is_justified(1.0)
+    # One that stands in the way can be stopped for.
+    assert flight(1.0, Capsule("ball", ends, 0.2, GREY), contact_s=2.7).can_stop

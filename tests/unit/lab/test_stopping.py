@@ -1,0 +1,160 @@
+"""What the alarms of rendered flights are worth: judged at thresholds, summed, in every table."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import csv_rows, yaml_of
+from test_avoid import CONTACT_S, stage_of
+
+from dlgmd_cli.results.scoring import Signal
+from dlgmd_cli.results.stopping import Stops, score_stops, stop_cells, stop_curve, tally_stops
+from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
+
+TIME_S = np.arange(90) / 30.0
+
+
+def stops_of(can_stop=True, latest_s=1.5, justified_from_s=1.0):
+    """A flight at 2 m/s; a stop saves the drone until a time, and is justified from another on."""
+    saves = latest_s >= TIME_S
+    return Stops(
+        TIME_S,
+        saves,
+        np.where(saves, math.nan, 1.2),
+        np.where(saves, 0.4, math.nan),
+        justified_from_s <= TIME_S,
+        can_stop,
+        2.0,
+    )
+
+
+def signal_of(*spikes, contact_s=2.0):
+    """Strength 1 at the frames of these times, in seconds, and 0.1 elsewhere."""
+    strength = np.full(90, 0.1)
+    strength[[round(one * 30) for one in spikes]] = 1.0
+    return Signal(TIME_S, strength, () if contact_s is None else (contact_s,), 1 / 30)
+
+
+def judged(signal, stops, at=0.5):
+    return tally_stops(signal, stops, 1, at, 0.5)
+
+
+def test_the_first_alarm_that_is_needed_decides():
+    """The horizon is 0.5 s before contact at 2 s; alarms from 1 s on are justified."""
+    stops = stops_of(latest_s=1.6)
+    for spikes, saved, unneeded, justified in (
+        ((1.55,), True, 0, 0),
+        ((1.75,), False, 0, 0),
+        ((1.2, 1.75), True, 0, 1),  # too early for a hit, but justified
+        ((0.3, 1.75), False, 1, 0),  # nobody needs the first; the flight goes on
+        ((0.3,), False, 1, 0),
+        ((2.03,), False, 0, 0),  # at contact
+        ((), False, 0, 0),
+    ):
+        found = judged(signal_of(*spikes), stops)
+        assert found.saved[0] == saved, spikes
+        assert (found.n_unneeded[0], found.n_justified[0]) == (unneeded, justified), spikes
+    lost = judged(signal_of(), stops)
+    assert lost.impact_m_s[0] == 2.0 and math.isnan(lost.stopped_m[0])
+    assert judged(signal_of(1.75), stops).impact_m_s[0] == 1.2
+
+
+def test_scores_count_drones_that_a_stop_can_save_and_all_minutes():
+    flights = [
+        judged(signal_of(1.2), stops_of()),
+        judged(signal_of(1.8), stops_of()),
+        judged(signal_of(1.8), stops_of(can_stop=False)),  # it hovers
+        judged(signal_of(0.5, 1.2, contact_s=None), stops_of(can_stop=False)),
+    ]
+    found = score_stops(flights)
+    assert found["drones"] == 2 and found["saved"] == 0.5
+    assert found["impact_m_s"] == 1.2 and found["stopped_m"] == 0.4
+    assert found["unneeded_per_min"] == pytest.approx(1 / ((2.0 * 3 + 3.0) / 60))
+    assert found["justified"] == pytest.approx(2 / 3) and found["speed_m_s"] == 2.0
+    assert all(math.isnan(value) for key, value in score_stops([]).items() if key != "drones")
+
+
+def test_the_curve_has_the_scores_of_each_threshold():
+    levels = np.array([0.05, 0.5, 2.0])
+    signals = signal_of(0.3, 1.2), signal_of(1.2, contact_s=None)
+    signals = tuple(replace(one, strength=one.strength * (1.0 + 0.0 * TIME_S)) for one in signals)
+    stops = stops_of(), stops_of(can_stop=False)
+    rate, saved = stop_curve(
+        [judged(one, own, levels) for one, own in zip(signals, stops, strict=True)]
+    )
+    for i, level in enumerate(levels):
+        each = [judged(one, own, level) for one, own in zip(signals, stops, strict=True)]
+        found = score_stops(each)
+        assert rate[i] == pytest.approx(found["unneeded_per_min"]) and saved[i] == found["saved"]
+
+
+def test_cells_of_an_alarm_and_of_a_missed_collision():
+    assert stop_cells(stops_of(), 1.2, is_alarm=True)[0::3] == (1.0, 1.0)
+    assert stop_cells(stops_of(), 2.0, is_alarm=False)[:2] == (0.0, 2.0)
+    assert all(math.isnan(cell) for cell in stop_cells(None, 1.0, is_alarm=True))
+
+
+@pytest.fixture
+def flights(dlgmd, monkeypatch):
+    """Two flights at a wall, one of which ends early, and their labels."""
+    scene = FlightScene("wall", "", FlightOptions(shape=(90, 160)), stage_of)
+    monkeypatch.setitem(SCENES, "wall", scene)
+    assert dlgmd("synth", "wall", "--count", 2, "--jobs", 1, "--out", "f").exit_code == 0
+    return Path("f")
+
+
+def test_evaluate_closes_the_loop(dlgmd, flights):
+    common = ("evaluate", flights / "labels.csv", "--no-baselines", "--jobs", 1, "--overwrite")
+    shares = {}
+    for name, options in {
+        "stabilised": (),
+        "agile": ("--agile",),
+        "strong": ("--brake", 40, "--react", 0),
+    }.items():
+        result = dlgmd(*common, *options, "--out", "ev")
+        assert result.exit_code == 0, result.output
+        (row,) = [
+            r
+            for r in csv_rows("ev/evaluate.csv")
+            if r["at"] == "default"
+            and {r[k] for k in ("target", "kind", "manner")} == {"all"}
+            and r["speed"] == "all"
+        ]
+        shares[name] = float(row["saved"])
+        assert row["drones"] == "1" and float(row["speed_m_s"]) == pytest.approx(2.0)
+    assert shares["strong"] == 1.0 and shares["stabilised"] <= shares["agile"]
+    assert "1 drone in which a stop avoids the collision, at 2.0 to 2.0 m/s" in result.stdout
+    assert "Reaction 0 s, braking at 40 m/s²" in result.stdout
+    assert Path("ev/evaluate-stops.png").exists() and yaml_of("ev/evaluate.yaml")["react_s"] == 0
+    of_drone = [row for row in csv_rows("ev/alarms.csv") if row["stopped_m"]]
+    assert of_drone and {row["saved"] for row in of_drone} == {"1"}
+    assert all(float(row["stopped_m"]) > 0.1 for row in of_drone)
+    assert "1" in {row["justified"] for row in of_drone}
+    assert csv_rows("ev/curves.csv")[0].keys() >= {"saved", "unneeded_per_min"}
+
+
+def test_a_video_without_its_record_or_of_another_version_is_no_flight(dlgmd, flights):
+    record = flights / "wall-0000.yaml"
+    assert recorded_stage(flights / "wall-0000.mp4").contact_s == CONTACT_S
+    record.write_text(record.read_text().replace("collision_time_s: 2.4", "collision_time_s: 2.3"))
+    assert recorded_stage(flights / "wall-0000.mp4") is None
+    record.unlink()
+    result = dlgmd("evaluate", flights / "labels.csv", "--no-baselines", "--out", "ev")
+    assert result.exit_code == 0 and "a stop avoids" not in result.stdout
+    assert not Path("ev/evaluate-stops.png").exists()
+    assert {row["saved"] for row in csv_rows("ev/alarms.csv") if "0000" in row["video"]} <= {""}
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (("--react", -1), "'--react': -1.0 is not at least 0"),
+        (("--brake", 0), "'--brake': 0.0 is not above 0"),
+        (("--brake", 5, "--agile"), "--brake does not work with --agile or --stabilised"),
+    ],
+)
+def test_answers_that_nobody_can_give(dlgmd, options, why):
+    result = dlgmd("evaluate", "labels.csv", *options)
+    assert result.exit_code == 2 and why in result.stderr

@@ -1,0 +1,125 @@
+"""`evaluate --results`: each video is scored with its own result, wherever both are, or refused."""
+
+import shutil
+
+import numpy as np
+import pytest
+from conftest import csv_rows, looming_frames, write_video
+
+LOOM = looming_frames(30, 64, 48)
+STILL = [np.full((48, 64), 100, np.uint8)] * 30
+QUIET = ("--no-plots", "--no-baselines", "--out", "ev", "--overwrite")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two days with a video v.avi each: the first one looms, in the other nothing happens."""
+    folder = tmp_path_factory.mktemp("days")
+    for day, frames in (("day1", LOOM), ("day2", STILL)):
+        (folder / day).mkdir()
+        write_video(folder / day / "v.avi", frames)
+    return folder
+
+
+@pytest.fixture
+def days(made, tmp_path, dlgmd):
+    """A copy of them in the working folder, with the results of the first day in `res`."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    batch("res", "day1", dlgmd)
+    return tmp_path
+
+
+def batch(out, folder, dlgmd):
+    options = ("--set", 9, "--no-plots", "--jobs", 1, "--repeats", "keep", "--out", out)
+    assert dlgmd("batch", folder, *options).exit_code == 0
+
+
+def scores(dlgmd, labels, text, results="res"):
+    """The result of the command for a table of labels."""
+    labels.write_text(f"video,collision_frame\n{text}")
+    return dlgmd("evaluate", labels, "--results", results, *QUIET)
+
+
+def videos():
+    return int(csv_rows("ev/evaluate.csv")[0]["videos"])
+
+
+def test_another_video_of_the_name_is_not_scored_with_this_result(days, dlgmd):
+    result = scores(dlgmd, days / "day2/labels.csv", "v.avi,29\n")
+    assert result.exit_code == 1 and "v.avi: there is no result of v.avi" in result.stderr
+    assert scores(dlgmd, days / "day1/labels.csv", "v.avi,29\n").exit_code == 0
+
+
+def test_labels_in_the_folder_above_a_batch_find_its_results(days, dlgmd):
+    assert scores(dlgmd, days / "labels.csv", "day1/v.avi,29\n").exit_code == 0
+    batch("both", ".", dlgmd)
+    text = "day1/v.avi,29\nday2/v.avi,\n"
+    assert scores(dlgmd, days / "labels.csv", text, "both").exit_code == 0 and videos() == 2
+
+
+def test_a_link_to_the_folder_is_the_folder(days, dlgmd):
+    (days / "link").symlink_to("day1")
+    assert scores(dlgmd, days / "labels.csv", "link/v.avi,29\n").exit_code == 0
+
+
+def test_a_video_that_was_moved_is_found_by_its_size(days, dlgmd):
+    (days / "day1").rename(days / "archive")
+    assert scores(dlgmd, days / "archive/labels.csv", "v.avi,29\n").exit_code == 0
+    # A copy is the same video. If another one of its size has taken the place, the result is its.
+    shutil.copytree(days / "archive", days / "day1")
+    assert scores(dlgmd, days / "archive/labels.csv", "v.avi,29\n").exit_code == 0
+    data = (days / "day1/v.avi").read_bytes()
+    (days / "day1/v.avi").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    result = scores(dlgmd, days / "archive/labels.csv", "v.avi,29\n")
+    assert result.exit_code == 1 and "there is no result of v.avi" in result.stderr
+    # And nothing tells whose a result is if no video is left.
+    shutil.rmtree(days / "day1")
+    (days / "archive/v.avi").unlink()
+    result = scores(dlgmd, days / "archive/labels.csv", "v.avi,29\n")
+    assert result.exit_code == 1 and "no such file to find it by its size" in result.stderr
+    # The path that is recorded is enough.
+    assert scores(dlgmd, days / "labels.csv", "day1/v.avi,29\n").exit_code == 0
+
+
+def test_results_that_fit_equally_well_are_not_guessed(dlgmd, tmp_path):
+    for name in ("a/1", "a/2"):
+        (tmp_path / name).mkdir(parents=True)
+        np.save(tmp_path / name / "v.npy", np.array(LOOM))
+    for name in ("1", "2"):
+        batch(f"res/{name}", f"a/{name}/v.npy", dlgmd)
+    shutil.move(tmp_path / "a", tmp_path / "b")
+    (tmp_path / "res/summary.csv").touch()
+    assert scores(dlgmd, tmp_path / "b/labels.csv", "1/v.npy,29\n2/v.npy,29\n").exit_code == 0
+    (tmp_path / "b/1").rename(tmp_path / "b/3")
+    result = scores(dlgmd, tmp_path / "b/labels.csv", "3/v.npy,29\n")
+    assert result.exit_code == 1
+    assert "v.npy is at no recorded path, and several results fit: 1/v and 2/v" in result.stderr
+
+
+def test_a_video_that_was_replaced_is_refused(days, dlgmd):
+    shutil.copy(days / "day2/v.avi", days / "day1/v.avi")
+    result = scores(dlgmd, days / "day1/labels.csv", "v.avi,29\n")
+    assert result.exit_code == 1
+    assert "v.avi is not the video of its result: it has another size" in result.stderr
+
+
+def test_two_spellings_are_one_video(days, dlgmd):
+    labels = days / "day1/labels.csv"
+    assert scores(dlgmd, labels, "v.avi,20\n./v.avi,29\n../day1/v.avi,25\n").exit_code == 0
+    assert videos() == 1 and csv_rows("ev/evaluate.csv")[0]["collisions"] == "3"
+    result = scores(dlgmd, labels, "v.avi,29\n./v.avi,\n")
+    assert result.exit_code == 1
+    assert "v.avi is listed with a collision and without one" in result.stderr
+    plotted = dlgmd("plot", "mp", "res/v", "--collisions", labels, "--out", "x.png")
+    assert plotted.exit_code == 1 and "with a collision and without one" in plotted.stderr
+
+
+def test_a_column_that_stands_twice_is_an_error(days, dlgmd):
+    labels = days / "day1/labels.csv"
+    labels.write_text("video,collision_frame,collision_frame\nv.avi,29,5\n")
+    result = dlgmd("evaluate", labels, "--results", "res", *QUIET)
+    assert result.exit_code == 1
+    assert "labels.csv: has the column collision_frame twice. Remove one" in result.stderr
+    # Spreadsheets leave empty columns, and those of others do not matter.
+    labels.write_text("video,collision_frame,,,note,note\nv.avi,29,,,a,b\n")
+    assert dlgmd("evaluate", labels, "--results", "res", *QUIET).exit_code == 0

@@ -1,0 +1,202 @@
+"""When frames were captured that arrive unevenly, and what `Alarm` makes of them."""
+
+import numpy as np
+import pytest
+
+from dlgmd_cli import Alarm
+from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import CaptureClock, GapDetector, steady_step
+from dlgmd_cli.models.health import Health
+from dlgmd_cli.video.clock import Pace, StreamClock
+
+
+def stalled(fps, stall_s, n_frames=300, burst_s=0.001):
+    """Times of capture, and of arrival over a link that stalls once a second and loses nothing."""
+    captured = np.arange(n_frames) / fps
+    came = captured + 0.02
+    for second in range(1, int(n_frames / fps)):
+        waits = (captured >= second) & (captured < second + stall_s)
+        came[waits] = second + stall_s + 0.02 + burst_s * np.arange(waits.sum())
+    return captured, np.maximum.accumulate(came)
+
+
+@pytest.mark.parametrize("fps", [24, 30, 60])
+@pytest.mark.parametrize("stall_s", [0.15, 0.2, 0.3])
+@pytest.mark.parametrize("burst_s", [0.001, 0.01])
+def test_a_burst_after_a_stall_was_captured_evenly(fps, stall_s, burst_s):
+    _, came = stalled(fps, stall_s, burst_s=burst_s)
+    clock, gaps = CaptureClock(), GapDetector()
+    found = np.array([clock.step(t) for t in came.tolist()])
+    assert np.diff(came).min() * fps < 0.7 and np.diff(came).max() * fps > 3.0
+    assert np.diff(found).min() * fps > 0.9 and np.diff(found).max() * fps < 1.1
+    assert (found <= came + 0.1 / fps).all() and clock.latest_s > 0.1
+    assert not any(gaps.step(t) for t in found.tolist())
+
+
+def test_regular_times_and_jitter_pass():
+    times = (np.arange(200) / 30).tolist()
+    clock = CaptureClock()
+    assert [clock.step(t) for t in times] == times and clock.latest_s == 0.0
+    late = np.arange(300) / 30 + np.random.default_rng(1).uniform(0.0, 0.02, 300)
+    clock = CaptureClock()
+    found = np.array([clock.step(t) for t in late.tolist()])
+    assert np.std(np.diff(found)[30:]) < 0.5 * np.std(np.diff(late)[30:])
+
+
+@pytest.mark.parametrize(("n_lost", "at"), [(4, 101), (12, 101), (60, 100)])
+def test_lost_frames_are_a_gap(n_lost, at):
+    """A frame later than it is, unless it lasts more than half a second."""
+    times = np.arange(300) / 30
+    times = np.r_[times[:100], times[100 + n_lost :]]
+    clock, gaps = CaptureClock(), GapDetector()
+    found = [clock.step(t) for t in times.tolist()]
+    assert [n for n, t in enumerate(found) if gaps.step(t)] == [at] and found[-1] == times[-1]
+
+
+def test_a_rate_that_changes_is_followed():
+    for fps in (15, 60):
+        times = np.r_[np.arange(60) / 30, 2.0 + np.arange(100) / fps]
+        clock = CaptureClock()
+        found = np.array([clock.step(t) for t in times.tolist()])
+        np.testing.assert_allclose(np.diff(found)[100:], 1.0 / fps, rtol=0.03)
+        assert found[-1] == pytest.approx(times[-1], abs=0.01)
+
+
+def test_what_waited_before_the_first_frame_is_stale():
+    times = np.r_[np.arange(6) * 0.001, 0.03 + np.arange(60) / 30]
+    clock, stale = CaptureClock(), []
+    for t in times.tolist():
+        clock.step(t)
+        stale.append(clock.is_stale)
+    assert stale == [False, *[True] * 5, *[False] * 60]
+
+
+def test_what_waited_during_a_long_stall_is_stale():
+    times = np.r_[np.arange(60) / 30, 4.0 + np.arange(60) * 0.002, 4.15 + np.arange(30) / 30]
+    clock, stale = CaptureClock(), []
+    for t in times.tolist():
+        clock.step(t)
+        stale.append(clock.is_stale)
+    assert not any(stale[:61]) and all(stale[61:115]) and not any(stale[121:])
+
+
+@pytest.mark.parametrize("mbps", [25.0, 30.0])
+def test_stamps_count_while_they_keep_pace(mbps):
+    """They are exact where arrivals are not; what counts frames at 25 a second has no stamps."""
+    _, came = stalled(30, 0.3)
+    stamps = np.arange(300) / mbps
+    clock = StreamClock()
+    found = np.array([clock.step(*one) for one in zip(came.tolist(), stamps.tolist(), strict=True)])
+    assert np.diff(found).min() * 30 > 0.9 and np.diff(found).max() * 30 < 1.25
+    if mbps == 30.0:
+        np.testing.assert_allclose(np.diff(found)[100:], 1 / 30, rtol=1e-6)
+
+
+def test_the_choice_of_frames_does_not_flip():
+    """At 33 frames a second, which is on the edge, with the jitter of a camera."""
+    for fps in (32.6, 33.0, 33.3, 33.6):
+        pace, jitter = Pace(30.0), np.random.default_rng(3).uniform(-0.004, 0.004, 600)
+        taken = [pace.is_due(n / fps + moved) for n, moved in enumerate(jitter)]
+        assert len(set(np.diff(np.flatnonzero(taken)[60:]))) == 1
+    assert [steady_step(33.3, 33.0, k) for k in (0, 1, 2)] == [2, 1, 2]
+    assert [steady_step(60.0, 33.0, k) for k in (0, 1, 2)] == [2, 2, 2]
+
+
+SCENE = np.kron(
+    np.random.default_rng(5).integers(40, 216, (16, 60), np.uint8), np.ones((6, 6), np.uint8)
+)
+
+
+def views(n):
+    """A pan over a scene, 72 x 96."""
+    return [SCENE[:72, 2 * i % 240 : 2 * i % 240 + 96] for i in range(n)]
+
+
+def test_an_alarm_does_not_take_a_late_frame_for_a_big_step(caplog):
+    frames, (captured, came) = views(300), stalled(30, 0.2)
+    found = {}
+    for name, times in (("captured", captured), ("came", came)):
+        alarm = Alarm()
+        found[name] = [alarm.step(*one) for one in zip(frames, times.tolist(), strict=True)]
+    mp = {name: np.array([one.mp_abs for one in told]) for name, told in found.items()}
+    np.testing.assert_allclose(mp["came"][20:], mp["captured"][20:], atol=0.02)
+    assert caplog.messages == [
+        "frames come unevenly, up to 0.20 s late; the times of their capture are used"
+    ]
+    exact = Alarm(times="capture")  # which this is not
+    wrong = [exact.step(*one).mp_abs for one in zip(frames, came.tolist(), strict=True)]
+    assert np.isnan(wrong[20:]).any() and not np.isnan(mp["came"][20:]).any()  # it starts anew
+    with pytest.raises(ParameterError, match="times = 'late' is not one of arrival, capture"):
+        Alarm(times="late")
+
+
+def test_frames_without_times_are_told_once(caplog):
+    alarm = Alarm()
+    for frame in views(90):
+        alarm.step(frame)
+    assert caplog.messages == [
+        "frames have no times, so they count as 30 a second; give step() the times"
+    ]
+
+
+RNG = np.random.default_rng(7)
+
+
+def noisy(pictures, sd):
+    """The same with noise."""
+    return [
+        np.clip(np.rint(one + RNG.normal(0.0, sd, one.shape)), 0, 255).astype(np.uint8)
+        for one in pictures
+    ]
+
+
+def clocked(pictures):
+    """The same with the clock of an on-screen display."""
+    out = []
+    for number, one in enumerate(pictures):
+        one = one.copy()
+        one[4:8, 4:12] = number // 3 * 12 % 256
+        out.append(one)
+    return out
+
+
+STILL = [views(1)[0]] * 60
+DARK = [np.zeros((72, 96), np.uint8)] * 60
+COVERED = [np.minimum(RNG.poisson(0.04, (72, 96)), 2).astype(np.uint8) for _ in range(60)]
+SNOW = [RNG.integers(0, 256, (72, 96), np.uint8) for _ in range(60)]
+
+
+@pytest.mark.parametrize(
+    ("shown", "reason"),
+    [
+        (DARK, "black"),
+        (COVERED, "black"),
+        (clocked(DARK), "black"),
+        (noisy([np.full((72, 96), 128)] * 60, 2.0), "flat"),
+        (SNOW, "noise"),
+        (STILL, "frozen"),
+        (noisy(STILL, 3.0), "frozen"),
+        (noisy(clocked(STILL), 1.0), "frozen"),
+        (noisy(views(60), 3.0), None),
+        ([np.rint(one * 0.2).astype(np.uint8) for one in views(60)], None),
+    ],
+)
+def test_health(shown, reason):
+    """Within a second; and sound again after half a second of sound pictures, not before."""
+    pictures, alarm = [*noisy(views(60), 1.0), *shown, *noisy(views(60), 1.0)], Alarm()
+    told = [alarm.step(one, n / 30).blind for n, one in enumerate(pictures)]
+    assert set(told[:60]) == {None} and told[-1] is None
+    assert set(told[60:120]) == {None, reason} and told[60 + 29] == reason
+    assert reason is None or (set(told[120:134]) == {reason} and told[120 + 20] is None)
+
+
+def test_health_of_what_a_mask_leaves():
+    """A living screen beside a frozen picture is hidden, and does not count."""
+    hidden = np.zeros((72, 96), bool)
+    hidden[:, 60:] = True
+    pictures = [np.where(hidden, a, b) for a, b in zip(SNOW, STILL, strict=True)]
+    for mask, reason in ((None, None), (hidden, "frozen")):
+        health = Health()
+        health.ignore(mask)
+        told = [health.step(one, n / 30) for n, one in enumerate(pictures)]
+        assert told[-1] == reason
