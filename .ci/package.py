@@ -22,6 +22,10 @@ WITHOUT_EXTRAS = {
     f"live {VIDEO} --realtime --serve 0": "dlgmd[live]",
     f"live {VIDEO} --realtime --mavlink udpout:127.0.0.1:14550": "dlgmd[live]",
     f"live {VIDEO} --realtime --engine numba": "dlgmd[fast]",
+    **{
+        f"{name} {VIDEO} --decoder pyav": "dlgmd[fast]"
+        for name in ("run", "info", "layers", "compare", "sweep --x a=1,2 --y r=2", "bench")
+    },
     **{f"{name} {VIDEO} --engine numba": "dlgmd[fast]" for name in ("run", "compare", "bench")},
     "calibrate labels.csv --set 3 --search sigma_i=1:5": "dlgmd[calibrate]",
     f"batch {VIDEO} --scheduler tcp://127.0.0.1:1": "dlgmd[cluster]",

@@ -92,7 +92,12 @@ class Made(_InFolder):
         return found + [self._shown(folder / name) for name in self.arguments]
 
     def _shown(self, made: Path) -> nodes.Node:
-        """A figure, or a link to a page."""
+        """A figure, a film, or a link to a page."""
+        if made.suffix == ".mp4":
+            PAGES.mkdir(exist_ok=True)
+            shutil.copy(made, PAGES)
+            film = f'<video controls preload="metadata" width="100%" src="{made.name}"></video>'
+            return nodes.raw("", film, format="html")
         if made.suffix != ".html":
             uri = f"/{made.relative_to(self.env.srcdir).as_posix()}"
             return nodes.image(uri=uri, alt=self.options["alt"])

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-from dlgmd_cli.parameters import MODELS, PRESETS, load_config, load_preset, preset_names
+from dlgmd_cli.parameters.presets import MODELS, PRESETS, load_config, load_preset, preset_names
 
 
 def table(header: list[str], rows: list[list[str]]) -> str:
@@ -53,10 +53,10 @@ FILES = (
     ("spikes.csv", "run", "results.csv", "TABLES"),
     ("alarms.csv", "run", "results.csv", "ALARM_COLUMNS"),
     ("compare.csv", "compare", "results.csv", "COMPARISON"),
-    ("summary.csv", "batch", "runs.batch", "COLUMNS"),
-    ("curves.csv", "evaluate", "lab.evaluation.report", "CURVE_COLUMNS"),
-    ("alarms.csv", "evaluate", "lab.evaluation.report", "ALARM_COLUMNS"),
-    ("claims.csv", "reproduce", "lab.reproduce.claims", "COLUMNS"),
+    ("summary.csv", "batch", "results.batch", "COLUMNS"),
+    ("curves.csv", "evaluate", "results.evaluation", "CURVE_COLUMNS"),
+    ("alarms.csv", "evaluate", "results.evaluation", "ALARM_COLUMNS"),
+    ("claims.csv", "reproduce", "reproduce.claims", "COLUMNS"),
 )
 
 
