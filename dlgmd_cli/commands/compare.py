@@ -25,7 +25,6 @@ from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.parameters.checks import blame
 from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
@@ -34,6 +33,7 @@ from dlgmd_cli.parameters.presets import (
     parse_overrides,
     reformulated,
 )
+from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.annotations import Annotations

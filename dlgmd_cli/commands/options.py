@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands import defaults
 from dlgmd_cli.commands.defaults import OwnDefault
-from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.parameters.checks import Spec, require_known
 from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
@@ -32,7 +32,6 @@ from dlgmd_cli.parameters.presets import (
     preset_names,
 )
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup

@@ -28,9 +28,9 @@ from dlgmd_cli.commands.options import (
     width_option,
 )
 from dlgmd_cli.errors import ParameterError, ResultError, printable
-from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.result import Result

@@ -21,10 +21,9 @@ from dlgmd_cli.commands.options import (
     overwrite_option,
 )
 from dlgmd_cli.commands.progress import progress
-from dlgmd_cli.errors import DlgmdError, printable
-from dlgmd_cli.names import numbered, recorded_name
+from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.parameters.presets import find_model
-from dlgmd_cli.words import counted
+from dlgmd_cli.results.names import numbered, recorded_name
 
 if TYPE_CHECKING:
     from dlgmd_cli.pages.gather import Gathered, Input
