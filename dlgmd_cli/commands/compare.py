@@ -18,7 +18,6 @@ from dlgmd_cli.commands.options import (
     input_options,
     of_files,
     report_options,
-    require_one_each,
     setup_options,
 )
 from dlgmd_cli.commands.plot import annotation_options
@@ -87,6 +86,7 @@ def _setups(
 def labelled(setups: "list[Setup]", labels: tuple[str, ...]) -> "list[Setup]":
     """The setups with the given labels, one for each, or with distinct ones of their own."""
     from dlgmd_cli.results.csv import text_cell
+    from dlgmd_cli.tasks.call import require_one_each
 
     own = numbered([one.label for one in setups])
     require_one_each(
