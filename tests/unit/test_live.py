@@ -29,12 +29,12 @@ from dlgmd_cli.live import outputs, watch
 from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Events, Sight, Statistics, answers, utc_text
 from dlgmd_cli.models.detection import spans
-from dlgmd_cli.names import without_password
 from dlgmd_cli.results import csv
 from dlgmd_cli.tasks.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.live import LiveSource, Pace, Shot
+from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video
