@@ -77,7 +77,7 @@ def test_a_batch_from_urls_to_urls(dlgmd, runs, bucket, clips, scratch, tmp_path
     options = (f"{bucket.url}/in", "--no-plots", "--jobs", "2", "--out", out)
 
     def counts():
-        return json.loads(runs("batch", *options, "--json").stdout)
+        return json.loads(dlgmd("batch", *options, "--json").stdout)
 
     result = dlgmd("batch", *options)
     assert result.exit_code == 1
@@ -101,7 +101,7 @@ def test_a_batch_from_urls_to_urls(dlgmd, runs, bucket, clips, scratch, tmp_path
     bucket.delete("in/sub/broken.mp4")
     bucket.put("in/a.avi", data)
     models = ("--set", "3", "--set", "9", "--format", "svg", "--out", "here")
-    runs("batch", f"{bucket.url}/in", *models, plots=True)
+    runs("batch", f"{bucket.url}/in", *models)
     with (tmp_path / "here/set9/summary.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [(row["video"], row["status"], row["frames"]) for row in rows] == [
