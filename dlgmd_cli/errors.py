@@ -12,6 +12,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
+def counted(n: int, noun: str) -> str:
+    """A number with its noun: 0 videos, 1 video, 2 videos."""
+    return f"{n} {noun}{'s' * (n != 1)}"
+
+
 # An option, and commands that are quoted, whose options stay.
 _OPTION = re.compile(
     r"('dlgmd [^']*')|(Invalid value for ')?(?<![\w./-])--([a-z][a-z-]*[a-z]|[xy])('?)"

@@ -44,7 +44,7 @@ def fault_of_result(folder: Path):
 
 def faults_of(out: Path, truth=None):
     """What is wrong with all results below a folder; `truth` are the `files_of` whole ones."""
-    records = sorted(one for one in out.rglob(store.RUN) if one.is_file())
+    records = store.records_below(out, store.RUN)
     faults = [fault for one in records if (fault := fault_of_result(one.parent))]
     for record in records:
         if truth is None or read_record(record)["complete"] is not True:

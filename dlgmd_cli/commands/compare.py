@@ -18,14 +18,12 @@ from dlgmd_cli.commands.options import (
     input_options,
     of_files,
     report_options,
-    require_one_each,
     setup_options,
 )
 from dlgmd_cli.commands.plot import annotation_options
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.names import distinct_names, numbered
 from dlgmd_cli.parameters.checks import blame
 from dlgmd_cli.parameters.presets import (
     FORMULATIONS,
@@ -34,6 +32,7 @@ from dlgmd_cli.parameters.presets import (
     parse_overrides,
     reformulated,
 )
+from dlgmd_cli.results.names import distinct_names, numbered
 
 if TYPE_CHECKING:
     from dlgmd_cli.results.annotations import Annotations
@@ -87,6 +86,7 @@ def _setups(
 def labelled(setups: "list[Setup]", labels: tuple[str, ...]) -> "list[Setup]":
     """The setups with the given labels, one for each, or with distinct ones of their own."""
     from dlgmd_cli.results.csv import text_cell
+    from dlgmd_cli.tasks.call import require_one_each
 
     own = numbered([one.label for one in setups])
     require_one_each(

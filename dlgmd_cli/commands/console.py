@@ -7,7 +7,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
@@ -207,10 +207,7 @@ class Command(_WithSections):
 
 def _tell_own_defaults(ctx: click.Context) -> None:
     """Say which options have their values from the user's own file."""
-    from dlgmd_cli.commands.options import own_defaults
-
-    used = own_defaults(ctx)
-    if used:
+    if used := defaults.in_force(ctx):
         path = used.pop("file")
         tell(f"Settings from {printable(path)}: {', '.join(used)}.")
 
@@ -292,14 +289,6 @@ def say(message: str) -> None:
 def warn(message: str) -> None:
     """Print a warning on stderr, unless --quiet is given."""
     _log.warning("%s", message)
-
-
-def warn_outside(label: str, result: Any, collisions: Iterable[int]) -> None:
-    """Warn of collisions outside the frames of a result."""
-    first, last = int(result.frame[0]), int(result.frame[-1])
-    for frame in collisions:
-        if not first <= frame <= last:
-            warn(f"{label}: the collision at frame {frame} is outside frames {first} to {last}")
 
 
 def _show_line(message: str) -> None:

@@ -7,7 +7,9 @@ anybody's: what it may do is limited, and errors do not quote it.
 
 import os
 import re
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -152,16 +154,57 @@ def in_help(ctx: click.Context, param: click.Option, text: str) -> str:
     return re.sub(r"\s*\[default: [^\]]*\]$", "", text) + f"  [{ctx.meta[NAME]}: {shown}]"
 
 
-def used(ctx: click.Context) -> dict[str, Any]:
+def in_force(ctx: click.Context) -> dict[str, Any]:
     """The file and its defaults that are in force, for the record; empty if there are none."""
+    outdone = _outdone(ctx)
     chosen = {
         param.key: ctx.default_map[str(param.name)]
         for param in ctx.command.params
-        if isinstance(param, OwnDefault) and ctx.default_map and is_own(ctx, str(param.name))
+        if isinstance(param, OwnDefault) and ctx.default_map and _is_own(ctx, str(param.name))
     }
+    chosen = {key: value for key, value in chosen.items() if key not in outdone}
     return {"file": os.path.abspath(ctx.meta[NAME]), **chosen} if chosen else {}
 
 
-def is_own(ctx: click.Context, name: str) -> bool:
+def _is_own(ctx: click.Context, name: str) -> bool:
     """Whether the value of a parameter comes from the file."""
     return ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+
+
+def _outdone(ctx: click.Context) -> set[str]:
+    """The defaults of how the input is read that something more special outdoes.
+
+    That is --scale, or a file of --config: a run.yaml repeats its run, whatever the defaults are.
+    Without an INPUT, there is nothing that they apply to.
+    """
+    from dlgmd_cli.parameters.presets import load_config
+
+    own = {name for name in ("size", "mask", "decoder") if _is_own(ctx, name)}
+    if ctx.params.get("input_path", "") is None:
+        return own
+    outdone = {"size"} if ctx.params.get("scale") is not None else set()
+    configs = ctx.params.get("configs") or [ctx.params.get("config")]
+    for config in filter(None, configs if own else ()):
+        file = load_config(config)
+        outdone |= own if file.is_record else file.options.keys()
+        outdone |= {"size"} if "scale" in file.options else set()
+    return own & outdone
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """The options of the input, without the defaults that are outdone."""
+    return {**values, **dict.fromkeys(_outdone(click.get_current_context()))}
+
+
+def recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
+    """`collect` whose models have the defaults that are in force, for their records."""
+
+    def collected(**values: Any) -> Any:
+        found, own = collect(**values), in_force(click.get_current_context())
+        if not own:
+            return found
+        setups = found if isinstance(found, list) else [found]
+        marked = [replace(one, named={**one.named, "settings": own}) for one in setups]
+        return marked if isinstance(found, list) else marked[0]
+
+    return collected

@@ -74,14 +74,12 @@ def _frame_numbers(value: str) -> tuple[int, ...]:
 def layers(
     input_path: str,
     wanted: tuple[int, ...] | None,
-    collision_frame: int | None,
     labels_path: Path | None,
-    npz: bool,
     film_path: Path | None,
-    overlay: bool,
     setup: "Setup",
     given: dict[str, Any],
     output: Output,
+    **asked: Any,
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
 
@@ -95,25 +93,14 @@ def layers(
     writes a film of the input, S and G above the membrane potential; the heat maps are left out
     then, unless --frames is given.
     """
-    if overlay and film_path is None:
+    if asked["overlay"] and film_path is None:
         raise click.UsageError("--overlay works only with --video. Add --video film.mp4.")
-    if not wanted and film_path is not None and npz:
+    if not wanted and film_path is not None and asked["npz"]:
         raise click.UsageError("--npz writes the layers of --frames. Give --frames 1,50,65.")
-    if labels_path and collision_frame is not None:
+    if labels_path and asked["collision_frame"] is not None:
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
-    found = task.layers(
-        input_path,
-        wanted,
-        model=setup,
-        collision_frame=collision_frame,
-        collisions=labels_path,
-        npz=npz,
-        film=film_path,
-        overlay=overlay,
-        progress=progress,
-        **output.files,
-        **given,
-    )
+    asked |= {"collisions": labels_path, "film": film_path, **output.files}
+    found = task.layers(input_path, wanted, model=setup, progress=progress, **asked, **given)
     show(found)

@@ -33,8 +33,8 @@ from dlgmd_cli.commands.options import (
 from dlgmd_cli.commands.progress import is_lively
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.names import without_password
 from dlgmd_cli.video.base import PIXEL_FORMATS
+from dlgmd_cli.video.names import without_password
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Output

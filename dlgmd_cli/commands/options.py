@@ -4,9 +4,9 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,6 @@ from dlgmd_cli.parameters.presets import (
     preset_names,
 )
 from dlgmd_cli.video.base import INPUT_SPECS, parse_crop, parse_size
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from dlgmd_cli.tasks.setup import Setup
@@ -161,13 +160,6 @@ def distinct(ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]
         if names.count(name) > 1:
             raise click.BadParameter(f"{name[:40]!r} is given twice.", ctx, param)
     return values
-
-
-def require_one_each(labels: Sequence[str], n: int, noun: str, mend: str = "") -> None:
-    """Raise UsageError unless there is a --label for each of n things, or none."""
-    if labels and len(labels) != n:
-        given = f"--label is given {counted(len(labels), 'time')}, for {counted(n, noun)}."
-        raise click.UsageError(f"{given} {mend}".rstrip())
 
 
 def file_ending(example: str) -> Callable[[str], Path]:
@@ -352,50 +344,6 @@ def _naming_options(*, many: bool) -> list[Option]:
 ONE_MODEL = (*_naming_options(many=False), param_option, formulation_option)
 
 
-def _outdone(ctx: click.Context) -> set[str]:
-    """The own defaults of how the input is read that something more special outdoes.
-
-    That is --scale, or a file of --config: a run.yaml repeats its run, whatever the defaults are.
-    Without an INPUT, there is nothing that they apply to.
-    """
-    own = {name for name in ("size", "mask", "decoder") if defaults.is_own(ctx, name)}
-    if ctx.params.get("input_path", "") is None:
-        return own
-    outdone = {"size"} if ctx.params.get("scale") is not None else set()
-    configs = ctx.params.get("configs") or [ctx.params.get("config")]
-    for config in filter(None, configs if own else ()):
-        file = load_config(config)
-        outdone |= own if file.is_record else file.options.keys()
-        outdone |= {"size"} if "scale" in file.options else set()
-    return own & outdone
-
-
-def _given(**values: Any) -> dict[str, Any]:
-    """The options of the input."""
-    return {**values, **dict.fromkeys(_outdone(click.get_current_context()))}
-
-
-def own_defaults(ctx: click.Context) -> dict[str, Any]:
-    """The user's own file and its defaults that are in force; empty if there are none."""
-    own = {key: one for key, one in defaults.used(ctx).items() if key not in _outdone(ctx)}
-    return own if len(own) > 1 else {}  # nothing but the file's name
-
-
-def _recorded(collect: Callable[..., Any]) -> Callable[..., Any]:
-    """`collect` whose models have the user's own defaults that are in force, for their records."""
-
-    def collected(**values: Any) -> Any:
-        found, ctx = collect(**values), click.get_current_context()
-        own = own_defaults(ctx)
-        if not own:
-            return found
-        setups = found if isinstance(found, list) else [found]
-        marked = [replace(one, named={**one.named, "settings": own}) for one in setups]
-        return marked if isinstance(found, list) else marked[0]
-
-    return collected
-
-
 def setup_of(
     set_name: str | None,
     config: Path | None,
@@ -410,7 +358,7 @@ def setup_of(
     return choose(set_name, config, model, parse_overrides(pairs), formulation, engine)
 
 
-model_options = option_group("setup", _recorded(setup_of), *ONE_MODEL, engine_option)
+model_options = option_group("setup", defaults.recorded(setup_of), *ONE_MODEL, engine_option)
 parameter_options = option_group("setup", setup_of, *ONE_MODEL)
 
 
@@ -431,7 +379,7 @@ def setup_options(collect: Callable[..., Any], *more: Option) -> Option:
 
     `collect` gets `set_names`, `configs`, `models` and the values of the options `more`.
     """
-    return option_group("setups", _recorded(collect), *_naming_options(many=True), *more)
+    return option_group("setups", defaults.recorded(collect), *_naming_options(many=True), *more)
 
 
 # How the input is read.
@@ -491,10 +439,10 @@ _PICTURES = (
         "is scaled to the crop, or to the input.",
     ),
 )
-live_input_options = option_group("given", _given, *_PICTURES)
+live_input_options = option_group("given", defaults.given, *_PICTURES)
 input_options = option_group(
     "given",
-    _given,
+    defaults.given,
     *_PICTURES,
     click.option("--start", type=TIME, help="Start here: seconds, or HH:MM:SS.mmm."),
     click.option("--end", type=TIME, help="Stop before this time: seconds, or HH:MM:SS.mmm."),

@@ -1,12 +1,14 @@
 """`dlgmd sets`: list the parameter sets, or print one as YAML."""
 
+from typing import Any
+
 import click
 from click.shell_completion import CompletionItem
 
 from dlgmd_cli.commands.console import Command, Group, print_table
 from dlgmd_cli.commands.options import find_modules_here
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import nearest
+from dlgmd_cli.parameters.checks import Spec, nearest
 from dlgmd_cli.parameters.presets import (
     MODELS,
     PRESETS,
@@ -97,22 +99,7 @@ def show(name: str) -> None:
 
     NAME is a set (1 to 9), the preset flight, or a model such as lgmd or package.module:Class.
     """
-    import yaml
-
-    if name in PRESETS:
-        config, origin = load_config(name), f"The preset {name}, the default."
-    elif name in MODELS and name != DlgmdParameters.model:
-        config = load_model_preset(name)
-        origin = f"{MODELS[name].source}, and defaults."
-    elif ":" in name or name in installed_models():
-        if ":" in name:
-            find_modules_here()
-        config, origin = Config(name, model=find_model(name).model), "The defaults."
-    else:
-        config = _paper_set(name)
-        origin = (
-            f"Set {name.removeprefix('set')}; Table II of {DlgmdParameters.source}, and defaults."
-        )
+    config, origin = _named(name)
     params = parameters_of(config)
     click.echo(f"# {origin}")
     click.echo(f"model: {params.model}")
@@ -122,8 +109,28 @@ def show(name: str) -> None:
     ):
         click.echo(f"{f'{key}: {getattr(config, key):g}':<22} # {meaning}")
     for key, value in params.to_dict().items():
-        spec = params.specs()[key]
-        line = yaml.safe_dump({key: value}).strip()
-        unit = "" if spec.unit == "–" else f" ({spec.unit})"
-        symbol = "" if spec.symbol == "–" else f"{spec.symbol}: "
-        click.echo(f"{line:<22} # {symbol}{spec.meaning}{unit}; {spec.allowed}")
+        click.echo(_line(key, value, params.specs()[key]))
+
+
+def _named(name: str) -> tuple[Config, str]:
+    """The parameters of that name, and where they are from; raises ParameterError."""
+    if name in PRESETS:
+        return load_config(name), f"The preset {name}, the default."
+    if name in MODELS and name != DlgmdParameters.model:
+        return load_model_preset(name), f"{MODELS[name].source}, and defaults."
+    if ":" in name or name in installed_models():
+        if ":" in name:
+            find_modules_here()
+        return Config(name, model=find_model(name).model), "The defaults."
+    number = name.removeprefix("set")
+    return _paper_set(name), f"Set {number}; Table II of {DlgmdParameters.source}, and defaults."
+
+
+def _line(key: str, value: Any, spec: Spec) -> str:
+    """A parameter with its meaning as a comment."""
+    import yaml
+
+    line = yaml.safe_dump({key: value}).strip()
+    unit = "" if spec.unit == "–" else f" ({spec.unit})"
+    symbol = "" if spec.symbol == "–" else f"{spec.symbol}: "
+    return f"{line:<22} # {symbol}{spec.meaning}{unit}; {spec.allowed}"

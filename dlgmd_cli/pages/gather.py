@@ -11,11 +11,12 @@ from typing import Any
 from dlgmd_cli.errors import ResultError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.machine.pool import DONE
-from dlgmd_cli.names import distinct_names, numbered, picture_folder
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import ByVideo, Label, collision_frames, labels_of
+from dlgmd_cli.results.names import distinct_names, numbered
 from dlgmd_cli.results.reading import read_comparison, read_result
 from dlgmd_cli.results.result import Result
+from dlgmd_cli.video.names import picture_folder
 
 
 @dataclass(frozen=True)

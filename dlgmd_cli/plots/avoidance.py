@@ -16,8 +16,8 @@ from matplotlib.patches import Patch
 from dlgmd_cli.plots.curves import LEVELS, stretches
 from dlgmd_cli.plots.heat import BgrImage
 from dlgmd_cli.plots.style import BLACK, BLUE, GREY, ORANGE, house_style, plain
+from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Series
-from dlgmd_cli.words import threshold_text
 
 # Size of the film, and of the picture of a flight.
 WIDTH, HEIGHT = 1280, 720

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.errors import counted
 from dlgmd_cli.plots.style import (
     BLACK,
     DPI,
@@ -19,7 +20,6 @@ from dlgmd_cli.plots.style import (
     width_in,
 )
 from dlgmd_cli.scenes.stimuli.clip import ContactSheet
-from dlgmd_cli.words import counted
 
 _N_COLUMNS = 4
 # Width of two columns of a paper; greatest height of a frame, so that 12 fit on a page; and

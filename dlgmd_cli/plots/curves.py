@@ -22,8 +22,8 @@ from dlgmd_cli.plots.style import (
     Entries,
     plain,
 )
+from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Flags, Result, Series
-from dlgmd_cli.words import threshold_text
 
 # Least span of the vertical axis, so that rounding errors do not look like an event.
 MIN_SPAN_DB = 5.0

@@ -16,8 +16,8 @@ from dlgmd_cli.plots.curves import LEVEL_NAMES, LEVELS, stretches, thinned
 from dlgmd_cli.plots.heat import INPUT_SCALE, BgrImage, FloatImage, Scale, add_bar, strongest
 from dlgmd_cli.plots.overlay import mark_centroid
 from dlgmd_cli.plots.style import BLUE, GREY, LIGHT_GREY, ORANGE, house_style, plain
+from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.words import threshold_text
 
 WIDTH, HEIGHT = 1280, 720
 

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import DlgmdError, printable
+from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import Table, table_of
+from dlgmd_cli.results.names import frames_text
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
     from upath import UPath

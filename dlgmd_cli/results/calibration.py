@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli import __version__
-from dlgmd_cli.errors import DlgmdError, printable
+from dlgmd_cli.errors import DlgmdError, counted, printable
 from dlgmd_cli.models.detection import Flags, absolute
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
@@ -23,7 +23,6 @@ from dlgmd_cli.results.evaluation import ALL, interval_text, left_out, scores_js
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import yaml_text
 from dlgmd_cli.results.scoring import Scores, Signal, Tally, curve, tally, thresholds
-from dlgmd_cli.words import counted
 
 WIDTH = "width_px"
 # Numbers of successive spikes that are tried.

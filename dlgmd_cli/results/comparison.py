@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from dlgmd_cli.errors import counted
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import identity_in, record_text
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.words import counted
 
 INFINITE_DISTINGUISHABILITY = (
     "inf: the membrane potential is 0 within 5 frames of the false positive."

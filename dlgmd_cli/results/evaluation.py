@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from dlgmd_cli.errors import DlgmdError, ParameterError
+from dlgmd_cli.errors import DlgmdError, ParameterError, counted
 from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.csv import Table, table_of, write_values
 from dlgmd_cli.results.labels import Case, of_kind
+from dlgmd_cli.results.names import threshold_text
 from dlgmd_cli.results.outcome import Outcome, Shown
 from dlgmd_cli.results.record import record_text
 from dlgmd_cli.results.scoring import (
@@ -40,7 +41,6 @@ from dlgmd_cli.results.stopping import (
     stop_curve,
     tally_flights,
 )
-from dlgmd_cli.words import counted, threshold_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -147,6 +147,15 @@ def collision_frames(labels: Iterable[Label]) -> list[int]:
     return [one.collision_frame for one in labels if one.collision_frame is not None]
 
 
+def tell_outside(label: str, frames: Sequence[int], collisions: Iterable[int]) -> None:
+    """Warn of collisions that are not within the frames of a result, called `label`."""
+    first, last = int(frames[0]), int(frames[-1])
+    for frame in collisions:
+        if not first <= frame <= last:
+            said = "%s: the collision at frame %d is outside frames %d to %d"
+            _log.warning(said, label, frame, first, last)
+
+
 def _label(path: Path, number: int, row: dict[str, str], further: list[str]) -> Label:
     video, frame = row.get("video", "").strip(), row.get("collision_frame")
     if video and frame is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from dlgmd_cli.errors import ResultError, SourceError
 from dlgmd_cli.results.record import read_record
-from dlgmd_cli.results.store import RUN, is_url
+from dlgmd_cli.results.store import RUN, is_url, records_below
 from dlgmd_cli.video.opening import fingerprint
 
 _MEND = "Run 'dlgmd batch' again."
@@ -24,7 +24,7 @@ class StoredResults:
 
     def __init__(self, place: Path) -> None:
         self._place = place
-        records = {path.parent: read_record(path) for path in sorted(place.rglob(RUN))}
+        records = {path.parent: read_record(path) for path in records_below(place, RUN)}
         found = {folder: record.get("input", {}) for folder, record in records.items()}
         # What the record of each result says of its input.
         self._inputs = {folder: facts for folder, facts in found.items() if facts.get("path")}

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -181,3 +182,18 @@ class Outcome:
         where = store.place(folder), self.RECORD, identity
         with store.claimed(*where, names=names, overwrite=overwrite) as claim:
             self.write(claim, formats, dpi, **how)
+
+
+@dataclass(frozen=True, eq=False)
+class Written(Outcome):
+    """Files that a task has written of what there was before: figures, pages, a report.
+
+    `said` is what a terminal shows above the paths.
+    """
+
+    paths: tuple[Path, ...]
+    said: tuple[Shown, ...] = ()
+
+    def shown(self) -> Iterator[Shown]:
+        """What there is to say, and where the files are."""
+        yield from (*self.said, *self.paths)

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.errors import counted
 from dlgmd_cli.models.detection import LEAST_PEAK, AlarmSpan, absolute, detect, sequence, spans
-from dlgmd_cli.names import recorded_name
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import csv, store
+from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
 from dlgmd_cli.results.record import (
     identity_in,
     record_text,
 )
 from dlgmd_cli.results.rows import ROW, Rows
-from dlgmd_cli.words import counted, frames_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

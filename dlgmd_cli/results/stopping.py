@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dlgmd_cli.errors import counted
 from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, Signal, kinds, onset_thresholds
-from dlgmd_cli.words import counted
 
 STOP_MEASURES = (
     *("drones", "saved", "impact_m_s", "stopped_m"),

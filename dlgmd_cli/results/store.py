@@ -130,12 +130,18 @@ def with_results(paths: Iterable[Path]) -> list[Path]:
         if tree is None:
             found.append(path)
             continue
-        below = {one.parent for record in (RUN, COMPARISON) for one in tree.rglob(record)}
+        below = {path.parent for path in records_below(tree, RUN, COMPARISON)}
         if not below:
             why = f"contains no result (no {RUN} or {COMPARISON})"
             raise ResultError(str(tree), why, "Run 'dlgmd run' or 'dlgmd batch' first.")
         found += sorted(below - set(found))
     return found
+
+
+def records_below(tree: Path, *records: str) -> list[Path]:
+    """The records below a folder, sorted; not those of results that a killed process left half."""
+    paths = (path for record in records for path in tree.rglob(record) if path.is_file())
+    return sorted(path for path in paths if not path.parent.name.startswith(PREFIX))
 
 
 def check(

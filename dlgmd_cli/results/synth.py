@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import DlgmdError
+from dlgmd_cli.errors import DlgmdError, counted
 from dlgmd_cli.results import labels, store
 from dlgmd_cli.results.csv import Table, write_values
 from dlgmd_cli.results.outcome import Outcome, Shown
-from dlgmd_cli.words import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)

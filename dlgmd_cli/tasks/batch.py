@@ -21,6 +21,7 @@ from dlgmd_cli.errors import (
     OutputExistsError,
     ParameterError,
     SourceError,
+    counted,
 )
 from dlgmd_cli.machine import cancel, dask, pool
 from dlgmd_cli.machine.pool import DONE, FAILED, Ended
@@ -42,7 +43,6 @@ from dlgmd_cli.tasks.setup import (
     with_folder_labels,
 )
 from dlgmd_cli.video.clips import refuse_clips
-from dlgmd_cli.words import counted
 
 if TYPE_CHECKING:
     from upath import UPath

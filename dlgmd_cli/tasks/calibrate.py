@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, printable
+from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, counted, printable
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import Flags
 from dlgmd_cli.parameters.checks import Spec
@@ -33,7 +33,6 @@ from dlgmd_cli.tasks.call import Progress, fold, no_progress
 from dlgmd_cli.tasks.evaluate import rules_of, run_cases, scored
 from dlgmd_cli.tasks.search import Search, Trial, parse_range, with_values
 from dlgmd_cli.tasks.setup import Asked, ModelName, Setup
-from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 

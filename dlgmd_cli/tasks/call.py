@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from dlgmd_cli.errors import ParameterError, counted
 from dlgmd_cli.results import store
 from dlgmd_cli.tasks.setup import Asked, ModelName, choose_all, common_options
 from dlgmd_cli.video.clips import clips_of, make_clips, spans_of
@@ -54,6 +55,13 @@ def fold(
         given["input_fps"] = given.pop("fps", None)
     setups = choose_all(models, set, config, model, param, formulation, engine)
     return Asked(tuple(setups), common_options(setups if repeats_record else (), given))
+
+
+def require_one_each(labels: Sequence[str], n: int, noun: str, mend: str = "") -> None:
+    """Raise ParameterError unless there is a label for each of n things, or none."""
+    if labels and len(labels) != n:
+        why = f"--label is given {counted(len(labels), 'time')}, for {counted(n, noun)}"
+        raise ParameterError("", why, mend)
 
 
 @contextmanager

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from dlgmd_cli.errors import SourceError
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.names import distinct_names, is_video
+from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
 from dlgmd_cli.video.base import Unreadable
 from dlgmd_cli.video.images import MIN_PICTURES, read_image
 from dlgmd_cli.video.images import SUFFIXES as PICTURES
+from dlgmd_cli.video.names import is_video
 from dlgmd_cli.video.opening import fingerprint
 
 if TYPE_CHECKING:

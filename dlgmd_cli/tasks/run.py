@@ -10,16 +10,16 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from dlgmd_cli.errors import ParameterError, SourceError
+from dlgmd_cli.errors import ParameterError, SourceError, counted
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.names import numbered
 from dlgmd_cli.results import store
 from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.comparison import Comparison
 from dlgmd_cli.results.labels import first_collision
+from dlgmd_cli.results.names import numbered
 from dlgmd_cli.results.record import packed_flags
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import RowList, Rows
@@ -40,7 +40,6 @@ from dlgmd_cli.video.opening import Openable, content_sha256
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
-from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 

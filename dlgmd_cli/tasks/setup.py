@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.names import numbered
 from dlgmd_cli.parameters.checks import blame, require_known
 from dlgmd_cli.parameters.presets import (
     DEFAULT_MODEL_FPS,
@@ -25,6 +24,7 @@ from dlgmd_cli.parameters.presets import (
     load_preset,
     merge,
 )
+from dlgmd_cli.results.names import numbered
 from dlgmd_cli.video.opening import Openable, processed_size
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.source import Video

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError
+from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError, WorkerError, counted
 from dlgmd_cli.frame import Frame
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import PREFIX, staging
@@ -50,7 +50,6 @@ from dlgmd_cli.video.opening import Openable
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.prefetch import opencv_threads, read_ahead
 from dlgmd_cli.video.source import Video
-from dlgmd_cli.words import counted
 
 _log = logging.getLogger(__name__)
 

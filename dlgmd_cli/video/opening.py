@@ -12,7 +12,6 @@ from typing import Any
 
 from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.frame import RATE_TOLERANCE, sampling_step
-from dlgmd_cli.names import input_name, without_password
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.arrays import NAME, SUFFIX, ArrayDecoder, load_array
@@ -30,6 +29,7 @@ from dlgmd_cli.video.base import (
 from dlgmd_cli.video.fields import has_analog_size, is_combed
 from dlgmd_cli.video.images import ImageDecoder, pictures_at
 from dlgmd_cli.video.mistaken import RE_ENCODE, mistaken
+from dlgmd_cli.video.names import input_name, without_password
 from dlgmd_cli.video.opencv import OpenCVDecoder
 from dlgmd_cli.video.pyav import PyAVDecoder, details_of, has_av, import_av
 from dlgmd_cli.video.region import Region, read_mask

@@ -12,7 +12,7 @@ from dlgmd_cli.results.outcome import Outcome, drawn_by
 
 PACKAGE = Path(dlgmd_cli.__file__).parent
 STEPS = [
-    {"errors", "names", "words"},
+    {"errors"},
     {"frame"},
     {"parameters"},
     {"machine"},

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from dlgmd_cli.names import distinct_names, input_name, numbered, recorded_name
+from dlgmd_cli.results.names import distinct_names, numbered, recorded_name
+from dlgmd_cli.video.names import input_name
 
 
 @pytest.mark.parametrize(

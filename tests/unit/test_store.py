@@ -1,6 +1,7 @@
 """One write: what stands is kept until all that is new is complete, whatever goes wrong."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -260,3 +261,10 @@ def test_the_record_goes_first_and_comes_last(tmp_path, monkeypatch):
     make_result([0, 1, 3]).save(tmp_path, overwrite=True)
     assert arrived[-1] == (store.RUN, False) and len(arrived) == 5
     assert not any(has_record for _, has_record in arrived)
+
+
+def test_what_a_killed_process_left_is_no_result(tmp_path):
+    make_result([1.0, 2.0]).save(tmp_path / "a", [])
+    shutil.copytree(tmp_path / "a", tmp_path / "a" / f"{PREFIX}left")
+    assert store.with_results([tmp_path]) == [tmp_path / "a"]
+    assert store.records_below(tmp_path, store.RUN) == [tmp_path / "a" / store.RUN]

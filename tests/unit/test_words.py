@@ -2,7 +2,8 @@
 
 import pytest
 
-from dlgmd_cli.words import counted, frames_text, threshold_text
+from dlgmd_cli.errors import counted
+from dlgmd_cli.results.names import frames_text, threshold_text
 
 
 def test_one_video_is_no_videos():

@@ -1,0 +1,215 @@
+"""Web pages of stored results: one for each input, and an index of several."""
+
+import logging
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import Any
+from urllib.parse import quote
+
+from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, counted, printable
+from dlgmd_cli.pages.film import render
+from dlgmd_cli.pages.gather import Gathered, Input, LabelledResult, collisions_of, gather
+from dlgmd_cli.pages.page import (
+    Index,
+    Part,
+    Score,
+    index_of,
+    index_page,
+    index_rows,
+    library,
+    page,
+    require_packages,
+    thumbnail_row,
+)
+from dlgmd_cli.parameters.presets import find_model
+from dlgmd_cli.results import store
+from dlgmd_cli.results.candidates import signal_of
+from dlgmd_cli.results.labels import Case, read_by_video, tell_outside
+from dlgmd_cli.results.names import numbered, recorded_name
+from dlgmd_cli.results.outcome import Written
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, HORIZON_S, kinds
+from dlgmd_cli.tasks.call import Progress, no_progress
+from dlgmd_cli.video.writer import best_codec
+
+_log = logging.getLogger(__name__)
+
+# Greatest number of characters of a page's name; and the size in bytes from which on a page is too
+# large for most mailboxes.
+_MAX_NAME, _LARGE_BYTES = 80, 25_000_000
+
+
+def view(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    frames: Sequence[int] = (),
+    labels: Path | None = None,
+    input_path: str | None = None,
+    film_width_px: int = 480,
+    models: Iterable[str] = (),
+    film: bool = True,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> Written:
+    """Make a web page of results, as `dlgmd view` does: a page, or an index with a page an input.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders of results, or trees of them.
+    out : Path
+        Folder for ``view-NAME.html``, or a file that ends in ``.html``.
+    frames : sequence of int
+        Frames of collisions, if the results are of one input.
+    labels : Path, optional
+        Table of the videos' collisions.
+    input_path : str, optional
+        Where the one input is now.
+    film_width_px : int
+        Greatest width of the films.
+    models : iterable of str
+        Models of one's own, as ``module:Class``, that may be imported for the films.
+    film : bool
+        Whether the pages have films.
+    overwrite : bool
+        Whether earlier pages may be replaced.
+    progress
+        As in `batch`.
+
+    Raises
+    ------
+    ParameterError
+        If `frames` or `input_path` are given for several inputs, or there is no such model.
+    ResultError
+        If there is no result, or one of its files is damaged.
+    OutputError, OutputExistsError
+        If a page cannot be written, or may not be replaced.
+    """
+    require_packages()
+    for model in models:
+        find_model(model, "Invalid value for '--model'")
+    gathered = gather(paths, read_by_video(labels) if labels else {})
+    first, *others = gathered.inputs
+    for option, is_given, mend in (
+        ("--collision-frame", frames, "Give a table with --labels."),
+        ("--input", input_path, ""),
+    ):
+        if is_given and others:
+            raise ParameterError("", f"{option} works only with results of one input", mend)
+    is_one = not (others or gathered.is_batch)
+    if out.suffix.lower() != ".html":
+        known = first.results[0].result.record["input"]
+        name = recorded_name(known) if is_one else paths[0].absolute().name
+        out = out / f"view-{_stem(name) or 'results'}.html"
+    request = _Request(tuple(frames), input_path, film_width_px, film, progress)
+    # Without a lock: a batch may be writing into its own folders below.
+    with store.claimed(out.parent, names=[out.name], overwrite=overwrite, locks=False) as claim:
+        if is_one:
+            _write_page(claim, out.name, first, request)
+        else:
+            _write_index(claim, out, gathered, request, overwrite=overwrite)
+    return Written((out,))
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What the pages are to show, and the progress of their films."""
+
+    frames: tuple[int, ...]
+    input_path: str | None
+    film_width_px: int
+    film: bool
+    progress: Progress
+
+
+def _stem(name: str) -> str:
+    """A name, which may be of any bytes, as that of a file without its suffix."""
+    return store.fitting(printable(name[:_MAX_NAME]).replace("\\", "-"))
+
+
+def _link(name: str) -> str:
+    """A file's name, which may have any bytes, as part of a link."""
+    return quote(os.fsencode(name))
+
+
+def _write_index(
+    claim: store.Claim, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
+) -> None:
+    """Write a page for each input into a folder beside the index, then the index."""
+    folder = out.with_name(f"{out.stem}-pages")
+    flat = [printable(one.name).replace("/", "-").replace("\\", "-") for one in gathered.inputs]
+    names = [f"{store.fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])]
+    index = index_of(gathered, f"../{_link(out.name)}")
+    rows = []
+    with store.claimed(folder, names=names, overwrite=overwrite) as pages:
+        name, text = library()  # its version is in its name
+        pages.write({name: store.file_of(text)})
+        for one, name in zip(gathered.inputs, names, strict=True):
+            href = f"{_link(folder.name)}/{_link(name)}"
+            rows += _write_page(pages, name, one, request, index, href)
+        claim.write({out.name: store.file_of(index_page(rows, gathered.failed, index))})
+    if gathered.failed:
+        n_failed = counted(len(gathered.failed), "failed video")
+        _log.info("The index lists %s at its end.", n_failed)
+
+
+def _write_page(
+    claim: store.Claim,
+    name: str,
+    one: Input,
+    request: _Request,
+    index: Index | None = None,
+    href: str = "",
+) -> list[dict[str, Any]]:
+    """Write the page of an input; returns its rows of the index, which link to `href`."""
+    known = collisions_of(one, request.frames)
+    collisions = known or []
+    tell_outside(one.name, one.results[0].result.frame, collisions)
+    if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
+        until = [replace(r, result=r.result.until(collisions[0])) for r in one.results]
+        one = replace(one, results=tuple(until))
+    no_film = "" if request.film else "--no-film was given."
+    if not no_film and best_codec() != "h264":
+        no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
+        _log.warning("%s: no film: %s", one.name, no_film.rstrip("."))
+    parts = [_part(one, each, request, no_film) for each in one.results]
+    text = page(one, parts, collisions, index)
+    if len(text) > _LARGE_BYTES:
+        what, size = printable(str(claim.folder / name)), len(text) / 1e6
+        _log.info("%s has %.0f MB. A smaller --film-width makes it smaller.", what, size)
+    claim.write({name: store.file_of(text)})
+    scores = [None if known is None else _score(part.result, known) for part in parts]
+    return index_rows(one, href, parts, known, scores)
+
+
+def _score(result: Result, collisions: list[int]) -> Score | None:
+    """The alarms of a result, counted as 'dlgmd evaluate' does; None if it cannot be."""
+    try:
+        signal = signal_of(result, Case("", "", tuple(collisions), ()))
+    except SourceError:  # it was interrupted, or a collision is outside
+        return None
+    kind, collision = (found[result.alarm_onsets] for found in kinds(signal, HORIZON_S))
+    n_hits = len({*collision[kind == HIT].tolist()})
+    n_false = int(((kind == FALSE) | (kind == EARLY)).sum())
+    return Score(n_hits, len(collisions) - n_hits, n_false)
+
+
+def _part(one: Input, labelled: LabelledResult, request: _Request, no_film: str) -> Part:
+    """A result of an input, with its film, or the reason why it has none."""
+    label, result = labelled.label, labelled.result
+    if no_film:
+        return Part(label, result, None, no_film)
+    n_frames = result.record["input"].get("frames") or len(result)
+    path, row = request.input_path or one.path, thumbnail_row(result)
+    try:
+        with request.progress(f"{one.name} · {label}", 2 * n_frames, "frame") as on_frame:
+            film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
+    except DlgmdError as error:
+        _log.warning("%s · %s: no film: %s", one.name, label, error.line.rstrip("."))
+        # Pages are shared: they do not name the folder of the file.
+        why = f"{PurePath(error.what).name}: {error.why}." if error.what else error.line
+        return Part(label, result, None, why)
+    return Part(label, result, film)

@@ -1,0 +1,51 @@
+"""What a result is called, and how its numbers are written in sentences."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.video.names import input_name
+
+
+def recorded_name(known: Mapping[str, Any]) -> str:
+    """Name of the input that the item `input` of a record describes; it need not exist any more."""
+    path = str(known.get("path", ""))
+    return str(known.get("name") or input_name(path, are_pictures="pictures" in known))
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """The names in their order; repeated ones get (2), (3) … appended."""
+    distinct: list[str] = []
+    for name in names:
+        candidate, number = name, 1
+        while candidate in distinct:
+            number += 1
+            candidate = f"{name} ({number})"
+        distinct.append(candidate)
+    return distinct
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """The last part of each path, or as many parts as it takes to make the names distinct."""
+    all_parts = [Path(os.path.abspath(path)).parts for path in paths]
+    names = []
+    for parts in all_parts:
+        others = [other for other in all_parts if other != parts]
+        n = 1
+        while n < len(parts) and any(other[-n:] == parts[-n:] for other in others):
+            n += 1
+        names.append("/".join(parts[-n:]))
+    return numbered(names)
+
+
+def frames_text(record: Mapping[str, Any]) -> str:
+    """How many frames of an input were processed: 60, or 60 of 120."""
+    n, n_read = record["processed"]["frames"], record["input"]["frames"]
+    return f"{n}" if n == n_read else f"{n} of {n_read}"
+
+
+def threshold_text(value: float, digits: int = 4) -> str:
+    """A number in a few digits, but in nine where these would round it up to 1."""
+    text = f"{value:.{digits}g}"
+    return text if value >= 1.0 or float(text) < 1.0 else f"{value:.9g}"

@@ -1,0 +1,181 @@
+"""Figures of stored results: membrane potential, attenuation, spikes, or all of them."""
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dlgmd_cli.errors import ParameterError, ResultError, printable
+from dlgmd_cli.results import store
+from dlgmd_cli.results.annotations import NONE, Annotations
+from dlgmd_cli.results.labels import collision_frames, labels_of, read_by_video, tell_outside
+from dlgmd_cli.results.names import distinct_names, numbered
+from dlgmd_cli.results.outcome import Written
+from dlgmd_cli.results.reading import read_comparison, read_result
+from dlgmd_cli.results.result import Result
+from dlgmd_cli.tasks.call import require_one_each
+
+_log = logging.getLogger(__name__)
+
+COLUMNS = {"absolute": "mp_abs", "sequence": "mp_seq"}
+# Greatest number of characters of a figure's name.
+_MAX_NAME = 100
+
+
+def plot(
+    kind: str,
+    paths: Sequence[Path],
+    out: Path,
+    annotations: Annotations = NONE,
+    *,
+    labels: Sequence[str] = (),
+    emphasise: str | None = None,
+    collisions: Path | None = None,
+    xlim: tuple[float, float] | None = None,
+    ylim: tuple[float, float] | None = None,
+    normalise: str | None = None,
+    width: Any = "one",
+    formats: Sequence[str] = ("png",),
+    dpi: int = 200,
+    overwrite: bool = False,
+) -> Written:
+    """Draw stored results, as `dlgmd plot` does.
+
+    Parameters
+    ----------
+    kind : "mp", "attenuation", "spikes" or "overview"
+        What to draw, see `plots.traces.plot`, which also explains the arguments that are not below.
+    paths : sequence of Path
+        Folders of results, or trees of them, or a ``compare.csv``.
+    out : Path
+        Folder for ``KIND-NAME`` in the `formats`, or a file that ends in one of them.
+    labels : sequence of str
+        Names of the results in the legend; those of their folders unless given.
+    collisions : Path, optional
+        Table of labels; the collisions of each result are drawn, and what follows the last one is
+        left out.
+    normalise : "absolute" or "sequence", optional
+        Which normalised potential to draw; the one that the spikes follow unless given.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one label a result, no result is called as `emphasise` says, or `xlim` shows
+        no frame.
+    ResultError
+        If there is no result, or one of its files is damaged.
+    OutputError, OutputExistsError
+        If the figure cannot be written, or may not be replaced.
+    """
+    found = _read(store.with_results(paths))
+    require_one_each(labels, len(found), "result")
+    shown = labels or numbered([name for name, _ in found])
+    results = {label: result for label, (_, result) in zip(shown, found, strict=True)}
+    if emphasise and emphasise not in results:
+        known = ", ".join(map(printable, results))
+        why = f"no result is called {printable(emphasise)}"
+        raise ParameterError("--emphasise", why, f"Choose from {known}.")
+    contacts = _collisions(collisions, results) if collisions else {}
+    results = {
+        label: result.until(max(contacts.get(label, ()), default=annotations.collision_frame))
+        for label, result in results.items()
+    }
+    look: Any = {"width": width, "emphasise": emphasise, "xlim": xlim, "ylim": ylim}
+    look |= {"column": _column(kind, normalise, results), "collisions": contacts}
+    _check_times(results, annotations, xlim)
+    # Only now, as importing Matplotlib takes time.
+    from dlgmd_cli.plots.style import save_figure
+    from dlgmd_cli.plots.traces import plot as draw
+
+    figure = draw(kind, results, annotations, **look)
+    folder, names = out, [f"{kind}-{_stem(paths)}.{form}" for form in dict.fromkeys(formats)]
+    if out.suffix.lower().endswith(store.PLOT_FORMATS):
+        folder, names = out.parent, [out.name]
+    files = dict.fromkeys(names, partial(save_figure, figure, dpi=dpi))
+    # Without a lock: a batch may be writing into its own folders below.
+    with store.claimed(folder, names=files, overwrite=overwrite, locks=False) as claim:
+        return Written(claim.write(files))
+
+
+def _folder(path: Path) -> Path:
+    """The folder of a path, which may be that of the table of a comparison or a batch in it."""
+    return path.absolute().parent if path.name in ("compare.csv", store.SUMMARY) else path
+
+
+def _stem(paths: Sequence[Path]) -> str:
+    """The names of all that was given, cut off if they get too long for a file name."""
+    names = "-".join(Path(os.path.abspath(_folder(path))).name or "root" for path in paths)
+    return store.fitting(names[:_MAX_NAME])
+
+
+def _read(paths: Sequence[Path]) -> list[tuple[str, Result]]:
+    """Every result with its name.
+
+    With several comparisons, each name begins with that of its comparison.
+    """
+    folders = [_folder(path) for path in paths]
+    are_compared = []
+    for path, folder in zip(paths, folders, strict=True):
+        if path.suffix.lower() == ".csv" and path.name != "compare.csv":
+            why = "is one file of a result"
+            raise ResultError(str(path), why, "Give the folder that holds it.")
+        has_run, has_comparison = (
+            (folder / record).exists() for record in (store.RUN, store.COMPARISON)
+        )
+        are_compared.append(folder is not path or (has_comparison and not has_run))
+        if has_run and has_comparison and folder is path:
+            table = path / "compare.csv"
+            _log.info("Note: %s holds a run and a comparison; for that, give %s.", path, table)
+    results = []
+    for folder, name, is_compared in zip(
+        folders, distinct_names(folders), are_compared, strict=True
+    ):
+        if is_compared:
+            prefix = f"{name}: " if sum(are_compared) > 1 else ""
+            compared = read_comparison(folder).items()
+            results += [(f"{prefix}{label}", result) for label, result in compared]
+        else:
+            results.append((name, read_result(folder)))
+    return results
+
+
+def _collisions(path: Path, results: Mapping[str, Result]) -> dict[str, list[int]]:
+    """The labelled collision frames of each result; warns of those that cannot be shown."""
+    known, found = read_by_video(path), {}
+    for label, result in results.items():
+        listed = labels_of(known, str(result.record["input"].get("path")))
+        if listed is None:
+            _log.warning("%s does not list the video of %s", path, label)
+            continue
+        found[label] = collision_frames(listed)
+        tell_outside(label, result.frame, found[label])
+    return found
+
+
+def _column(kind: str, normalise: str | None, results: Mapping[str, Result]) -> str:
+    """The column of the potential to draw; warns if the results were normalised differently."""
+    if normalise:
+        return COLUMNS[normalise]
+    if kind != "attenuation" and len({result.by_sequence for result in results.values()}) > 1:
+        _log.warning(
+            "the results were normalised in different ways before the threshold was applied; "
+            "--normalise draws them alike"
+        )
+    return "level"
+
+
+def _check_times(
+    results: Mapping[str, Result], annotations: Annotations, xlim: tuple[float, float] | None
+) -> None:
+    """Raise ParameterError if the limits show no frame, and warn of annotations outside."""
+    from dlgmd_cli.plots.timeline import Timeline
+
+    timeline = replace(Timeline.of(results.values()), limits=xlim)
+    if xlim and not (xlim[0] < timeline.end_s and timeline.start_s < xlim[1]):
+        times = f"{timeline.start_s:.6g} to {timeline.end_s:.6g} s"
+        raise ParameterError("", f"--xlim shows no frame: the results are from {times}")
+    for line in annotations.outside(*timeline.frames):
+        _log.warning("%s", line)
