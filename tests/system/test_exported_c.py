@@ -229,7 +229,10 @@ def test_no_floating_point_exception(tmp_path, params, compiler):
     (folder / "traps.c").write_text(TRAPS)
     fault = "int main(void) { volatile float zero = 0; return (int)(1 / zero); }"
     (folder / "fault.c").write_text(fault)
-    for name, sources in (("all", ["example.c", "dlgmd.c", "dlgmd_health.c"]), ("fault", ["fault.c"])):
+    for name, sources in (
+        ("all", ["example.c", "dlgmd.c", "dlgmd_health.c"]),
+        ("fault", ["fault.c"]),
+    ):
         command = [compiler, "-O2", "-o", name, *sources, "traps.c", "-lm"]
         subprocess.run(command, cwd=folder, check=True)
     assert subprocess.run(["./fault"], cwd=folder).returncode < 0

@@ -55,7 +55,11 @@ def test_the_example_prints_csv(runs, tmp_path):
     runs("export", "c", "--size", "16x16", "--out", "x")
     make(tmp_path / "x")
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
-    assert printed[:3] == ["frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s,blind", "0,,,0,0,,,,", "1,,,0,0,,,,"]
+    assert printed[:3] == [
+        "frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s,blind",
+        "0,,,0,0,,,,",
+        "1,,,0,0,,,,",
+    ]
     assert len(printed) == 21 and printed[3].startswith("2,")
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
         make(tmp_path / "x", "--eval=play: ; head -c 300 frames.gray | ./dlgmd", "play")
