@@ -441,15 +441,18 @@ class Photoreceptors:
         return self._p_sums[delay] if delay < len(self._p_sums) else math.nan
 
     def _check(self, luminance: Grey) -> None:
-        given = f"{luminance.dtype} of shape {luminance.shape}"
-        if luminance.ndim != 2 or luminance.dtype not in _TYPES or luminance.size == 0:
-            why = f"{given} is not a float32 or uint8 image (H, W)"
+        shape, kind = luminance.shape, luminance.dtype
+        if luminance.ndim != 2 or kind not in _TYPES or luminance.size == 0:
+            why = f"{kind} of shape {shape} is not a float32 or uint8 image (H, W)"
             mend = "Give luminance in 0..1, for example gray.astype(np.float32) / 255."
             raise FrameError("frame", why, mend)
-        if self.hidden is not None and self.hidden.shape != luminance.shape:
-            why = f"the cells to ignore are {self.hidden.shape}, the frame is {luminance.shape}"
+        if self.hidden is not None and self.hidden.shape != shape:
+            why = f"the cells to ignore are {self.hidden.shape}, the frame is {shape}"
             raise FrameError("frame", why, "Give both in the same shape.")
-        before = given if self.frame < 0 else f"{self.current.dtype} of shape {self.current.shape}"
-        if given != before:
-            why = f"{given}, but the frames before are {before}"
+        if self.frame < 0:
+            return
+        before = self.current.shape, self.current.dtype
+        if (shape, kind) != before:
+            why = "{1} of shape {0}, but the frames before are {3} of shape {2}"
+            why = why.format(shape, kind, *before)
             raise FrameError("frame", why, "Call reset() between videos.")

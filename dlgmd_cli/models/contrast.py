@@ -25,6 +25,8 @@ from dlgmd_cli.parameters.presets import ContrastParameters
 
 # Number of cells that is enough to estimate the lower quartile.
 MAX_QUARTILE_CELLS = 10_000
+# It is mostly below so many grey levels.
+FEW_LEVELS = 4
 # The picture is moved if less than this share of the change is left.
 MAX_LEFT = 0.95
 # Frame rate where neither times nor `w_fps` tell.
@@ -302,6 +304,10 @@ def lower_quartile(change: Grey, hidden: Flags | None = None) -> float:
     some = some.ravel() if hidden is None else some[~hidden[::step, ::step]]
     rank = some.size // 4
     if some.dtype == np.uint8:  # faster than to sort
+        for level in range(FEW_LEVELS):  # faster than a histogram
+            n_above = cv2.countNonZero(cv2.threshold(some, level, 1, cv2.THRESH_BINARY)[1])
+            if some.size - n_above > rank:
+                return float(level)
         counts = cv2.calcHist([some], [0], None, [256], [0, 256])
         return float(np.searchsorted(counts.cumsum(dtype=float), rank, side="right"))
     return float(np.partition(some, rank)[rank])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.models.base import FloatImage, Grey
 
@@ -18,6 +19,9 @@ from dlgmd_cli.models.base import FloatImage, Grey
 Window = tuple[int, int, int, int]
 # Rows and columns.
 Shift = tuple[int, int]
+# Of each cell of a side: the cell before it, how far it is beyond that, and 1.0 where both it and
+# the next one are in the picture; None where all are. Shape (n,) each.
+_Side = tuple[npt.NDArray[np.intp], FloatImage, FloatImage | None]
 
 # The picture is reduced by a whole factor to at least so many columns.
 REDUCED_PX = 120
@@ -46,8 +50,9 @@ REACH, LEAST_REACH = 1.6, 6
 LOCAL_SHARE = 0.5
 # Below this expansion, in 1/s, there is no time to contact.
 LEAST_RATE = 0.1
-# What `cv2.gemm` would add to a product.
-_NOTHING: FloatImage = np.empty((0, 0), np.float32)
+# The same as a factor of the normal equations, and what is added to them.
+_RELATIVE = 1.0 + RIDGE * np.eye(4)
+_ABSOLUTE = np.diag([RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE])
 
 
 class Motion(NamedTuple):
@@ -166,49 +171,85 @@ def fitted(
     No motion is found if less than a quarter of the window is still in the picture.
     """
     top, bottom, left, right = window
-    y, x = _places(bottom - top)[:, None], _places(right - left)[None, :]
-    patch = before[top - 1 : bottom + 1, left - 1 : right + 1]
-    g_y, g_x = (
-        cv2.Sobel(patch, cv2.CV_32F, *order, scale=0.125)[1:-1, 1:-1] for order in ((0, 1), (1, 0))
-    )
-    slopes = np.stack((g_y, g_x, g_y * y, g_x * x)).reshape(4, -1)
-    inside, found = before[top:bottom, left:right], np.array([*start, 0.0, 0.0])
+    y, x = _places(bottom - top), _places(right - left)
+    # The slopes by v, u, b and a, and what the motion does not explain: so that one product has
+    # all sums. Calls, not cells, take the time.
+    terms = np.empty((5, bottom - top, right - left), np.float32)
+    _slopes(before[top - 1 : bottom + 1, left - 1 : right + 1], terms)
+    np.multiply(terms[0], y[:, None], out=terms[2])
+    np.multiply(terms[1], x, out=terms[3])
+    inside, rest, weighted = before[top:bottom, left:right], terms[4], np.empty_like(terms)
+    found = np.array([*start, 0.0, 0.0])
     middle_y, middle_x = (top + bottom - 1) / 2, (left + right - 1) / 2
     for _ in range(N_STEPS):
         v, u, b, a = found.tolist()
-        seen, is_seen = _sampled(now, middle_y + v + (1.0 + b) * y, middle_x + u + (1.0 + a) * x)
-        rest = np.subtract(inside, seen)
-        n_seen = np.count_nonzero(is_seen)
-        if 4 * n_seen < rest.size:
-            return Motion(0.0, 0.0, 0.0, 0.0)
-        rest *= is_seen
+        rows = _along(middle_y + v, 1.0 + b, y, now.shape[0])
+        columns = _along(middle_x + u, 1.0 + a, x, now.shape[1])
+        np.subtract(inside, _sampled(now, rows, columns), out=rest)
+        is_seen, n_seen = None, rest.size
+        if rows[2] is not None or columns[2] is not None:
+            inside_y, inside_x = (
+                np.ones(n, np.float32) if side[2] is None else side[2]
+                for side, n in zip((rows, columns), rest.shape, strict=True)
+            )
+            is_seen = np.outer(inside_y, inside_x)
+            n_seen = np.count_nonzero(is_seen)
+            if 4 * n_seen < rest.size:
+                return Motion(0.0, 0.0, 0.0, 0.0)
+            rest *= is_seen
         scale = RESIDUALS * cv2.norm(rest, cv2.NORM_L1) / n_seen + RESIDUAL_LEVELS
-        weights = is_seen / (1.0 + (rest * np.float32(1.0 / scale)) ** 2)
-        weighted = slopes * weights.reshape(1, -1)
-        # OpenCV's products: NumPy's would end the process where OpenBLAS gets no memory.
-        matrix = cv2.gemm(weighted, slopes, 1.0, _NOTHING, 0.0, flags=cv2.GEMM_2_T).astype(float)
-        diagonal = np.einsum("ii->i", matrix)
-        diagonal += RIDGE * diagonal + (RIDGE_SHIFT, RIDGE_SHIFT, RIDGE_RATE, RIDGE_RATE)
-        sums = cv2.gemm(weighted, rest.reshape(-1, 1), 1.0, _NOTHING, 0.0).astype(float)
+        # The roots of the weights, for both factors of each product.
+        roots = rest * np.float32(1.0 / scale)
+        roots *= roots
+        roots += 1.0
+        np.sqrt(roots, out=roots)
+        np.divide(1.0 if is_seen is None else is_seen, roots, out=roots)
+        np.multiply(terms, roots, out=weighted)
+        # OpenCV's product: NumPy's would end the process where OpenBLAS gets no memory.
+        sums = cv2.mulTransposed(weighted.reshape(5, -1), False, dtype=cv2.CV_64F)
+        matrix = sums[:4, :4] * _RELATIVE + _ABSOLUTE
         # Faster than NumPy's for so few numbers.
-        found += cv2.solve(matrix, sums, flags=cv2.DECOMP_LU)[1].ravel()
+        found += cv2.solve(matrix, sums[:4, 4:].copy(), flags=cv2.DECOMP_LU)[1].ravel()
     return Motion(*found.tolist())
 
 
-def _sampled(now: FloatImage, y: FloatImage, x: FloatImage) -> tuple[FloatImage, FloatImage]:
-    """A picture at rows y, (h, 1), and columns x, (1, w), and 1.0 where they are inside, (h, w)."""
-    height, width = now.shape
-    is_seen = ((y >= 0.0) & (y < height - 1.0)) & ((x >= 0.0) & (x < width - 1.0))
-    rows = np.clip(y.ravel(), 0.0, height - 1.001)
-    columns = np.clip(x.ravel(), 0.0, width - 1.001)
-    above, before = rows.astype(np.intp), columns.astype(np.intp)
-    part_y = (rows - above).astype(np.float32)[:, None]
-    part_x = (columns - before).astype(np.float32)[None, :]
-    lines = now[above]
-    lines += part_y * (now[above + 1] - lines)
-    seen = lines[:, before]
-    seen += part_x * (lines[:, before + 1] - seen)
-    return seen, is_seen.astype(np.float32)
+def _slopes(patch: FloatImage, out: FloatImage) -> None:
+    """Sobel gradients along y and x, an eighth of them, of all but the border cells, to out[:2]."""
+    pairs = patch[:, :-1] + patch[:, 1:]
+    across = pairs[:, :-1] + pairs[:, 1:]
+    np.subtract(across[2:], across[:-2], out=out[0])
+    pairs = patch[:-1] + patch[1:]
+    down = pairs[:-1] + pairs[1:]
+    np.subtract(down[:, 2:], down[:, :-2], out=out[1])
+    out[:2] *= np.float32(0.125)
+
+
+def _along(middle: float, rate: float, places: FloatImage, n: int) -> _Side:
+    """Where a window has the cells at `middle + rate * places` of n."""
+    at = rate * places
+    at += middle
+    whole = np.floor(at)
+    at -= whole
+    cells = whole.astype(np.intp)
+    first, last = int(cells[0]), int(cells[-1])
+    if 0 <= first < n - 1 and 0 <= last < n - 1:
+        return cells, at, None
+    inside = ((cells >= 0) & (cells < n - 1)).astype(np.float32)
+    return np.minimum(np.maximum(cells, 0), n - 2), at, inside
+
+
+def _sampled(now: FloatImage, rows: _Side, columns: _Side) -> FloatImage:
+    """A picture between its cells, linear, (h, w)."""
+    (y, part_y, _), (x, part_x, _) = rows, columns
+    lines, below = now.take(y, 0), now.take(y + 1, 0)
+    below -= lines
+    below *= part_y[:, None]
+    lines += below
+    seen, beside = lines.take(x, 1), lines.take(x + 1, 1)
+    beside -= seen
+    beside *= part_x
+    seen += beside
+    return seen
 
 
 def approaching(now: FloatImage, before: FloatImage) -> float:

@@ -86,7 +86,7 @@ class Flicker:
             return
         self._n_changes += 1
         for k in (1, *_PERIODS):
-            change = float(np.abs(newest - known[-1 - k]).mean())
+            change = cv2.norm(newest, known[-1 - k], cv2.NORM_L1) / newest.size
             self._changes[k] += max(_NEWEST, 1.0 / self._n_changes) * (change - self._changes[k])
         period = min(_PERIODS, key=lambda k: self._changes[k])
         is_clear = self._changes[period] < _SHARE * self._changes[1]

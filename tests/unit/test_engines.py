@@ -90,8 +90,9 @@ def test_s_is_made_of_what_exceeds_the_floors(loops, engine, dtype, name):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 @pytest.mark.parametrize("shape", [(1, 1), (30, 41), (300, 310)])
-def test_the_lower_quartile_is_that_of_the_visible_cells(shape, dtype):
-    frames = np.random.default_rng(0).integers(0, 256, (2, *shape)).astype(dtype)
+@pytest.mark.parametrize("levels", [2, 6, 256])
+def test_the_lower_quartile_is_that_of_the_visible_cells(shape, dtype, levels):
+    frames = np.random.default_rng(0).integers(0, levels, (2, *shape)).astype(dtype)
     change = np.abs(np.subtract(*frames, dtype=float))
     step = 3 if shape[0] == 300 else 1
     for hidden in (None, np.arange(change.size).reshape(shape) % 4 == 3):

@@ -52,6 +52,7 @@ class OpencvEngine:
         self._tiles = tiles((height, width), connections.radius_px)
         largest = max(height * width for height, width in (tile.shape for tile in self._tiles))
         self._memory = [aligned((largest,)) for _ in range(3)]
+        self._sides: tuple[FloatImage, FloatImage] | None = None
 
     def respond(
         self,
@@ -76,9 +77,8 @@ class OpencvEngine:
                     continue
                 above = float(np.float32(readout.above))
                 cv2.threshold(s[tile.core], above, 1.0, cv2.THRESH_BINARY, dst=g[tile.core])
-                rows, columns = (w[a] for w, a in zip(readout.weights, tile.target, strict=True))
-                np.multiply(rows[:, None], columns, out=part[tile.core])
-                cv2.multiply(g[tile.core], part[tile.core], dst=g[tile.core])
+                weights = self._weights_of_cells(readout.weights)[tile.target]
+                cv2.multiply(g[tile.core], weights, dst=g[tile.core])
                 quarters += quarters_of(g[tile.core], tile.target, receptors.current.shape)
             else:
                 sum_4x4(s, out=part)
@@ -92,6 +92,12 @@ class OpencvEngine:
             if layers is not None:
                 layers[1][tile.target] = g[tile.core]
         return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters.tolist()))
+
+    def _weights_of_cells(self, sides: tuple[FloatImage, FloatImage]) -> FloatImage:
+        """The weights of the cells, (H, W), from those of rows and columns; kept while the same."""
+        if sides is not self._sides:
+            self._sides, self._cells = sides, sides[0][:, None] * sides[1]
+        return self._cells
 
     def blocks(self, frame: Grey) -> FloatImage:
         """Means over blocks, see `Engine`."""
