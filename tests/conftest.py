@@ -35,6 +35,8 @@ def pytest_configure(config):
 
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 32, 24, 20, 25.0
+# The commands with --no-plots.
+DRAWING = {"batch", "compare", "evaluate", "kernels", "layers", "run", "sweep"}
 
 
 def looming_frames(n_frames=N_FRAMES, width=WIDTH, height=HEIGHT):
@@ -205,5 +207,19 @@ def dlgmd(tmp_path, monkeypatch):
 
     def call(*arguments):
         return CliRunner().invoke(cli, [str(a) for a in arguments], prog_name="dlgmd")
+
+    return call
+
+
+@pytest.fixture
+def runs(dlgmd):
+    """Call a command that must succeed; it draws figures if it has a --format, or by `plots`."""
+
+    def call(*arguments, plots=False):
+        if arguments[0] in DRAWING and not plots and "--format" not in arguments:
+            arguments += ("--no-plots",)
+        result = dlgmd(*arguments)
+        assert result.exit_code == 0, result.output
+        return result
 
     return call

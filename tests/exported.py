@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -56,31 +57,48 @@ class FixedAnswer(ctypes.Structure):
     )
 
 
-def answers_of_c(export, folder, frames):
-    """What the compiled model answers: columns as `NAMES`, (n, 8) float64."""
+def compiled(export, folder):
+    """The model and its health as a library."""
     texts = sources(export)
-    for name in ("dlgmd.h", "dlgmd.c", "dlgmd_model.h"):
+    for name in ("dlgmd.h", "dlgmd.c", "dlgmd_health.c", "dlgmd_model.h"):
         (folder / name).write_text(texts[name], encoding="utf-8")
     library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
     command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), "-shared", "-fPIC", "-o", str(library)]
-    subprocess.run([*command, str(folder / "dlgmd.c")], check=True)
-    c, kind = ctypes.CDLL(str(library)), FixedAnswer if export.is_fixed else Answer
+    files = [str(folder / name) for name in ("dlgmd.c", "dlgmd_health.c")]
+    subprocess.run([*command, *files], check=True)
+    return ctypes.CDLL(str(library))
+
+
+def answers_of_c(export, folder, frames, steps_ms=(0,)):
+    """What the compiled model answers: columns as `NAMES`, (n, 8) float64.
+
+    `steps_ms` are the times between frames, again and again.
+    """
+    c, kind = compiled(export, folder), FixedAnswer if export.is_fixed else Answer
     c.dlgmd_step.restype = kind
     state = (ctypes.c_uint64 * (export.state_bytes // 8 + 1))()
     c.dlgmd_reset(state)
     rows = []
-    for frame in frames:
-        answer = c.dlgmd_step(state, np.ascontiguousarray(frame).ctypes.data_as(ctypes.c_void_p))
+    for frame, step_ms in zip(frames, cycle(steps_ms), strict=False):
+        answer = c.dlgmd_step(state, address(frame), step_ms)
         rows.append([getattr(answer, name) for name in NAMES])
     return np.array(rows, float) / kind.units
 
 
-def answers_of_python(params, frames):
+def address(frame):
+    """Where C reads a frame."""
+    return np.ascontiguousarray(frame).ctypes.data_as(ctypes.c_void_p)
+
+
+def answers_of_python(params, frames, steps_ms=(0,)):
     """The same of `Alarm`; 0 where it answers NaN, as C does."""
-    alarm = Alarm(params, resize=False, repeats="keep", engine="opencv")
-    rows = []
-    for frame in frames:
-        one = alarm.step(frame)
+    alarm = Alarm(
+        params, resize=False, repeats="keep", engine="opencv", all_frames=True, times="capture"
+    )
+    rows, time_ms = [], 0
+    for frame, step_ms in zip(frames, cycle(steps_ms), strict=False):
+        time_ms += step_ms
+        one = alarm.step(frame, time_ms / 1000.0 if step_ms else None)
         numbers = (one.mp, one.mp_abs, one.g_x, one.g_y, one.ttc_s)
         rows.append([one.is_valid, one.spike, one.alarm, *np.nan_to_num(numbers)])
     return np.array(rows, float)

@@ -38,8 +38,10 @@ from dlgmd_cli.video.names import without_password
 
 if TYPE_CHECKING:
     from dlgmd_cli.live.outputs import Output
+    from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Statistics
+    from dlgmd_cli.models.detection import Alarm
     from dlgmd_cli.tasks.setup import Setup
     from dlgmd_cli.video.live import LiveSource
     from dlgmd_cli.video.options import InputOptions
@@ -139,43 +141,22 @@ def live(
     so its end is told 0.3 s late.
     """
     from dlgmd_cli.live.outputs import finish
-    from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.watch import Sight, Statistics, answers
-    from dlgmd_cli.models.detection import Alarm
-    from dlgmd_cli.results import store
     from dlgmd_cli.tasks.setup import input_options
 
-    if asked["events"] and not (asked["jsonl"] or asked["udp"]):
-        raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
-    if asked["keep_video"] and record is None:
-        raise ParameterError("", "--keep-video works only with --record", "Add --record DIR.")
-    if asked["loop"] and not asked["realtime"]:
-        raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
+    _check(asked, record)
     options = input_options(setup, given)
-    frames = _source(source, setup, options, asked)
-    alarm = Alarm(
-        setup.params,
-        resize=False,  # the source does it
-        model_fps=setup.model_fps,
-        all_frames=True,  # so does it with the rate
-        repeats=options.repeats or "skip",
-        engine=setup.engine,
-        times="capture",  # the source recovers them
-    )
-    alarm.tells_rate = False  # `answers` does, and why
-    statistics, sight, recording = Statistics(), Sight(frames), None
+    frames, recording = _source(source, setup, options, asked), None
+    alarm, statistics, sight = _alarm(setup, options), Statistics(), Sight(frames)
     with ExitStack() as stack:
         outputs = _outputs(asked, frames)
         stack.callback(finish, outputs)
         receivers: list[Any] = [*outputs, statistics]
         if record is not None:
-            identity = {"path": frames.name}
-            store.check(record, store.RUN, identity, overwrite=overwrite, option="--record")
-            stack.enter_context(store.locked(record))
-            recording = Recording(
-                record, frames, setup, options, alarm, sight, keeps_video=asked["keep_video"]
-            )
-            receivers.append(stack.enter_context(recording))
+            about: Any = (frames, setup, options, alarm, sight)
+            kept = _recording(record, *about, keeps_video=asked["keep_video"], overwrite=overwrite)
+            recording = stack.enter_context(kept)
+            receivers.append(recording)
         if asked["serve"] is not None:
             page = _page(asked["serve"], frames, statistics, setup.params.t_mp)
             receivers.append(stack.enter_context(page))
@@ -185,9 +166,8 @@ def live(
             stack.enter_context(redirect_stdout(sys.stderr))
         with _status_line(frames, statistics), frames:
             for answer in answers(frames, alarm, sight, lambda: frames.wants_pictures):
-                if answer is not None:
-                    for receiver in receivers:
-                        receiver.put(answer)
+                for receiver in receivers if answer is not None else ():
+                    receiver.put(answer)
     if frames.n_frames == 0 and not cancel.requested():
         raise SourceError(frames.name, "it ended before its first frame", "Check what sends it.")
     _show(statistics, frames, sight.warnings(), as_note=asked["jsonl"])
@@ -198,6 +178,49 @@ def live(
         raise click.exceptions.Exit(cancel.EXIT_INTERRUPTED)
     if recording is not None and recording.has_failed:
         raise click.exceptions.Exit(EXIT_FAILED)
+
+
+def _check(asked: dict[str, Any], record: Path | None) -> None:
+    """Raise ParameterError for options that work only with others."""
+    if asked["events"] and not (asked["jsonl"] or asked["udp"]):
+        raise ParameterError("", "--events works only with --jsonl or --udp", "Add one of them.")
+    if asked["keep_video"] and record is None:
+        raise ParameterError("", "--keep-video works only with --record", "Add --record DIR.")
+    if asked["loop"] and not asked["realtime"]:
+        raise ParameterError("", "--loop works only with --realtime", "Add --realtime.")
+
+
+def _alarm(setup: "Setup", options: "InputOptions") -> "Alarm":
+    """The alarm of a model; what it would do for a camera of its own, the source does."""
+    from dlgmd_cli.models.detection import Alarm
+
+    alarm = Alarm(
+        setup.params,
+        resize=False,  # the source does it
+        model_fps=setup.model_fps,
+        all_frames=True,  # so does it with the rate
+        repeats=options.repeats or "skip",
+        engine=setup.engine,
+        times="capture",  # the source recovers them
+    )
+    alarm.tells_rate = False  # `answers` does, and why
+    return alarm
+
+
+@contextmanager
+def _recording(
+    folder: Path, frames: "LiveSource", *about: Any, keeps_video: bool, overwrite: bool
+) -> "Iterator[Recording]":
+    """A recording in a folder that is claimed."""
+    from dlgmd_cli.live.recording import Recording
+    from dlgmd_cli.results import store
+
+    claimed: Any = (folder, store.RUN, {"path": frames.name})
+    with (
+        store.claimed(*claimed, overwrite=overwrite, option="--record"),
+        Recording(folder, frames, *about, keeps_video=keeps_video) as recording,
+    ):
+        yield recording
 
 
 def _source(

@@ -16,6 +16,7 @@ STATIC = (
     "README.md",
     "dlgmd.h",
     "dlgmd.c",
+    "dlgmd_health.c",
     "example.c",
     "test.c",
     "board.c",
@@ -27,6 +28,11 @@ ACCURACY = {
     False: "The normalised membrane potential differs from Python's by at most 1e-5.",
     True: "Integers are rounded: in rendered flights mp_abs differs from Python's by at most 0.03, "
     "and\nthe alarms are the same. In other videos an alarm may start one frame earlier or later.",
+}
+
+TIMED = {
+    False: "This model counts frames, and ignores times.",
+    True: "The model measures how fast the picture changes.",
 }
 
 Frames = list[npt.NDArray[np.uint8]]
@@ -77,6 +83,7 @@ def sources(export: Export) -> dict[str, str]:
         "height": str(export.height),
         "command": export.command,
         "fps": f"{export.fps:g}",
+        "timed": TIMED[export.is_timed],
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "accuracy": ACCURACY[export.is_fixed],

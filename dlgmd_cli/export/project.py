@@ -27,6 +27,10 @@ from dlgmd_cli.parameters.presets import ContrastParameters, DlgmdParameters
 # of the test needs 16 px.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
 MAX_GROWTH = 4096.0
+# Longer intervals between frames count as this.
+MAX_STEP_MS = 1000
+# exp(-x) is 0 for an x of this.
+MAX_FALL = 50.0
 # Bytes of stack, an upper bound. Bytes of code, approximately, by whether the model is the
 # contrast-relative one and whether it is fixed: a constant, and per operation of a cell. The tests
 # measure both.
@@ -34,13 +38,13 @@ STACK_BYTES = 1400
 CODE_BYTES = {
     (False, False): (1200, 10),
     (False, True): (1370, 7),
-    (True, False): (1540, 14),
-    (True, True): (2170, 8),
+    (True, False): (1720, 14),
+    (True, True): (2620, 8),
 }
 # Bytes of code that follow the picture, compare quadrants and adapt.
 FOLLOWING_BYTES = 2250
 # Bytes of code that measure the expansion, by whether it is fixed.
-EXPANDING_BYTES = {False: 3000, True: 4550}
+EXPANDING_BYTES = {False: 3200, True: 4800}
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,11 @@ class Export:
     def shift(self) -> int:
         """The largest shift of the picture that is undone; 0 if it is less than a block."""
         return self.params.shift if self.is_contrast and self.params.shift >= BLOCK else 0
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its answers depend on the times of frames."""
+        return self.is_contrast and (self.params.w_fps > 0.0 or self.adapts or self.expands)
 
     @property
     def adapts(self) -> bool:
@@ -161,7 +170,7 @@ class Export:
                 _whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks, self._reduced_bytes
             )
             work += number * 256 * delays
-            scalars = (16 if self.is_fixed else 12) + 12
+            scalars = (16 if self.is_fixed else 12) + 8 + 12
             scalars += (8 if self.is_fixed else 4) * (self.adapts + 2 * self.expands)
             scalars += 8 * (self.shift > 0)
         else:
@@ -228,24 +237,26 @@ class Export:
         }
         interval_s = 1.0 / (params.w_fps or NOMINAL_FPS)
         of_quadrant = quadrants(centre_weights((self.height, self.width), params.sigma_c))[0]
-        shares = {
-            "W_SIGMA": params.w_sigma,
-            "W_M": params.w_m,
-            "W_MEAN": -math.expm1(-interval_s / params.tau_m),
-            "BOTH": self.n_cells / 2.0 / of_quadrant,
+        both = self.n_cells / 2.0 / of_quadrant
+        # Of means: how fast the weight of what is old falls, per frame at the usual rate.
+        weights = {"SIGMA_RATE": params.w_sigma, "USUAL_RATE": params.w_m}
+        per_frame = {
+            key: -math.log1p(-weight) if weight < 1.0 else MAX_FALL
+            for key, weight in weights.items()
         }
-        shares["W_AHEAD"] = -math.expm1(-interval_s / params.tau_d)
-        shares["W_BESIDE"] = -math.expm1(-2.0 * interval_s / params.tau_d)
-        # Rates are per frame.
-        rates = {
-            "MAX_RATE": MAX_RATE * interval_s,
-            "LEAST_RATE": LEAST_RATE * interval_s,
-            "TIME_LEFT": LOCAL_SHARE * interval_s,
-        }
-        expansion = 1.0 / (interval_s * params.d_0) if self.expands else 0.0
+        # The same per second.
+        times_s = {"MEAN_RATE": params.tau_m, "AHEAD_RATE": params.tau_d}
+        times_s["BESIDE_RATE"] = params.tau_d / 2.0
+        per_second = {key: min(1.0 / time_s, 1e3 * MAX_FALL) for key, time_s in times_s.items()}
+        rates = {"MAX_RATE": MAX_RATE, "LEAST_RATE": LEAST_RATE, "TIME_LEFT": LOCAL_SHARE}
+        expansion = 1.0 / params.d_0 if self.expands else 0.0
         if self.is_fixed:
             constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
-            constants |= {key: str(round(value * 2**15)) for key, value in shares.items()}
+            constants |= {key: f"{round(value * 2**24)}u" for key, value in per_frame.items()}
+            constants |= {key: f"{round(value * 2**16)}u" for key, value in per_second.items()}
+            constants["USUAL_INTERVAL"] = f"{round(interval_s * 2**20)}u"
+            constants["USUAL_FPS"] = f"{round(params.w_fps * 2**16)}u"
+            constants["BOTH"] = str(round(both * 2**15))
             constants["GROWTH"] = f"{round(min(params.growth, MAX_GROWTH) * 2**14)}u"
             constants["S_BITS"] = str(self.code.s_bits)
             constants["EXPANSION"] = f"INT64_C({round(expansion * 2**10)})"
@@ -253,9 +264,11 @@ class Export:
             constants["TIME_LEFT"] = f"INT64_C({round(rates['TIME_LEFT'] * 2**36)})"
             constants["K_0"] = f"UINT64_C({round(params.k_0 * 2**32)})"
         else:
-            values |= {**shares, **rates, "GROWTH": params.growth}
+            values |= {**per_frame, **per_second, **rates, "GROWTH": params.growth, "BOTH": both}
             values |= {"EXPANSION": expansion, "K_0": params.k_0 * self.n_cells}
+            values |= {"USUAL_INTERVAL": interval_s, "USUAL_FPS": params.w_fps}
             constants = {key: f(value) for key, value in values.items()}
+        constants["MAX_STEP_MS"] = f"{MAX_STEP_MS}u"
         return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
 
     def _of_product(self) -> dict[str, str]:

@@ -193,12 +193,12 @@ class Recording:
                     cells[place] = csv.cell(value)
                     after.write(",".join(cells) + "\n")
 
-        store.write_files(self._folder, {"mp.csv": write})
+        store.Claim(self._folder).write({"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:
         record = {**self._record(), "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
-        store.write_text(self._folder / store.RUN, text)
+        store.Claim(self._folder).write({store.RUN: store.file_of(text)})
 
     def _record(self) -> dict[str, Any]:
         """What run.yaml says about the input, the model and the warnings so far."""

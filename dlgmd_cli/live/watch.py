@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -219,41 +219,11 @@ def answers(
     ParameterError
         If the options do not fit its pictures.
     """
-    events, rate = Events(), _Rate(source)
-    last = Answer(None, Detection())
-
-    def between_frames(event: str, *, alarm: bool = False, span: AlarmSpan | None = None) -> Answer:
-        now_s, time_s, since_s = time.monotonic(), math.nan, math.nan
-        if last.frame is not None:
-            time_s = last.frame.time_s + now_s - last.frame.captured_s
-            since_s = time_s - now_s + sight.since_s if event == BLIND else math.nan
-        nothing, reason = Detection(alarm=alarm), sight.reason
-        return Answer(
-            last.frame,
-            nothing,
-            event=event,
-            reason=reason,
-            span=span,
-            time_s=time_s,
-            since_s=since_s,
-        )
-
+    events, rate, last = Events(), _Rate(source), Answer(None, Detection())
     # The decoder is busy on the other processor.
     with opencv_threads(1):
-        ready: Future[None] | None = None
-        while ready is None or not ready.done():
-            if ready is not None:
-                wait([ready], _WAIT_S)
-            elif (sample := source.sample(_WAIT_S)) is not None:
-                alarm.ignore(source.hidden())
-                ready = _warming_up(alarm, sample)
-            elif source.is_over:
-                return
-            if cancel.requested():
-                return
-            event = sight.step()
-            yield between_frames(event) if event else None
-        ready.result()
+        if not (yield from _prepared(source, alarm, sight)):
+            return
         source.begin()
         while not cancel.requested():
             frame = source.take(_WAIT_S)
@@ -265,9 +235,9 @@ def answers(
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
             event = sight.step(found)
             if sight.is_silent and (span := events.over()):
-                yield between_frames(END, span=span)
+                yield _between_frames(END, last, sight, span=span)
             if event:
-                yield between_frames(event, alarm=events.span is not None)
+                yield _between_frames(event, last, sight, alarm=events.span is not None)
             if frame is None or found is None:
                 yield None
                 continue
@@ -275,7 +245,7 @@ def answers(
             is_repeat = found is last.detection
             told = events.step(found, frame)
             for event, span in told[:-1]:
-                yield between_frames(event, span=span)
+                yield _between_frames(event, last, sight, span=span)
             event, span = told[-1] if told else ("", None)
             utc_s = time.time() - latency_ms / 1e3
             last = Answer(
@@ -283,7 +253,49 @@ def answers(
             )
             yield last
     if span := events.over():
-        yield between_frames(END, span=span)
+        yield _between_frames(END, last, sight, span=span)
+
+
+def _prepared(
+    source: LiveSource, alarm: Alarm, sight: "Sight"
+) -> Generator[Answer | None, None, bool]:
+    """Prepare a model for the pictures of a source; yields as `answers` does meanwhile.
+
+    Returns whether it is ready, and not over or cancelled.
+    """
+    ready: Future[None] | None = None
+    while ready is None or not ready.done():
+        if ready is not None:
+            wait([ready], _WAIT_S)
+        elif (sample := source.sample(_WAIT_S)) is not None:
+            alarm.ignore(source.hidden())
+            ready = _warming_up(alarm, sample)
+        elif source.is_over:
+            return False
+        if cancel.requested():
+            return False
+        event = sight.step()
+        yield _between_frames(event, Answer(None, Detection()), sight) if event else None
+    ready.result()
+    return True
+
+
+def _between_frames(
+    event: str,
+    last: Answer,
+    sight: "Sight",
+    *,
+    alarm: bool = False,
+    span: AlarmSpan | None = None,
+) -> Answer:
+    """An event between frames; `last` is the answer to the one before it."""
+    now_s, time_s, since_s = time.monotonic(), math.nan, math.nan
+    if last.frame is not None:
+        time_s = last.frame.time_s + now_s - last.frame.captured_s
+        since_s = time_s - now_s + sight.since_s if event == BLIND else math.nan
+    times: Any = {"time_s": time_s, "since_s": since_s}
+    nothing = Detection(alarm=alarm)
+    return Answer(last.frame, nothing, event=event, reason=sight.reason, span=span, **times)
 
 
 def _warming_up(alarm: Alarm, sample: Image) -> "Future[None]":

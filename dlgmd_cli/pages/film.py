@@ -1,7 +1,7 @@
 """The film of a page: the input with the active cells of G tinted, as H.264."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,14 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.presets import runnable
 from dlgmd_cli.plots.heat import BgrImage
 from dlgmd_cli.plots.overlay import mark_centroid, tinted
+from dlgmd_cli.results.layers import LayerResult
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.tasks.call import OnFrame
 from dlgmd_cli.tasks.layers import run_layers
 from dlgmd_cli.tasks.run import responses, stepper_on
 from dlgmd_cli.tasks.setup import Asked, Setup
 from dlgmd_cli.video.options import InputOptions
+from dlgmd_cli.video.source import Video
 from dlgmd_cli.video.writer import PAGE_FILM, encoded_rate, playable_fps, video_writer
 
 # Masked parts of the picture are darker by this factor.
@@ -100,41 +102,45 @@ def render(
     asked = Asked(tuple(map(_setup, (own, *peers))), options)
     with asked.open(path) as video:
         found = run_layers(video, asked, on_frame=on_frame)
-    again, is_as_stored = found.result, _is_same(found.result, result, path)
-    strongest_g = max(abs(bound) for bound in found.ranges["g"])
-    if not np.isfinite(strongest_g):  # G is undefined in every frame
-        strongest_g = 0.0
-    thumbnail = b""
-    with (
-        asked.open(path) as video,
-        tempfile.TemporaryDirectory(prefix="dlgmd-") as folder,
-    ):
-        size_wh = _film_size(*video.source_wh, width_px)
-        hidden = video.hidden(size_wh)
-        fps, file = playable_fps(video.rate_fps), Path(folder) / "film.mp4"
-        steps = responses(
-            video,
-            [stepper_on(video, asked.setup, options)],
-            layers=lambda frame: True,
-            picture_wh=size_wh,
-            on_frame=lambda n_done: on_frame(n_expected + n_done),
-        )
+    is_as_stored = _is_same(found.result, result, path)
+
+    def on_second(n_done: int) -> None:
+        on_frame(n_expected + n_done)
+
+    with asked.open(path) as video, tempfile.TemporaryDirectory(prefix="dlgmd-") as folder:
+        size_wh, fps = _film_size(*video.source_wh, width_px), playable_fps(video.rate_fps)
+        file, thumbnail = Path(folder) / "film.mp4", b""
         look: Any = {"codec": "h264", "is_colour": True, "x264": PAGE_FILM}
         with video_writer(file, size_wh[::-1], fps, **look) as write:
-            for row, (frame, (response,)) in zip(range(len(result)), steps, strict=False):
-                picture = frame.picture
-                assert picture is not None
-                if hidden is not None:
-                    picture[hidden] //= _DIMMED
-                g = None if response.layers is None else response.layers.g
-                shown = tinted(picture, g, strongest_g)
-                mark_centroid(shown, again.g_x[row], again.g_y[row])
+            pictures = _pictures(video, asked, found, size_wh, on_second)
+            for row, picture in zip(range(len(result)), pictures, strict=False):
                 if row == thumbnail_row:
-                    thumbnail = _jpeg(shown)
-                write(shown)
+                    thumbnail = _jpeg(picture)
+                write(picture)
                 cancel.check()
         data = file.read_bytes()
     return Film(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+
+
+def _pictures(
+    video: Video, asked: Asked, found: LayerResult, size_wh: tuple[int, int], on_frame: OnFrame
+) -> Iterator[BgrImage]:
+    """The pictures of a video at a size, with G of the first model and its centroid on top."""
+    hidden, result = video.hidden(size_wh), found.result
+    strongest_g = max(abs(bound) for bound in found.ranges["g"])
+    if not np.isfinite(strongest_g):  # G is undefined in every frame
+        strongest_g = 0.0
+    stepper = stepper_on(video, asked.setup, asked.options)
+    look: Any = {"layers": lambda frame: True, "picture_wh": size_wh, "on_frame": on_frame}
+    steps = responses(video, [stepper], **look)
+    for g_x, g_y, (frame, (response,)) in zip(result.g_x, result.g_y, steps, strict=False):
+        picture = frame.picture
+        assert picture is not None
+        if hidden is not None:
+            picture[hidden] //= _DIMMED
+        shown = tinted(picture, None if response.layers is None else response.layers.g, strongest_g)
+        mark_centroid(shown, g_x, g_y)
+        yield shown
 
 
 def _is_same(again: Result, result: Result, path: str) -> bool:

@@ -105,49 +105,78 @@ def plot(
         replace(one, n_points=n_points, collisions_s=_times(one.result, collisions or {}, label))
         for label, one in zip(results, traces_of(results, emphasise), strict=True)
     ]
-    is_split = len(results) > MAX_TOGETHER
-    is_alone = len(results) == 1 and annotations == NONE
-    rows, heights = _rows(kind, traces)
-    above = [ROW_IN] if annotations != NONE or is_split else []
-    between_in, margins_in = 0.0, _AXES_LABELS_IN
-    if is_alone:
-        heights = heights_alone(KINDS[kind])
-        between_in, margins_in = BETWEEN_IN, ABOVE_IN + BELOW_IN
-    elif is_split:
-        between_in, margins_in = _NAME_IN, (ABOVE_IN if timeline.is_shared else 0.05) + BELOW_IN
+    layout = _layout(kind, traces, timeline, is_annotated=annotations != NONE)
     with house_style():
         figure = new_figure(1.0, width)
-        shape, ratios = (len(above) + len(rows), len(rows[0])), above + heights
+        shape, ratios = (len(layout.heights), len(layout.rows[0])), layout.heights
         grid: Any = figure.subplots(*shape, sharex=True, squeeze=False, height_ratios=ratios)
         panels = [
             _Panel(axes, *one, height_in)
-            for axes_of, row, height_in in zip(grid[len(above) :], rows, heights, strict=True)
+            for axes_of, row, height_in in zip(
+                grid[layout.n_above :], layout.rows, ratios[layout.n_above :], strict=True
+            )
             for axes, one in zip(axes_of, row, strict=True)
         ]
-        found = [
-            one.draw(one.axes, one.traces, scale)
-            for one, scale in _scaled(panels, column or "level", ylim)
-        ]
-        found.append(_draw_collisions(panels))
-        if xlim or ylim:  # dots of spikes may lie outside
-            for dots in (line for one in panels for line in one.axes.lines):
-                dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
-        if is_split:
+        found = _draw(panels, column or "level", xlim, ylim)
+        if len(results) > MAX_TOGETHER:
             found = _share(panels, found)
         for axes_of in grid.T:
             timeline.label(axes_of[-1], axes_of[0])
-        if above:
+        if layout.n_above:
             n_rows = [draw_annotations(annotations, timeline, a[0], a[1:]) for a in grid.T]
-            above = [max(*n_rows, 0.1) * ROW_IN]
-            grid[0, 0].get_gridspec().set_height_ratios(above + heights)
+            layout.heights[0] = max(*n_rows, 0.1) * ROW_IN
+            grid[0, 0].get_gridspec().set_height_ratios(layout.heights)
         _join(grid)
         figure.align_ylabels([one.axes for one in panels if one.axes.get_ylabel()])
-        heights = above + heights
-        figure.set_figheight(sum(heights) + between_in * (len(heights) - 1) + margins_in)
+        between_in = layout.between_in * (len(layout.heights) - 1)
+        figure.set_figheight(sum(layout.heights) + between_in + layout.margins_in)
         legend_in = add_legend(figure, [entry for some in found for entry in some])
-        if is_split or is_alone:
-            fix_margins(figure, heights, between_in, margins_in - BELOW_IN + legend_in)
+        if layout.is_fixed:
+            above_in = layout.margins_in - BELOW_IN + legend_in
+            fix_margins(figure, layout.heights, layout.between_in, above_in)
     return figure
+
+
+class _Layout(NamedTuple):
+    """What is in each row of panels, and heights in inches; above the first, `n_above` are free.
+
+    `is_fixed` says whether `fix_margins` lays the figure out, instead of Matplotlib.
+    """
+
+    rows: "list[list[tuple[Draw, list[Trace]]]]"
+    heights: list[float]
+    n_above: int
+    between_in: float
+    margins_in: float
+    is_fixed: bool
+
+
+def _layout(kind: str, traces: list[Trace], timeline: Timeline, *, is_annotated: bool) -> _Layout:
+    """The rows of panels: of one result, of up to four together, or of many, a row each."""
+    rows, heights = _rows(kind, traces)
+    if len(traces) == 1 and not is_annotated:
+        heights, margins_in = heights_alone(KINDS[kind]), ABOVE_IN + BELOW_IN
+        return _Layout(rows, heights, 0, BETWEEN_IN, margins_in, is_fixed=True)
+    if len(traces) > MAX_TOGETHER:
+        margins_in = (ABOVE_IN if timeline.is_shared else 0.05) + BELOW_IN
+        return _Layout(rows, [ROW_IN, *heights], 1, _NAME_IN, margins_in, is_fixed=True)
+    above = [ROW_IN] if is_annotated else []
+    return _Layout(rows, above + heights, len(above), 0.0, _AXES_LABELS_IN, is_fixed=False)
+
+
+def _draw(
+    panels: "list[_Panel]",
+    column: str,
+    xlim: tuple[float, float] | None,
+    ylim: tuple[float, float] | None,
+) -> list[Entries]:
+    """Draw the lines of every panel, and the collisions; returns the entries of the legend."""
+    found = [one.draw(one.axes, one.traces, scale) for one, scale in _scaled(panels, column, ylim)]
+    found.append(_draw_collisions(panels))
+    if xlim or ylim:  # dots of spikes may lie outside
+        for dots in (line for one in panels for line in one.axes.lines):
+            dots.set_clip_on(dots.get_clip_on() or dots.get_marker() == "o")
+    return found
 
 
 def _join(grid: Any) -> None:

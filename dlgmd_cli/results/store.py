@@ -10,7 +10,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -262,6 +262,16 @@ class Claim:
             stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
         return write_files(self.folder, files, record=self.record, stale=stale, option=self.option)
 
+    def staged(
+        self, *, stale: Iterable[str] = (), what: "Path | UPath | None" = None
+    ) -> AbstractContextManager[Path]:
+        """A context that yields an empty folder; what it contains at the end is renamed into this.
+
+        See `replacing`.
+        """
+        how: Any = {"stale": stale, "what": what, "option": self.option}
+        return replacing(self.folder, record=self.record, **how)
+
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
         """As `commit`, but logs the figures that could not be drawn; returns the other files."""
         undrawn = self.commit(files)
@@ -309,7 +319,7 @@ def claimed(
     """
     is_new = False
     if record in TABLES:
-        is_new = check(folder, record, identity or {}, overwrite=overwrite)
+        is_new = check(folder, record, identity or {}, overwrite=overwrite, option=option)
     for name in names:
         refuse_existing(Path(folder / name), overwrite=overwrite, option=option)
     with locked(folder) if locks else nullcontext():
@@ -424,11 +434,6 @@ def names_in(folder: "Path | UPath") -> set[str]:
         paths = bucket.fs.ls(bucket.path, detail=False)
         return {path.rstrip("/").rpartition("/")[2] for path in paths}
     return set()
-
-
-def write_text(path: "Path | UPath", text: str) -> None:
-    """Write a text file atomically; raises OutputError."""
-    write_files(path.parent, {path.name: file_of(text)})
 
 
 @contextmanager

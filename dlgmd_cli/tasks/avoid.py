@@ -15,7 +15,7 @@ from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.parameters.presets import load_config, load_preset
 from dlgmd_cli.plots.avoidance import PANEL_WH, AvoidanceFilm, Flown
 from dlgmd_cli.results.csv import Table, table_of, write_values
-from dlgmd_cli.results.store import file_of, locked, refuse_existing, write_files
+from dlgmd_cli.results.store import claimed
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.loop import FlightInLoop
 from dlgmd_cli.scenes.flights.scenes import FlightOptions, FlightScene
@@ -50,9 +50,7 @@ def avoid(
         raise ParameterError("", f"--avoid works only with flights, and {scene.name} is not one")
     alarms = [_alarm(preset), _alarm(preset)]
     paths = tuple(folder / f"{name}{end}" for end in _ENDS)
-    with locked(folder):
-        for path in paths:
-            refuse_existing(path, overwrite=overwrite)
+    with claimed(folder, names=[path.name for path in paths], overwrite=overwrite) as claim:
         found: list[tuple[FlightInLoop, list[list[Any]], list[Any]]] = []
         for brakes, alarm in zip((False, True), alarms, strict=True):
             flight = FlightInLoop(scene, options, Brakes())
@@ -70,15 +68,16 @@ def avoid(
         last = facts["collision_frame"]
         codec, fps = best_codec(), playable_fps(options.fps)
         look: Any = {"codec": codec, "is_colour": True, "target": paths[0]}
-        with video_writer(paths[0], film.shape, fps, **look) as write:
-            for index in range(film.n_frames):
-                cancel.check()
-                write(film.picture(index))
-        still = film.picture(film.n_frames - 1 if last is None else last)
-        png = cv2.imencode(".png", still)[1].tobytes()
-        rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
-        table = partial(write_values, header=COLUMNS, rows=rows)
-        write_files(folder, {paths[1].name: file_of(png), paths[2].name: table})
+        with claim.staged(what=paths[0]) as stage:
+            temporary = [stage / path.name for path in paths]
+            with video_writer(temporary[0], film.shape, fps, **look) as write:
+                for index in range(film.n_frames):
+                    cancel.check()
+                    write(film.picture(index))
+            still = film.picture(film.n_frames - 1 if last is None else last)
+            temporary[1].write_bytes(cv2.imencode(".png", still)[1].tobytes())
+            rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
+            write_values(temporary[2], COLUMNS, rows)
     return table_of(COLUMNS, rows), facts, paths
 
 

@@ -119,8 +119,9 @@ def bench(
     with ExitStack() as opened:
         path = None if csv is None else Path(csv)
         if path is not None:  # an unwritable folder fails at once, not after minutes
-            store.refuse_existing(path, overwrite=overwrite, option="--csv")
-            stage = opened.enter_context(store.replacing(path.parent, option="--csv"))
+            how: Any = {"overwrite": overwrite, "option": "--csv", "locks": False}
+            claim = opened.enter_context(store.claimed(path.parent, names=[path.name], **how))
+            stage = opened.enter_context(claim.staged())
         given = video
         if given is None:
             _log.info("Rendering %d frames of %dx%d.", frames, *PAPER_SIZE_WH)

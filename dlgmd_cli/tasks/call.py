@@ -97,7 +97,9 @@ def write_clips(
     spans = spans_of(name, onsets_s)
     earlier = [path.name for path in clips_of(folder, name)]
     if spans or earlier:
-        with store.replacing(folder, stale=earlier, option="--clips") as stage:
+        # Without a lock: a batch writes clips of several videos at once.
+        claimed = store.claimed(folder, option="--clips", locks=False)
+        with claimed as claim, claim.staged(stale=earlier) as stage:
             make_clips(source, spans, stage, input_fps)
     return [folder / clip for clip in spans]
 

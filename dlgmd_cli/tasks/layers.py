@@ -402,7 +402,8 @@ def _render(
     found = responses(video, steppers, layers=lambda _: True, picture_wh=picture_wh)
     with (
         progress(f"{video.info.name} → {path.name}", n_frames, "frame") as on_frame,
-        store.replacing(path.parent, what=path, option="--video") as stage,
+        store.claimed(path.parent, option="--video", locks=False) as claim,
+        claim.staged(what=path) as stage,
         video_writer(stage / path.name, drawing.shape, fps, target=path, **look) as write,
     ):
         for n_rendered, (frame, (response,)) in zip(range(1, n_frames + 1), found, strict=False):

@@ -15,7 +15,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.threads import n_processors
 from dlgmd_cli.results import labels
 from dlgmd_cli.results.csv import Table, table_of
-from dlgmd_cli.results.store import locked
+from dlgmd_cli.results.store import claimed
 from dlgmd_cli.results.synth import Flights, RenderedClip
 from dlgmd_cli.scenes.flights.dataset import FlightSet
 from dlgmd_cli.scenes.flights.scenes import find_scene
@@ -175,7 +175,7 @@ def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
     # Flights have noise by default, and a camera's video would be compressed as well: no note.
     if clip.codec == "mpeg4" and not scene.is_flight and vars(options)["noise"] > 0.0:
         _log.info("Note: MPEG-4 smooths the noise; --lossless keeps every pixel of it.")
-    with locked(clip.folder), progress(scene.name, scene.n_frames(options), "frame") as on_frame:
+    with claimed(clip.folder), progress(scene.name, scene.n_frames(options), "frame") as on_frame:
         paths = clip.write(overwrite=overwrite, on_frame=on_frame)
     record = scene.record(options)
     return RenderedClip(scene.name, options.fps, _truth(scene, options), record, paths=paths)
@@ -184,7 +184,7 @@ def _one(clip: Rendering, overwrite: bool, progress: Progress) -> RenderedClip:
 def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) -> Flights:
     """Render the missing flights, and write the labels of all that exist, even after an error."""
     folder, failed = flights.like.folder, {}
-    with locked(folder):
+    with claimed(folder) as claim:
         present = flights.present()
         missing = [number for number in range(flights.count) if number not in present]
         flights.check(missing, overwrite=overwrite)
@@ -203,7 +203,7 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
                     advance(n_done)
         except BaseException:  # an interruption, too
             if len(found := flights.present()) > len(present):
-                flights.write_labels(found, overwrite=overwrite)
+                flights.write_labels(claim, found, overwrite=overwrite)
                 _log.info(
                     "%s holds %d of %d flights; run the same command again for the others.",
                     *(folder, len(found), flights.count),
@@ -211,6 +211,6 @@ def _many(flights: FlightSet, jobs: int, overwrite: bool, progress: Progress) ->
             raise
         found = flights.present()
         if found:
-            flights.write_labels(found, overwrite=overwrite)
+            flights.write_labels(claim, found, overwrite=overwrite)
     rows = [[getattr(found[number], one) for one in labels.COLUMNS] for number in sorted(found)]
     return Flights(flights.labels_path, table_of(labels.COLUMNS, rows), failed, flights.count)

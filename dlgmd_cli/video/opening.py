@@ -4,7 +4,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -137,27 +137,16 @@ def open_video(
     opened = reopen()
     is_continuous = not opened.takes_every_frame
     try:
-        width, height, stated_fps, n_frames, *_ = opened.stream_info
-        fps = rate_between_gaps(stated_fps, opened.stream_info.steady_fps)
-        fps = fps or input_fps or FALLBACK_FPS
-        is_limited = max_fps is not None and max_fps < math.inf
-        if is_limited and input_fps is None and not is_continuous:
-            why = f"--fps {max_fps:g} limits a frame rate, but pictures and arrays state none"
-            raise ParameterError("", why, "Give theirs with --input-fps (in Python: input_fps).")
-        if max_fps is None:
-            max_fps = RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
-        every, min_interval_s = sampling_step(fps, max_fps)
+        fps, stated = _rate(opened, input_fps), opened.stream_info
+        most_fps = _most_fps(max_fps, model_fps, input_fps, is_continuous)
+        every, min_interval_s = sampling_step(fps, most_fps)
         identity = {} if where == NAME else {"path": where, **fingerprint(where)}
-        is_interlaced = opened.stream_info.is_interlaced
         given = where if where == NAME else os.fspath(path)  # type: ignore[arg-type]
         info = SourceInfo(
-            *(where, name, width, height, fps, n_frames),
-            *(opened.kind, identity, given, is_interlaced),
+            *(where, name, stated.width, stated.height, fps, stated.n_frames),
+            *(opened.kind, identity, given, stated.is_interlaced),
         )
-        if crop and (crop.x + crop.width > width or crop.y + crop.height > height):
-            why = f"--crop {crop} reaches outside its pictures of {width}x{height}"
-            raise SourceError(where, why, "Choose a rectangle inside them.")
-        region = Region((width, height), crop, masked)
+        region = _region(info, crop, masked)
         size = processed_size(*region.size_wh, scale=scale, size_wh=size_wh, width_px=width_px)
         region.hidden(size)  # raises if nothing is left
     except BaseException:
@@ -169,15 +158,45 @@ def open_video(
         rate_fps=fps / every,
         skips_repeats=repeats == "skip" or (repeats is None and is_continuous),
     )
-    if opened.stream_info.remark:
-        video.progress.warnings.append(opened.stream_info.remark)
-    if opened.takes_every_frame and input_fps is None:
-        what = "an array has" if opened.kind == NAME else "pictures have"
-        line = f"{what} no times; taken as {fps:g} fps (set it with --input-fps)"
-        video.progress.warnings.append(line)
-    if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():
-        video.progress.warnings.append(_GREY)
+    video.progress.warnings += _remarks(opened, None if input_fps else fps)
     return video
+
+
+def _rate(opened: Decoder, input_fps: float | None) -> float:
+    """The frame rate of an input: the one it states, else the one given."""
+    stated = opened.stream_info
+    return rate_between_gaps(stated.fps, stated.steady_fps) or input_fps or FALLBACK_FPS
+
+
+def _most_fps(
+    max_fps: float | None, model_fps: float | None, input_fps: float | None, is_continuous: bool
+) -> float:
+    """The greatest frame rate that is wanted; raises ParameterError if there is none to limit."""
+    if max_fps is None:
+        return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
+    if max_fps < math.inf and input_fps is None and not is_continuous:
+        why = f"--fps {max_fps:g} limits a frame rate, but pictures and arrays state none"
+        raise ParameterError("", why, "Give theirs with --input-fps (in Python: input_fps).")
+    return max_fps
+
+
+def _region(info: SourceInfo, crop: Crop | None, masked: Any) -> Region:
+    """The part of the pictures to read; raises SourceError if it extends beyond them."""
+    if crop and (crop.x + crop.width > info.width or crop.y + crop.height > info.height):
+        why = f"--crop {crop} reaches outside its pictures of {info.width}x{info.height}"
+        raise SourceError(info.path, why, "Choose a rectangle inside them.")
+    return Region((info.width, info.height), crop, masked)
+
+
+def _remarks(opened: Decoder, assumed_fps: float | None) -> Iterator[str]:
+    """What a user should know of how an input is read; of pictures also the rate, if assumed."""
+    if opened.stream_info.remark:
+        yield opened.stream_info.remark
+    if opened.takes_every_frame and assumed_fps is not None:
+        what = "an array has" if opened.kind == NAME else "pictures have"
+        yield f"{what} no times; taken as {assumed_fps:g} fps (set it with --input-fps)"
+    if isinstance(opened, OpenCVDecoder) and opened.is_grey and not has_av():
+        yield _GREY
 
 
 def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callable[[], Decoder]]:

@@ -261,6 +261,20 @@ class Video:
                 after_gap = False
         else:
             fault, is_whole = fault or self._shortfall(), True
+        self._report(fault, times, spans, clock, is_whole=is_whole)
+        decoder.close()
+
+    def _report(
+        self,
+        fault: str,
+        times: "array[float]",
+        spans: BlindSpans,
+        clock: FrameClock,
+        *,
+        is_whole: bool,
+    ) -> None:
+        """Say what was noticed while reading, which has ended at a `fault` if there is one."""
+        progress, decoder = self.progress, self._decoder
         rates = progress.frame_rates = frame_rates(times)
         n_short = (self.info.n_frames or 0) - progress.n_decoded if is_whole else 0
         missing, ending = missing_frames(times, rates, n_short), fault and self._ending(fault)
@@ -271,7 +285,6 @@ class Video:
         reports = (clock.report(), missing, self._repetition(), blind, ending)
         progress.warnings += [line for line in reports if line]
         progress.damage = [line for line in (missing, ending) if line]
-        decoder.close()
 
     def sampling(self) -> str:
         """After reading: how an unusual frame rate was handled, in words; empty if it is usual."""

@@ -38,6 +38,8 @@ SAMPLE = Path(__file__).parents[2] / "sample_videos/group2.mp4"
 FLIGHT = parameters_of(load_config("flight"))
 ARITHMETIC = pytest.mark.parametrize("is_fixed", [False, True], ids=["float", "fixed"])
 MODELS = pytest.mark.parametrize("params", [FLIGHT, load_set(9)], ids=["flight", "set9"])
+# Whole milliseconds from frame to frame, by frames a second.
+RATES = {15: (66, 67, 67), 30: (33, 33, 34), 60: (16, 17, 17), 120: (8, 8, 9)}
 HAS_ARM = all(map(shutil.which, ("arm-none-eabi-gcc", "arm-none-eabi-size", "make")))
 needs_arm = pytest.mark.skipif(not HAS_ARM, reason="gcc-arm-none-eabi is not installed")
 
@@ -120,6 +122,28 @@ def test_sample_flights(tmp_path, flights, params, size):
     assert n_apart <= 1
 
 
+def test_any_frame_rate(tmp_path):
+    """The same flight at four rates: with the steps the alarms are Python's, and hardly move.
+
+    Without them, an approach looks slower the more frames there are.
+    """
+    scene = find_scene("group2")
+    frames = list(scene.frames(scene.configure({"--size": (72, 96), "--fps": 120})))
+    exports = [Export(FLIGHT, 96, 72, is_fixed) for is_fixed in (False, True)]
+    for fps, steps_ms in RATES.items():
+        some = frames[:: 120 // fps]
+        right = answers_of_python(FLIGHT, some, steps_ms)
+        python = int(np.argmax(right[:, 2]))
+        assert 3.7 < python / fps < 4.0
+        for export in exports:
+            answers = answers_of_c(export, tmp_path, some, steps_ms)
+            most = 0.05 if export.is_fixed else 1e-5
+            assert np.abs(answers[:, 4] - right[:, 4]).max() <= most
+            assert abs(int(np.argmax(answers[:, 2])) - python) <= export.is_fixed
+    untimed = answers_of_c(exports[0], tmp_path, frames)
+    assert int(np.argmax(untimed[:, 2])) / 120 > 4.4
+
+
 def test_large_frames_skip_cells_for_the_quartile(tmp_path, flights):
     """Above 40,000 cells Python looks at every second row and column, and so does C."""
     export = Export(FLIGHT, 320, 240)
@@ -132,9 +156,9 @@ def test_large_frames_skip_cells_for_the_quartile(tmp_path, flights):
     assert error_of_mp(export, answers, right).max() <= 1e-5
 
 
-def test_alarms_are_those_of_the_command(dlgmd, tmp_path):
-    options = ["--size", "96x72", "--repeats", "keep", "--no-plots"]
-    assert dlgmd("run", SAMPLE, *options).exit_code == 0
+def test_alarms_are_those_of_the_command(runs, tmp_path):
+    options = ["--size", "96x72", "--repeats", "keep"]
+    runs("run", SAMPLE, *options)
     rows = csv_rows("dlgmd-out/group2/spikes.csv")
     frames = [frame.grey for frame in open_video(SAMPLE, size_wh=(96, 72))]
     answers = answers_of_c(Export(FLIGHT, 96, 72), tmp_path, frames)
@@ -166,7 +190,8 @@ def test_strict_compilers_and_sanitizers(tmp_path, params, is_fixed, compiler, f
     (folder / "frames.gray").write_bytes(hard_frames(40, 30)[: 20 * 40 * 30])
     arguments = [f"CC={compiler}", f"CFLAGS={flags}"]
     make(folder, *arguments)
-    subprocess.run(["./dlgmd"], cwd=folder, input=hard_frames(40, 30), check=True)
+    for steps_ms in ([], ["1"], ["0", "33", "99999"]):
+        subprocess.run(["./dlgmd", *steps_ms], cwd=folder, input=hard_frames(40, 30), check=True)
     write(Export(params, 40, 30, is_fixed), folder)
     assert make(folder, *arguments, "test").endswith("passed\n")
 
@@ -204,7 +229,10 @@ def test_no_floating_point_exception(tmp_path, params, compiler):
     (folder / "traps.c").write_text(TRAPS)
     fault = "int main(void) { volatile float zero = 0; return (int)(1 / zero); }"
     (folder / "fault.c").write_text(fault)
-    for name, sources in (("all", ["example.c", "dlgmd.c"]), ("fault", ["fault.c"])):
+    for name, sources in (
+        ("all", ["example.c", "dlgmd.c", "dlgmd_health.c"]),
+        ("fault", ["fault.c"]),
+    ):
         command = [compiler, "-O2", "-o", name, *sources, "traps.c", "-lm"]
         subprocess.run(command, cwd=folder, check=True)
     assert subprocess.run(["./fault"], cwd=folder).returncode < 0

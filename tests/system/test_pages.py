@@ -15,11 +15,10 @@ SAMPLE = os.path.join(os.path.dirname(__file__), "../../sample_videos/looming-cu
 
 
 @pytest.fixture
-def page_file(dlgmd, tmp_path):
+def page_file(runs, tmp_path):
     """A page of two models of a looming cube."""
-    dlgmd("compare", SAMPLE, "--set", 3, "--set", 9, "--no-plots", "--collision-frame", 74)
-    made = dlgmd("view", "dlgmd-out/looming-cube", "--out", "page.html")
-    assert made.exit_code == 0, made.output
+    runs("compare", SAMPLE, "--set", 3, "--set", 9, "--collision-frame", 74)
+    runs("view", "dlgmd-out/looming-cube", "--out", "page.html")
     return tmp_path / "page.html"
 
 
@@ -114,15 +113,13 @@ def test_labels_are_kept_and_leaving_with_new_ones_asks(browser, page_file):
 
 
 @pytest.fixture
-def index_file(dlgmd, tmp_path):
+def index_file(runs, tmp_path):
     """An index of a cube that looms, in a folder called =x, and of one that moves across."""
     for name, place in (("looming-cube", "in/=x/a, b.mp4"), ("translating-cubes", "in/c.mp4")):
         (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(os.path.join(os.path.dirname(SAMPLE), f"{name}.mp4"), tmp_path / place)
-    done = dlgmd("batch", "in", "--set", 9, "--no-plots", "--jobs", 1, "--out", "res")
-    assert done.exit_code == 0, done.output
-    made = dlgmd("view", "res", "--no-film", "--out", "web/all.html")
-    assert made.exit_code == 0, made.output
+    runs("batch", "in", "--set", 9, "--jobs", 1, "--out", "res")
+    runs("view", "res", "--no-film", "--out", "web/all.html")
     return tmp_path / "web/all.html"
 
 
@@ -134,7 +131,7 @@ def open_index(browser, path, **look):
 
 
 def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
-    browser, index_file, dlgmd, tmp_path
+    browser, index_file, runs, tmp_path
 ):
     reader = open_index(browser, index_file)
     page = reader.page
@@ -166,8 +163,7 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
         rows = list(csv.reader(file))[1:]
     assert rows == [["./=x/a, b.mp4", str(frame), ""], ["c.mp4", "", ""]]
     for more in (("--results", "res"), ("--set", 9, "--jobs", 1)):
-        scored = dlgmd("evaluate", "in/labels.csv", *more, "--no-plots", "--out", f"{more[0]}.out")
-        assert scored.exit_code == 0, scored.output
+        scored = runs("evaluate", "in/labels.csv", *more, "--out", f"{more[0]}.out")
         assert scored.stderr == ""
         with open(f"{more[0]}.out/evaluate.csv", newline="") as file:
             told = next(csv.DictReader(file))
@@ -175,13 +171,13 @@ def test_the_index_makes_one_table_of_labels_that_evaluate_reads(
     assert not reader.faults
 
 
-def test_labels_that_are_known_keep_their_words(browser, index_file, dlgmd, tmp_path):
+def test_labels_that_are_known_keep_their_words(browser, index_file, runs, tmp_path):
     header = "video,collision_frame,target,kind,sure"
     table = [header, "=x/a\\, b.mp4,70.0,wall,real,yes", "c.mp4,,,rendered,"]
     text = "\n".join(table).replace("=x/a\\, b.mp4", '"./=x/a, b.mp4"')
     (tmp_path / "in/labels.csv").write_text(text + "\n")
     made = ("view", "res", "--no-film", "--labels", "in/labels.csv", "--out", "web/all.html")
-    assert dlgmd(*made, "--overwrite").exit_code == 0
+    runs(*made, "--overwrite")
     page = open_index(browser, index_file).page
     page.click("text=c.mp4")
     page.wait_for_load_state()
@@ -283,12 +279,11 @@ def test_on_a_phone(browser, page_file):
     assert not reader.faults
 
 
-def test_hostile_names(browser, dlgmd, tmp_path):
+def test_hostile_names(browser, runs, tmp_path):
     name = "<img src=x onerror=alert(1)>.mp4"
     shutil.copy(SAMPLE, tmp_path / name)
-    dlgmd("run", tmp_path / name, "--no-plots")
-    made = dlgmd("view", tmp_path / "dlgmd-out", "--out", "all.html")
-    assert made.exit_code == 0, made.output
+    runs("run", tmp_path / name)
+    runs("view", tmp_path / "dlgmd-out", "--out", "all.html")
     reader = Reader(browser, f"file://{tmp_path}/all.html", allowed=("file:",))
     page = reader.page
     page.on("dialog", lambda dialog: (reader.faults.append("dialog"), dialog.dismiss()))

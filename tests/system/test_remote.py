@@ -69,7 +69,7 @@ def scratch(tmp_path, monkeypatch):
     assert list(folder.iterdir()) == []
 
 
-def test_a_batch_from_urls_to_urls(dlgmd, bucket, clips, scratch, tmp_path):
+def test_a_batch_from_urls_to_urls(dlgmd, runs, bucket, clips, scratch, tmp_path):
     data = (clips / "loom.avi").read_bytes()
     for name in ("a.avi", "sub/b.avi", ".hidden/c.avi", "notes.txt", "sub/broken.mp4"):
         bucket.put(f"in/{name}", b"no video" if "broken" in name else data)
@@ -101,7 +101,7 @@ def test_a_batch_from_urls_to_urls(dlgmd, bucket, clips, scratch, tmp_path):
     bucket.delete("in/sub/broken.mp4")
     bucket.put("in/a.avi", data)
     models = ("--set", "3", "--set", "9", "--format", "svg", "--out", "here")
-    assert dlgmd("batch", f"{bucket.url}/in", *models).exit_code == 0
+    runs("batch", f"{bucket.url}/in", *models)
     with (tmp_path / "here/set9/summary.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [(row["video"], row["status"], row["frames"]) for row in rows] == [

@@ -98,23 +98,23 @@ def test_what_is_put_in_front(text, expected):
 
 
 @POSIX
-def test_a_label_is_the_same_everywhere(dlgmd, tmp_path, clips):
+def test_a_label_is_the_same_everywhere(runs, tmp_path, clips):
     for number, stem in enumerate(("=cmd|' C'!A0", "a;=b,c$", f"-{HOSTILE}")):
         (tmp_path / f"{stem}.yaml").write_text(f"r: {number + 2}\n")
     files = [f"--config={stem}.yaml" for stem in ("=cmd|' C'!A0", "a;=b,c$", f"-{HOSTILE}")]
     labels = ["./=cmd|' C'!A0", r"a;\x3db,c$", f"./-{SHOWN}"]
     options = ("--format", "svg", "--format", "pdf", "--overwrite")
     folder = tmp_path / "dlgmd-out/loom"
-    result = dlgmd("compare", clips / "loom.avi", *files, *options, "--json")
-    assert result.exit_code == 0 and list(json.loads(result.stdout)["models"]) == labels
+    result = runs("compare", clips / "loom.avi", *files, *options, "--json", plots=True)
+    assert list(json.loads(result.stdout)["models"]) == labels
     assert list(read_comparison(folder)) == labels
     record = yaml.safe_load((folder / "compare.yaml").read_text(encoding="utf-8"))
     assert [one["label"] for one in record["models"]] == labels
     drawing = (folder / "compare-mp.svg").read_text(encoding="utf-8")
     xml.dom.minidom.parseString(drawing)
     assert is_clean(drawing)
-    table = dlgmd("compare", clips / "loom.avi", *files, *options)
-    assert table.exit_code == 0 and is_clean(table.output)
+    table = runs("compare", clips / "loom.avi", *files, *options, plots=True)
+    assert is_clean(table.output)
     assert all(label in table.stdout for label in labels)
 
 
@@ -130,36 +130,35 @@ def test_controls_are_escaped(letter):
 
 
 @POSIX
-def test_every_path_on_stdout_is_escaped(dlgmd, tmp_path, clips):
+def test_every_path_on_stdout_is_escaped(runs, tmp_path, clips):
     video = shutil.copy(clips / "loom.avi", tmp_path / f"{HOSTILE}.avi")
     out = os.path.join(HOSTILE, HOSTILE)
     sweep = ("--x", "r=1,2", "--y", "a=1,2", "--jobs", "1")
     for arguments, path in (
-        (["run", video, "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["run", video, "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
         (["plot", "mp", out, "--out", HOSTILE], f"{SHOWN}/mp-{SHOWN}.png"),
-        (["compare", video, "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
-        (["layers", video, "--frames", "3", "--no-plots", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["compare", video, "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
+        (["layers", video, "--frames", "3", "--out", HOSTILE], f"{SHOWN}/{SHOWN}"),
         (["layers", video, "--video", f"{HOSTILE}.mp4"], f"{SHOWN}.mp4"),
-        (["sweep", video, *sweep, "--no-plots", "--out", HOSTILE], f"{SHOWN}/sweep-{SHOWN}"),
-        (["kernels", "--set", "9", "--no-plots", "--out", HOSTILE], f"{SHOWN}/kernels-set9.csv"),
+        (["sweep", video, *sweep, "--out", HOSTILE], f"{SHOWN}/sweep-{SHOWN}"),
+        (["kernels", "--set", "9", "--out", HOSTILE], f"{SHOWN}/kernels-set9.csv"),
         (["synth", "looming-cube", "--frames", "2", "--out", HOSTILE], f"{SHOWN}/looming-cube.csv"),
         (
             ["bench", video, "--radius", "2", "--scale", "1", "--csv", f"{HOSTILE}.csv"],
             f"{SHOWN}.csv",
         ),
     ):
-        result = dlgmd(*arguments)
-        assert result.exit_code == 0, (arguments, result.output)
+        result = runs(*arguments)
         assert is_clean(result.output), arguments
         assert result.stdout.splitlines()[-1] == path
 
 
 @POSIX
-def test_json_keeps_a_name_and_holds_no_control(dlgmd, tmp_path, clips):
+def test_json_keeps_a_name_and_holds_no_control(runs, tmp_path, clips):
     name = f"{HOSTILE}\x7f\u2028"
     shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
-    result = dlgmd("run", f"{name}.avi", "--no-plots", "--json")
-    assert result.exit_code == 0 and result.stdout.isascii() and is_clean(result.stdout)
+    result = runs("run", f"{name}.avi", "--json")
+    assert result.stdout.isascii() and is_clean(result.stdout)
     assert json.loads(result.stdout)["result"] == os.path.join("dlgmd-out", name)
     record = (tmp_path / "dlgmd-out" / name / "run.yaml").read_text(encoding="utf-8")
     assert is_clean(record)
@@ -230,11 +229,11 @@ def test_nul_is_wrong_usage(dlgmd, arguments):
     assert "Error: an argument contains a NUL character.\n" in result.stderr
 
 
-def test_a_name_that_looks_like_an_option(dlgmd, tmp_path, clips):
+def test_a_name_that_looks_like_an_option(dlgmd, runs, tmp_path, clips):
     shutil.copy(clips / "loom.avi", tmp_path / "-rf.avi")
     assert "No such option" in dlgmd("run", "-rf.avi").stderr
     for arguments in (["./-rf.avi", "--out", "1"], ["--out", "2", "--", "-rf.avi"]):
-        assert dlgmd("run", "--no-plots", *arguments).exit_code == 0
+        runs("run", *arguments)
 
 
 NAMES = (
@@ -246,14 +245,13 @@ NAMES = (
 
 
 @POSIX
-def test_results_of_any_name_stay_in_their_folder(dlgmd, tmp_path, clips):
+def test_results_of_any_name_stay_in_their_folder(runs, tmp_path, clips):
     (tmp_path / "in").mkdir()
     for name in NAMES:
         shutil.copy(clips / "loom.avi", tmp_path / "in" / name)
     for number, name in enumerate(NAMES):
         out = tmp_path / "out" / str(number)
-        result = dlgmd("run", os.path.join("in", name), "--no-plots", "--out", out)
-        assert result.exit_code == 0, (name, result.output)
+        runs("run", os.path.join("in", name), "--out", out)
         (folder,) = out.iterdir()
         assert (folder / "run.yaml").is_file()
     assert sorted(os.listdir("in")) == sorted(NAMES)
@@ -261,18 +259,17 @@ def test_results_of_any_name_stay_in_their_folder(dlgmd, tmp_path, clips):
 
 
 @pytest.mark.parametrize("command", ["sweep", "kernels", "plot"])
-def test_names_too_long_for_a_prefix_are_cut(dlgmd, tmp_path, clips, command):
+def test_names_too_long_for_a_prefix_are_cut(runs, tmp_path, clips, command):
     name = "é" * 123 + "aaaa"
     (tmp_path / f"{name}.yaml").write_text("r: 2\n")
     video = shutil.copy(clips / "loom.avi", tmp_path / f"{name}.avi")
-    assert dlgmd("run", video, "--no-plots").exit_code == 0
+    runs("run", video)
     arguments = {
-        "sweep": [video, "--x", "r=1,2", "--y", "a=1,2", "--jobs", "1", "--no-plots"],
-        "kernels": ["--config", f"{name}.yaml", "--formulation", "released", "--no-plots"],
+        "sweep": [video, "--x", "r=1,2", "--y", "a=1,2", "--jobs", "1"],
+        "kernels": ["--config", f"{name}.yaml", "--formulation", "released"],
         "plot": ["mp", os.path.join("dlgmd-out", name)],
     }[command]
-    result = dlgmd(command, *arguments)
-    assert result.exit_code == 0, result.output
+    result = runs(command, *arguments)
     assert os.path.exists(result.stdout.splitlines()[-1])
 
 
@@ -362,7 +359,7 @@ def test_a_file_longer_than_it_says(dlgmd, tmp_path, monkeypatch):
 
 
 @POSIX
-def test_paths_in_a_record_are_neither_read_nor_written(dlgmd, tmp_path, clips):
+def test_paths_in_a_record_are_neither_read_nor_written(runs, tmp_path, clips):
     os.mkfifo(tmp_path / "pipe")  # whoever opens it waits for ever
     record = {
         "input": {"path": str(tmp_path / "pipe"), "width": "../../x"},
@@ -374,8 +371,8 @@ def test_paths_in_a_record_are_neither_read_nor_written(dlgmd, tmp_path, clips):
         "r": 2,
     }
     (tmp_path / "run.yaml").write_text(yaml.safe_dump(record))
-    result = dlgmd("run", clips / "loom.avi", "--no-plots", "--config", "run.yaml")
-    assert result.exit_code == 0 and is_clean(result.output)
+    result = runs("run", clips / "loom.avi", "--config", "run.yaml")
+    assert is_clean(result.output)
     made = yaml.safe_load((tmp_path / "dlgmd-out/loom/run.yaml").read_text(encoding="utf-8"))
     assert made["input"]["path"] == str(clips / "loom.avi") and made["r"] == 2
     assert "\x1b[2J" not in made["warnings"] and made["versions"]["dlgmd"] != "\x1b[2J"

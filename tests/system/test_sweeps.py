@@ -45,11 +45,10 @@ def undisturbed(tmp_path_factory):
     return (folder / "sweep-translating-cubes/sweep.csv").read_bytes()
 
 
-def check_continues(dlgmd, undisturbed, jobs):
+def check_continues(runs, undisturbed, jobs):
     """The same command computes the rest, and the table is that of an undisturbed sweep."""
     assert yaml.safe_load(Path(CUBES, "sweep.yaml").read_text())["complete"] is False
-    result = dlgmd(*LONG, "--jobs", jobs)
-    assert result.exit_code == 0, result.output
+    result = runs(*LONG, "--jobs", jobs)
     match = re.match(rf"(\d+) of {N_POINTS} points are already done\.", result.stderr)
     assert Path(CUBES, "sweep.csv").read_bytes() == undisturbed
     assert sorted(os.listdir(CUBES)) == ["sweep.csv", "sweep.yaml"]
@@ -104,15 +103,14 @@ def test_a_process_that_is_killed_loses_no_point_that_was_done(dlgmd, undisturbe
 
 
 @pytest.mark.parametrize("engine", ["opencv", "numba"])
-def test_a_video_by_two_processes(dlgmd, tmp_path, engine):
+def test_a_video_by_two_processes(runs, tmp_path, engine):
     if engine == "numba":
         pytest.importorskip("numba", reason="the numba engine needs numba")
     write_video(tmp_path / "loom.avi", looming_frames(120, 320, 240))
     grid = ["--x", "sigma_e=0.5:2:0.5", "--y", "ffi_gd=true,false", "--set", 9, "--engine", engine]
     for jobs in (1, 2):
-        options = ["--jobs", jobs, "--out", f"out{jobs}", "--no-plots"]
-        result = dlgmd("sweep", "loom.avi", *grid, *options)
-        assert result.exit_code == 0, result.output
+        options = ["--jobs", jobs, "--out", f"out{jobs}"]
+        runs("sweep", "loom.avi", *grid, *options)
     one, two = (np.genfromtxt(f"out{jobs}/sweep-loom/sweep.csv", delimiter=",") for jobs in (1, 2))
     # The order in which Numba adds up depends on the number of threads.
     assert np.allclose(one, two, rtol=1e-6 if engine == "numba" else 0.0, equal_nan=True)

@@ -39,9 +39,8 @@ def labels(sets=(), configs=(), models=(), formulations=(), no_ffi_gd=False):
     return [one.label for one in _setups(sets, configs, models, formulations, no_ffi_gd, None)]
 
 
-def test_files_and_summary(dlgmd, clips, tmp_path):
-    result = dlgmd("compare", clips / "loom.avi")
-    assert result.exit_code == 0, result.output
+def test_files_and_summary(runs, clips, tmp_path):
+    result = runs("compare", clips / "loom.avi", plots=True)
     folder = tmp_path / "dlgmd-out" / "loom"
     assert sorted(os.listdir(folder)) == [*PLOTS[:1], PLOTS[1], "compare.csv", "compare.yaml"]
     assert result.stdout.splitlines()[-1] == os.path.join("dlgmd-out", "loom")
@@ -59,7 +58,7 @@ def test_files_and_summary(dlgmd, clips, tmp_path):
 
 
 @pytest.mark.parametrize("engine", ["opencv", "numba"])
-def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
+def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
     if engine == "numba":
         pytest.importorskip("numba", reason="the numba engine needs numba")
     (tmp_path / "my.yaml").write_text("sigma_e: 0.7\nr: 3\n")
@@ -77,11 +76,10 @@ def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
         ],
     }
     options = [word for label in list(given)[:5] for word in given[label]]
-    done = dlgmd(
+    runs(
         *["compare", clips / "loom.avi", *options, "--formulation", "released", "--no-ffi-gd"],
-        *["--no-plots", "--engine", engine, "--normalise", "sequence"],
+        *["--engine", engine, "--normalise", "sequence"],
     )
-    assert done.exit_code == 0, done.output
     compared = rows(tmp_path / "dlgmd-out" / "loom")
     assert set(given) < set(compared) and len(compared) == 3 * 4 + 2
     summaries = {
@@ -90,11 +88,10 @@ def test_numbers_are_those_of_run(dlgmd, clips, tmp_path, engine):
     for number, (label, alone) in enumerate(given.items()):
         out = f"alone-{number}"
         engines = [] if "lgmd" in label else ["--engine", engine]
-        done = dlgmd(
-            *["run", clips / "loom.avi", *alone, *engines, "--no-plots", "--out", out],
+        runs(
+            *["run", clips / "loom.avi", *alone, *engines, "--out", out],
             *["--normalise", "sequence"],
         )
-        assert done.exit_code == 0, done.output
         folder = tmp_path / out / "loom"
         potential, attenuation = csv_rows(folder / "mp.csv"), csv_rows(folder / "attenuation.csv")
         for row, mp, db in zip(compared[label], potential, attenuation, strict=True):
@@ -128,9 +125,9 @@ def test_labels(tmp_path):
     assert labels(configs=(configs[0],), formulations=("released",), no_ffi_gd=True) == ["run"]
 
 
-def test_variants_are_the_model_with_other_parameters(dlgmd, clips, tmp_path):
-    options = ["--set", 9, "--variant", "weak:a=1", "--variant", "strong:a=2,r=4", "--no-plots"]
-    assert dlgmd("compare", clips / "loom.avi", *options).exit_code == 0
+def test_variants_are_the_model_with_other_parameters(runs, clips, tmp_path):
+    options = ["--set", 9, "--variant", "weak:a=1", "--variant", "strong:a=2,r=4"]
+    runs("compare", clips / "loom.avi", *options)
     found = read_comparison("dlgmd-out/loom")
     assert {label: (one.params.a, one.params.r) for label, one in found.items()} == {
         "set9": (1.5, 6),
@@ -138,20 +135,22 @@ def test_variants_are_the_model_with_other_parameters(dlgmd, clips, tmp_path):
         "strong": (2.0, 4),
     }
     changes = ["--param", "a=2", "--param", "r=4"]
-    assert dlgmd("run", clips / "loom.avi", "--set", 9, *changes, "--no-plots").exit_code == 0
+    runs("run", clips / "loom.avi", "--set", 9, *changes)
     alone = csv_rows(tmp_path / "dlgmd-out/loom/mp.csv")
     assert [row["mp"] for row in rows(tmp_path / "dlgmd-out/loom")["strong"]] == [
         row["mp"] for row in alone
     ]
 
 
-def test_labels_name_the_models_in_files_tables_and_figures(dlgmd, clips, monkeypatch, tmp_path):
+def test_labels_name_the_models_in_files_tables_and_figures(
+    dlgmd, runs, clips, monkeypatch, tmp_path
+):
     shown = []
     original = traces.plot
     monkeypatch.setattr(traces, "plot", lambda *a, **k: shown.append([*a[1]]) or original(*a, **k))
     options = ["--model", "lgmd", "--set", 9, "--label", "ours", "--label", "old one"]
-    result = dlgmd("compare", clips / "loom.avi", *options)
-    assert result.exit_code == 0 and " old one " in result.stdout
+    result = runs("compare", clips / "loom.avi", *options, plots=True)
+    assert " old one " in result.stdout
     assert shown == [["ours", "old one"]] * 2
     read = read_comparison("dlgmd-out/loom")
     assert [one.params.model for one in read.values()] == ["dlgmd", "lgmd"]
@@ -183,7 +182,7 @@ def test_wrong_variants_and_labels(dlgmd, clips, options, words):
     assert not Path("dlgmd-out").exists()
 
 
-def test_one_decode(dlgmd, clips, monkeypatch):
+def test_one_decode(runs, clips, monkeypatch):
     counts = Counter()
     original = OpenCVDecoder.picture
 
@@ -192,43 +191,37 @@ def test_one_decode(dlgmd, clips, monkeypatch):
         return original(self)
 
     monkeypatch.setattr(OpenCVDecoder, "picture", picture)
-    options = ("--decoder", "opencv", "--no-plots")
-    assert dlgmd("run", clips / "loom.avi", *options).exit_code == 0
+    options = ("--decoder", "opencv")
+    runs("run", clips / "loom.avi", *options)
     of_run = counts["picture"]
     assert of_run >= 20
     models = ("--set", 1, "--set", 9, "--model", "lgmd", "--formulation", "released")
-    result = dlgmd("compare", clips / "loom.avi", *models, *options)
-    assert result.exit_code == 0, result.output
+    runs("compare", clips / "loom.avi", *models, *options)
     assert counts["picture"] == 2 * of_run
 
 
-def test_a_run_s_file_brings_its_size(dlgmd, clips, tmp_path):
+def test_a_run_s_file_brings_its_size(runs, clips, tmp_path):
     for name, option in (("half", ["--scale", 0.5]), ("tiny", ["--size", "9x7"])):
-        done = dlgmd("run", clips / "loom.avi", *option, "--out", name, "--no-plots")
-        assert done.exit_code == 0
+        runs("run", clips / "loom.avi", *option, "--out", name)
     configs = [word for name in ("half", "tiny") for word in ("--config", f"{name}/loom/run.yaml")]
-    done = dlgmd("compare", clips / "loom.avi", "--set", 9, *configs, "--no-plots")
-    assert done.exit_code == 0, done.output
+    runs("compare", clips / "loom.avi", "--set", 9, *configs)
     folder = tmp_path / "dlgmd-out/loom"
     sizes = {one["label"]: (one["width"], one["height"]) for one in record(folder)["models"]}
     assert sizes == {"set9": (32, 24), "half/loom/run": (16, 12), "tiny/loom/run": (9, 7)}
     for label, name in (("half/loom/run", "half"), ("tiny/loom/run", "tiny")):
         expected = [row["mp"] for row in csv_rows(tmp_path / name / "loom" / "mp.csv")]
         assert [row["mp"] for row in rows(folder)[label]] == expected
-    again = dlgmd(
-        *["compare", clips / "loom.avi", *configs, "--scale", 1, "--no-plots", "--overwrite"]
-    )
-    assert again.exit_code == 0, again.output
+    runs(*["compare", clips / "loom.avi", *configs, "--scale", 1, "--overwrite"])
     assert {(one["width"], one["height"]) for one in record(folder)["models"]} == {(32, 24)}
 
 
-def test_distinguishability(dlgmd, clips, tmp_path):
-    result = dlgmd(
+def test_distinguishability(runs, clips, tmp_path):
+    result = runs(
         *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--normalise", "absolute"],
         *["--false-positive-frame", 5, "--collision-frame", 19, "--mark", "4:pitching"],
         *["--span", "3-8:accelerating", "--json"],
+        plots=True,
     )
-    assert result.exit_code == 0, result.output
     folder = tmp_path / "dlgmd-out" / "loom"
     summaries = json.loads(result.stdout)["models"]
     for label, found in rows(folder).items():
@@ -243,13 +236,12 @@ def test_distinguishability(dlgmd, clips, tmp_path):
         assert (math.inf if shown == "inf" else shown) == pytest.approx(expected, rel=1e-6)
 
 
-def test_measures_end_at_the_collision_frame(dlgmd, clips, tmp_path):
-    common = ["compare", clips / "loom.avi", "--set", 3, "--no-plots", "--json"]
+def test_measures_end_at_the_collision_frame(runs, clips, tmp_path):
+    common = ["compare", clips / "loom.avi", "--set", 3, "--json"]
     ends = [[], ["--collision-frame", 18]]
     peaks = []
     for number, end in enumerate(ends):
-        result = dlgmd(*common, *end, "--out", f"o{number}")
-        assert result.exit_code == 0, result.output
+        result = runs(*common, *end, "--out", f"o{number}")
         peaks.append(json.loads(result.stdout)["models"]["set3"]["mp_max_frame"])
     assert peaks[0] > 18 >= peaks[1]
     assert record(tmp_path / "o1/loom")["collision_frame"] == 18
@@ -259,12 +251,11 @@ def test_measures_end_at_the_collision_frame(dlgmd, clips, tmp_path):
     assert result.summary["mp_max_frame"] == peaks[1]
 
 
-def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
+def test_an_infinite_ratio_is_explained(dlgmd, runs, tmp_path):
     still = [np.full((24, 32), 200, np.uint8)] * 12
     write_video(tmp_path / "late.avi", still + looming_frames()[10:])
     common = ["compare", "late.avi", "--set", 9, "--false-positive-frame", 5, "--no-plots"]
-    result = dlgmd(*common)
-    assert result.exit_code == 0, result.output
+    result = runs(*common)
     assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
     as_json = dlgmd(*common, "--json", "--overwrite")
     assert json.loads(as_json.stdout)["models"]["set9"]["distinguishability"] == "inf"
@@ -282,7 +273,7 @@ def test_an_infinite_ratio_is_explained(dlgmd, tmp_path):
         (["--normalise", "absolute"], "mp_abs"),
     ],
 )
-def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
+def test_what_the_figure_shows(runs, clips, monkeypatch, options, column):
     shown = []
     original = traces.plot
 
@@ -294,8 +285,7 @@ def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
     monkeypatch.setattr(traces, "plot", plot)
     marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
     models = ["--set", 1, "--model", "lgmd", "--width", "two"]
-    result = dlgmd("compare", clips / "loom.avi", *models, *marks, *options)
-    assert result.exit_code == 0, result.output
+    runs("compare", clips / "loom.avi", *models, *marks, *options, plots=True)
     annotations = Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
     assert [one[:4] for one in shown] == [
         (kind, ["set1", "lgmd"], annotations, {"width": "two"})
@@ -308,39 +298,37 @@ def test_what_the_figure_shows(dlgmd, clips, monkeypatch, options, column):
         assert any(np.array_equal(line, curve, equal_nan=True) for line in lines)
 
 
-def test_annotations_beside_the_video_are_a_warning(dlgmd, clips):
-    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--collision-frame", 500)
-    assert result.exit_code == 0, result.output
+def test_annotations_beside_the_video_are_a_warning(runs, clips):
+    result = runs("compare", clips / "loom.avi", "--set", 9, "--collision-frame", 500)
     (line,) = [line for line in result.stderr.splitlines() if line.startswith("Warning")]
     assert "500" in line and "0 to 19" in line
 
 
-def test_too_short(dlgmd, clips, tmp_path):
+def test_too_short(dlgmd, runs, clips, tmp_path):
     write_video(tmp_path / "two.avi", looming_frames(2))
     result = dlgmd("compare", "two.avi", "--set", 9, "--model", "lgmd")
     assert result.exit_code == 1
     assert "two.avi: 2 frames, but lgmd needs at least 3" in result.stderr
     assert not (tmp_path / "dlgmd-out").exists()
     # What one model can answer is kept, though the other cannot.
-    done = dlgmd("compare", clips / "short.avi", "--set", 9, "--set", 1, "--no-plots")
-    assert done.exit_code == 0, done.output
+    done = runs("compare", clips / "short.avi", "--set", 9, "--set", 1)
     found = rows(tmp_path / "dlgmd-out" / "short")
     assert [row["mp"] for row in found["set9"]] == ["", "", ""]
     assert found["set1"][2]["mp"] != "" and "set1: too few" not in done.stderr
     assert "set9: too few frames for an answer" in done.stderr
 
 
-def test_shares_the_folder_of_run(dlgmd, clips, tmp_path):
+def test_shares_the_folder_of_run(dlgmd, runs, clips, tmp_path):
     folder = tmp_path / "dlgmd-out" / "loom"
     for arguments in (["run"], ["compare", "--set", 9], ["run", "--overwrite"]):
         command, *options = arguments
-        assert dlgmd(command, clips / "loom.avi", "--no-plots", *options).exit_code == 0
+        runs(command, clips / "loom.avi", *options)
     assert {"run.yaml", "mp.csv", "compare.csv", "compare.yaml"} < set(os.listdir(folder))
     refused = dlgmd("compare", clips / "loom.avi", "--set", 1)
     assert refused.exit_code == 2 and "a result already exists here" in refused.stderr
     assert list(rows(folder)) == ["set9"]
-    done = dlgmd("compare", clips / "loom.avi", "--set", 1, "--overwrite", "--no-plots")
-    assert done.exit_code == 0 and list(rows(folder)) == ["set1"]
+    runs("compare", clips / "loom.avi", "--set", 1, "--overwrite")
+    assert list(rows(folder)) == ["set1"]
 
 
 def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, monkeypatch, stop):
@@ -361,11 +349,10 @@ def test_a_stop_keeps_the_same_frames_of_every_model(dlgmd, clips, tmp_path, mon
     assert sorted(os.listdir(folder)) == [*PLOTS, "compare.csv", "compare.yaml"]
 
 
-def test_a_label_with_odd_letters_stays_one_cell(dlgmd, clips, tmp_path):
+def test_a_label_with_odd_letters_stays_one_cell(runs, clips, tmp_path):
     name = 'a,"b"\n$x^.yaml'
     (tmp_path / name).write_text("r: 3\n")
-    result = dlgmd("compare", clips / "loom.avi", "--config", name)
-    assert result.exit_code == 0, result.output
+    runs("compare", clips / "loom.avi", "--config", name, plots=True)
     assert list(rows(tmp_path / "dlgmd-out" / "loom")) == ['a,"b"\\n$x^']
     assert Path("dlgmd-out/loom/compare-mp.png").stat().st_size > 1000
 
@@ -383,11 +370,9 @@ def test_equal_labels_of_different_models_are_numbered(tmp_path):
     assert found["set9/released (2)"].sigma_e == 0.9
 
 
-def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(dlgmd, clips):
-    done = dlgmd("run", clips / "loom.avi", "--fps", 10, "--scale", 0.5, "--no-plots", "--out", "a")
-    assert done.exit_code == 0
-    result = dlgmd("compare", clips / "loom.avi", "--config", "a/loom/run.yaml", "--no-plots")
-    assert result.exit_code == 0
+def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(runs, clips):
+    runs("run", clips / "loom.avi", "--fps", 10, "--scale", 0.5, "--out", "a")
+    result = runs("compare", clips / "loom.avi", "--config", "a/loom/run.yaml")
     assert "a/loom/run.yaml: its recorded options (fps) are not used; give them" in result.stderr
 
 
@@ -407,12 +392,12 @@ def test_a_warning_about_several_models_is_told_once(dlgmd, tmp_path):
     assert "slow.avi: flight and 1 other model: 12 frames/s" in told
 
 
-def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, clips, tmp_path):
+def test_a_variant_of_each_model_and_the_collision_of_a_table(dlgmd, runs, clips, tmp_path):
     (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},18\n")
     two = ["--set", 3, "--set", 9, "--variant", "weak:a=1", "--no-plots"]
     for option in ("--collisions", "--labels"):
         named = ["compare", clips / "loom.avi", *two, option, "labels.csv", "--overwrite"]
-        assert dlgmd(*named).exit_code == 0
+        runs(*named)
         folder = tmp_path / "dlgmd-out/loom"
         assert record(folder)["collision_frame"] == 18
         assert list(rows(folder)) == ["set3", "set3/weak", "set9", "set9/weak"]

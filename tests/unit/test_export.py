@@ -1,5 +1,6 @@
 """Models as C: the command and its folder, and that the C answers as Python does."""
 
+import ctypes
 import json
 import re
 from pathlib import Path
@@ -7,17 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import looming_frames
-from exported import answers_of_c, answers_of_python, error_of_mp, error_of_place, make, needs_cc
+from exported import (
+    address,
+    answers_of_c,
+    answers_of_python,
+    compiled,
+    error_of_mp,
+    error_of_place,
+    make,
+    needs_cc,
+)
 
 from dlgmd_cli import load_set
 from dlgmd_cli.export.project import Export
 from dlgmd_cli.export.sums import float_code
+from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import ContrastParameters, load_config, parameters_of
 
 FLIGHT = parameters_of(load_config("flight"))
 
 FILES = {
+    "dlgmd_health.c",
     *("dlgmd.h", "dlgmd.c", "dlgmd_model.h", "example.c", "test.c", "vectors.h", "frames.gray"),
     *("board.c", "mps2.ld", "Makefile", "README.md"),
 }
@@ -25,9 +37,9 @@ FILES = {
 
 @needs_cc
 @pytest.mark.parametrize("fixed", [[], ["--fixed"]], ids=["float", "fixed"])
-def test_make_test_and_the_example(dlgmd, tmp_path, fixed):
-    result = dlgmd("export", "c", "--size", "64x48", "--out", "x", *fixed)
-    assert result.exit_code == 0 and result.stdout.splitlines()[0] == "x", result.output
+def test_make_test_and_the_example(runs, tmp_path, fixed):
+    result = runs("export", "c", "--size", "64x48", "--out", "x", *fixed)
+    assert result.stdout.splitlines()[0] == "x"
     assert {path.name for path in (tmp_path / "x").iterdir()} == FILES
     printed = make(tmp_path / "x", "test").splitlines()
     assert printed[-1] == "passed" and len(printed) >= 9
@@ -39,18 +51,22 @@ def test_make_test_and_the_example(dlgmd, tmp_path, fixed):
 
 
 @needs_cc
-def test_the_example_prints_csv(dlgmd, tmp_path):
-    dlgmd("export", "c", "--size", "16x16", "--out", "x")
+def test_the_example_prints_csv(runs, tmp_path):
+    runs("export", "c", "--size", "16x16", "--out", "x")
     make(tmp_path / "x")
     printed = make(tmp_path / "x", "--eval=play: ; ./dlgmd < frames.gray", "play").splitlines()
-    assert printed[:3] == ["frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s", "0,,,0,0,,,", "1,,,0,0,,,"]
+    assert printed[:3] == [
+        "frame,mp,mp_abs,spike,alarm,g_x,g_y,ttc_s,blind",
+        "0,,,0,0,,,,",
+        "1,,,0,0,,,,",
+    ]
     assert len(printed) == 21 and printed[3].startswith("2,")
     with pytest.raises(AssertionError, match="does not end with a whole frame of 16 x 16"):
         make(tmp_path / "x", "--eval=play: ; head -c 300 frames.gray | ./dlgmd", "play")
 
 
-def test_costs_in_json_table_and_header(dlgmd, tmp_path):
-    facts = json.loads(dlgmd("export", "c", "--set", 9, "--json").stdout)
+def test_costs_in_json_table_and_header(dlgmd, runs, tmp_path):
+    facts = json.loads(runs("export", "c", "--set", 9, "--json").stdout)
     assert facts["folder"] == "dlgmd-c"
     assert facts["multiplications"] == 23 * 96 * 72 and facts["additions"] == 54 * 96 * 72
     for name in ("dlgmd.h", "README.md"):
@@ -72,20 +88,26 @@ def rough_frames(width, height):
 
 @needs_cc
 @pytest.mark.parametrize(
-    ("params", "is_fixed"),
+    ("params", "is_fixed", "steps_ms"),
     [
-        (FLIGHT, False),
-        (FLIGHT, True),
-        (ContrastParameters(), True),
-        (load_set(9), False),
-        (load_set(3, formulation="released"), True),
+        (FLIGHT, False, (0,)),
+        (FLIGHT, False, (16, 17, 17)),
+        (FLIGHT, True, (0,)),
+        (FLIGHT, True, (8, 8, 9)),
+        (FLIGHT, True, (66, 67, 67)),
+        (ContrastParameters(), True, (0,)),
+        (ContrastParameters(w_fps=20.0, c_m=0.5), False, (33, 33, 34)),
+        (load_set(9), False, (17,)),
+        (load_set(3, formulation="released"), True, (0,)),
     ],
-    ids=["flight", "flight-fixed", "contrast-fixed", "set9", "set3-fixed"],
+    ids=str,
 )
-def test_c_answers_as_python(tmp_path, params, is_fixed):
+def test_c_answers_as_python(tmp_path, params, is_fixed, steps_ms):
+    """With and without times."""
     export = Export(params, 40, 30, is_fixed)
     frames = rough_frames(40, 30)
-    answers, right = answers_of_c(export, tmp_path, frames), answers_of_python(params, frames)
+    answers = answers_of_c(export, tmp_path, frames, steps_ms)
+    right = answers_of_python(params, frames, steps_ms)
     most = 0.02 if is_fixed else 1e-5
     assert right[:, 1].any() and np.array_equal(answers[:, :3], right[:, :3])
     assert error_of_mp(export, answers, right).max() <= most
@@ -112,3 +134,43 @@ def test_table_of_costs():
         width, height = map(int, size.split("x"))
         costs = Export(params, width, height, arithmetic == "fixed").costs
         assert ram == f"{costs['ram_bytes']:,}" and flash == f"{costs['flash_bytes']:,}"
+
+
+def sights(width, height):
+    """Pictures, 1.2 s of each kind at 30 a second, between sound ones: noisy, moving stripes."""
+    rng = np.random.default_rng(3)
+    x = np.arange(width) + 0.0 * np.arange(height)[:, None]
+
+    def noisy(picture, levels):
+        seen = picture + levels * rng.standard_normal((height, width))
+        return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+
+    stripes = 128.0 + 60.0 * np.sin(x / 5.0)
+    kinds = (
+        lambda: noisy(0.04, 0.3),
+        lambda: noisy(120.0, 5.0),
+        lambda: rng.integers(0, 256, (height, width), np.uint8),
+        lambda: noisy(stripes, 1.0),
+    )
+    for kind in kinds:
+        yield from (kind() for _ in range(36))
+        yield from (noisy(128.0 + 60.0 * np.sin((x + 3 * t) / 5.0), 2.0) for t in range(30))
+
+
+@needs_cc
+def test_health_is_that_of_python(tmp_path):
+    """Each reason, when it begins and ends, to a frame; for odd sizes, too."""
+    names = (None, BLACK, FLAT, NOISE, FROZEN)
+    for width, height, step_ms in ((64, 48, 33), (47, 33, 0)):
+        (folder := tmp_path / str(width)).mkdir()
+        c, health = compiled(Export(FLIGHT, width, height), folder), Health()
+        sight, time_ms = (ctypes.c_uint32 * (width * height))(), 0
+        c.dlgmd_health_reset(sight)
+        told, right = [], []
+        for frame in sights(width, height):
+            time_ms += step_ms
+            told.append(names[c.dlgmd_health(sight, address(frame), step_ms)])
+            right.append(health.step(frame, time_ms / 1000.0 if step_ms else None))
+        assert set(right) == set(names)
+        apart = [i for i, (a, b) in enumerate(zip(told, right, strict=True)) if a != b]
+        assert all(told[i] in right[i - 1 : i + 2] for i in apart) and len(apart) <= 8

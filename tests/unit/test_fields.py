@@ -96,15 +96,15 @@ def test_interlaced_video_is_deinterlaced(request, name, first_px, decoder):
         assert error < 3.0 and error < 0.5 * np.abs(comb - right).mean()
 
 
-def test_the_record_and_info_say_so(dlgmd, unflagged, tmp_path):
+def test_the_record_and_info_say_so(dlgmd, runs, unflagged, tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
-    assert dlgmd("run", unflagged, "--no-plots").exit_code == 0
+    runs("run", unflagged)
     source = yaml_of(tmp_path / "dlgmd-out/fields/run.yaml")["input"]
     assert (source["decoder"], source["deinterlaced"]) == ("pyav", "bwdif")
     shown = dlgmd("info", unflagged).stdout
     assert "It is interlaced: all commands" in shown
     write_video(tmp_path / "whole.avi", WHOLE)
-    assert dlgmd("run", "whole.avi", "--no-plots", "--decoder", "opencv").exit_code == 0
+    runs("run", "whole.avi", "--decoder", "opencv")
     source = yaml_of(tmp_path / "dlgmd-out/whole/run.yaml")["input"]
     assert source["decoder"] == "opencv" and "deinterlaced" not in source
 
@@ -144,8 +144,8 @@ def av1(tmp_path_factory):
     return encode(tmp_path_factory.mktemp("codecs") / "flight.mp4", frames, codec)
 
 
-def test_a_codec_that_opencv_lacks(dlgmd, av1, monkeypatch, tmp_path):
-    assert dlgmd("run", av1, "--no-plots").exit_code == 0
+def test_a_codec_that_opencv_lacks(dlgmd, runs, av1, monkeypatch, tmp_path):
+    runs("run", av1)
     record = yaml_of(tmp_path / "dlgmd-out/flight/run.yaml")
     assert (record["input"]["decoder"], record["input"]["frames"]) == ("pyav", 12)
     assert "av" in record["versions"] and "decoder" not in record["options"]

@@ -43,9 +43,8 @@ def boxes(tmp_path_factory):
     return write_video(tmp_path_factory.mktemp("boxes") / "boxed.avi", boxed(panning()))
 
 
-def facts_of(dlgmd, *arguments):
-    result = dlgmd("info", *arguments, "--json")
-    assert result.exit_code == 0, result.output
+def facts_of(runs, *arguments):
+    result = runs("info", *arguments, "--json")
     (facts,) = json.loads(result.stdout)["inputs"]
     return facts
 
@@ -191,9 +190,8 @@ def test_an_array_has_no_rate(dlgmd, tmp_path):
     assert not any("'av'" in line for line in facts["advice"])
 
 
-def test_bars_and_a_display_are_proposed(dlgmd, boxes, tmp_path):
-    result = dlgmd("info", boxes, "--write-mask", "mask.png")
-    assert result.exit_code == 0, result.output
+def test_bars_and_a_display_are_proposed(dlgmd, runs, boxes, tmp_path):
+    result = runs("info", boxes, "--write-mask", "mask.png")
     crop = f"{WIDTH}x{SCENE_WH[1]}+0+{BAR}"
     assert f"--crop {crop} leaves them out" in result.stdout
     assert "of the pixels never change" in result.stdout

@@ -39,9 +39,8 @@ def stop_at(monkeypatch, stop):
     return arrange
 
 
-def test_a_sheet_and_its_record(dlgmd, clips):
-    result = dlgmd("layers", clips / "loom.avi", "--frames", "18, 10,1,10", "--set", 9)
-    assert result.exit_code == 0, result.output
+def test_a_sheet_and_its_record(runs, clips):
+    result = runs("layers", clips / "loom.avi", "--frames", "18, 10,1,10", "--set", 9, plots=True)
     assert result.stdout == os.path.join("dlgmd-out", "loom") + "\n" and result.stderr == ""
     assert set(os.listdir("dlgmd-out/loom")) == FILES
     written = record()
@@ -53,9 +52,9 @@ def test_a_sheet_and_its_record(dlgmd, clips):
     assert written["sigma_e"] == load_set(9).sigma_e and "versions" in written
 
 
-def test_arrays_are_the_library_s(dlgmd, clips):
-    arguments = ("--frames", "0,2,19", "--npz", "--set", 7, "--no-plots")
-    assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
+def test_arrays_are_the_library_s(runs, clips):
+    arguments = ("--frames", "0,2,19", "--npz", "--set", 7)
+    runs("layers", clips / "loom.avi", *arguments)
     assert set(os.listdir("dlgmd-out/loom")) == {"layers.yaml", "layers.npz"}
     model, expected = DLGMD(load_set(7)), {}
     with open_video(clips / "loom.avi") as video:
@@ -77,11 +76,11 @@ def test_arrays_are_the_library_s(dlgmd, clips):
         assert np.isnan(arrays["p"][0]).all() and arrays["g"][2].max() > 0
 
 
-def test_the_strongest_frames_are_chosen_unless_given(dlgmd, clips):
-    assert dlgmd("run", clips / "loom.avi", "--set", 4, "--no-plots").exit_code == 0
+def test_the_strongest_frames_are_chosen_unless_given(dlgmd, runs, clips):
+    runs("run", clips / "loom.avi", "--set", 4)
     strength = np.nan_to_num(read_result("dlgmd-out/loom").mp)
-    result = dlgmd("layers", clips / "loom.avi", "--set", 4, "--no-plots", "--npz")
-    assert result.exit_code == 0 and result.stderr == "", result.output
+    result = runs("layers", clips / "loom.avi", "--set", 4, "--npz")
+    assert result.stderr == ""
     frames = record()["frames"]
     assert frames == sorted(np.argsort(-strength)[: len(frames)].tolist()) and len(frames) > 1
     with np.load("dlgmd-out/loom/layers.npz") as arrays:
@@ -108,32 +107,32 @@ def test_no_frame_after_contact_or_without_a_picture_is_chosen():
     assert strongest_frames(result, contact=-1) == strongest_frames(result)
 
 
-def test_collisions_are_those_given_listed_or_rendered(dlgmd, clips):
+def test_collisions_are_those_given_listed_or_rendered(dlgmd, runs, clips):
     shutil.copy(clips / "loom.avi", "loom.avi")
     arguments = ("layers", "loom.avi", "--set", 4, "--no-plots", "--overwrite")
-    assert dlgmd(*arguments).exit_code == 0
+    runs(*arguments)
     assert max(record()["frames"]) > 12
     for options in (["--collision-frame", 12], ["--collisions", "labels.csv"], []):
         Path("labels.csv").write_text("video,collision_frame\nloom.avi,15\nloom.avi,12\n")
         Path("loom.yaml").write_text("scene: x\ncollision_frame: 12\n" if not options else "")
-        result = dlgmd(*arguments, *options)
-        assert result.exit_code == 0 and result.stderr == "", result.output
+        result = runs(*arguments, *options)
+        assert result.stderr == ""
         assert max(record()["frames"]) <= 12
     result = dlgmd(*arguments, "--collisions", "labels.csv", "--collision-frame", 3)
     assert result.exit_code == 2 and "not both" in result.stderr
 
 
-def test_layers_of_other_models_have_signs(dlgmd, clips):
-    arguments = ("--model", "emd-lgmd", "--frames", "1,15", "--npz", "--no-plots")
-    assert dlgmd("layers", clips / "loom.avi", *arguments).exit_code == 0
+def test_layers_of_other_models_have_signs(runs, clips):
+    arguments = ("--model", "emd-lgmd", "--frames", "1,15", "--npz")
+    runs("layers", clips / "loom.avi", *arguments)
     with np.load("dlgmd-out/loom/layers.npz") as arrays:
         assert record()["model"] == "emd-lgmd" and arrays["p"][1].min() < 0
 
 
-def test_the_sheet_joins_what_run_made(dlgmd, clips):
+def test_the_sheet_joins_what_run_made(dlgmd, runs, clips):
     loom = clips / "loom.avi"
-    assert dlgmd("run", loom, "--no-plots").exit_code == 0
-    assert dlgmd("layers", loom, "--frames", "5", "--format", "svg").exit_code == 0
+    runs("run", loom)
+    runs("layers", loom, "--frames", "5", "--format", "svg")
     assert {"run.yaml", "mp.csv"} | {"layers.yaml", "layers.svg"} <= set(
         os.listdir("dlgmd-out/loom")
     )
@@ -141,17 +140,17 @@ def test_the_sheet_joins_what_run_made(dlgmd, clips):
     assert again.exit_code == 2 and "a result already exists here" in again.stderr
     assert record()["frames"] == [5]
     arguments = ("--frames", "6", "--overwrite", "--no-plots")
-    assert dlgmd("layers", loom, *arguments).exit_code == 0
+    runs("layers", loom, *arguments)
     assert record()["frames"] == [6] and Path("dlgmd-out/loom/run.yaml").exists()
     assert not Path("dlgmd-out/loom/layers.svg").exists()
 
 
-def test_the_record_repeats_parameters_and_options(dlgmd, clips):
-    arguments = ("--frames", "5", "--no-plots")
+def test_the_record_repeats_parameters_and_options(runs, clips):
+    arguments = ("--frames", "5")
     given = ("--set", 5, "--param", "r=3", "--size", "16x12")
-    assert dlgmd("layers", clips / "loom.avi", *arguments, *given).exit_code == 0
+    runs("layers", clips / "loom.avi", *arguments, *given)
     config = ("--config", "dlgmd-out/loom/layers.yaml", "--out", "again")
-    assert dlgmd("layers", clips / "loom.avi", *arguments, *config).exit_code == 0
+    runs("layers", clips / "loom.avi", *arguments, *config)
     assert record("again/loom") == record()
     assert record()["processed"]["width"] == 16 and record()["r"] == 3
 
@@ -166,15 +165,14 @@ def test_the_record_repeats_parameters_and_options(dlgmd, clips):
         (["--frames", "3,25", "--end", "4"], "frame 25 is not in it; its last one is", [3]),
     ],
 )
-def test_frames_that_are_not_there_are_named(dlgmd, clips, options, warning, shown):
-    result = dlgmd("layers", clips / "loom.avi", "--no-plots", *options)
-    assert result.exit_code == 0
+def test_frames_that_are_not_there_are_named(runs, clips, options, warning, shown):
+    result = runs("layers", clips / "loom.avi", *options)
     assert f"Warning: {clips / 'loom.avi'}: {warning}" in result.stderr
     assert record()["frames"] == shown
     assert any(line in result.stderr for line in record()["warnings"])
 
 
-def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
+def test_a_film_at_the_rate_of_what_was_processed(runs, clips, monkeypatch):
     """Its pictures are those of the frames and layers, in order, on scales that hold them all."""
     seen, scales, picture = [], [], Film.picture
 
@@ -186,8 +184,7 @@ def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
 
     monkeypatch.setattr(Film, "picture", recording)
     arguments = ("--video", "film.mp4", "--fps", "12.5")
-    result = dlgmd("layers", clips / "loom.avi", *arguments)
-    assert result.exit_code == 0, result.output
+    result = runs("layers", clips / "loom.avi", *arguments)
     assert result.stdout == "film.mp4\n" and os.listdir(".") == ["film.mp4"]
     assert "12.5 frames/s: alarms are unreliable" in result.stderr
     rate, film = read_video("film.mp4")
@@ -199,18 +196,18 @@ def test_a_film_at_the_rate_of_what_was_processed(dlgmd, clips, monkeypatch):
     assert min(scales) > 0
 
 
-def test_an_overlay_is_the_input_with_active_cells_and_a_banner(dlgmd):
+def test_an_overlay_is_the_input_with_active_cells_and_a_banner(runs):
     """Pictures have an odd number of rows and columns, the film an even one."""
     looming = [cv2.resize(frame, (161, 121)) for frame in looming_frames()]
     os.mkdir("loom")
     for number, frame in enumerate(looming):
         cv2.imwrite(f"loom/{number}.png", frame)
     model = ("--set", 4, "--param", "t_mp=0.01", "--input-fps", 25)
-    result = dlgmd("layers", "loom", "--video", "film.mp4", "--overlay", *model)
-    assert result.exit_code == 0 and result.stdout == "film.mp4\n", result.output
+    result = runs("layers", "loom", "--video", "film.mp4", "--overlay", *model, plots=True)
+    assert result.stdout == "film.mp4\n"
     _, film = read_video("film.mp4")
     assert len(film) == 20 and film[0].shape == (122, 162, 3)
-    assert dlgmd("run", "loom", *model, "--no-plots").exit_code == 0
+    runs("run", "loom", *model)
     alarms = read_result("dlgmd-out/loom").alarms
     blue, _, red = np.array([frame[3, 8:40].mean(axis=0) for frame in film]).T
     assert alarms.any() and not alarms.all()
@@ -221,21 +218,20 @@ def test_an_overlay_is_the_input_with_active_cells_and_a_banner(dlgmd):
     assert np.abs(film[2][scene].mean(axis=2) - looming[2][scene]).mean() < 4
 
 
-def test_what_is_doubtful_about_a_film_is_said(dlgmd, tmp_path):
+def test_what_is_doubtful_about_a_film_is_said(runs, tmp_path):
     for number in range(6):
         cv2.imwrite(str(tmp_path / f"{number}.png"), looming_frames(1)[0])
     arguments = ("--video", "film.mp4", "--input-fps", "5000", "--normalise", "sequence")
-    result = dlgmd("layers", "%d.png", *arguments)
-    assert result.exit_code == 0 and len(read_video("film.mp4")[1]) == 6
+    result = runs("layers", "%d.png", *arguments)
+    assert len(read_video("film.mp4")[1]) == 6
     assert "film.mp4 plays at 240 frames a second, not at 5000." in result.stderr
     assert "all pictures are the same" in result.stderr
     assert "cannot be normalised by its own sequence" in result.stderr
 
 
-def test_sheet_and_film_come_from_one_command(dlgmd, clips):
+def test_sheet_and_film_come_from_one_command(dlgmd, runs, clips):
     arguments = ("--frames", "1,30", "--video", "new/film.mp4", "--no-plots", "--set", 9)
-    result = dlgmd("layers", clips / "loom.avi", *arguments, "--end", 0.3)
-    assert result.exit_code == 0, result.output
+    result = runs("layers", clips / "loom.avi", *arguments, "--end", 0.3)
     folder, film = result.stdout.splitlines()
     assert folder == os.path.join("dlgmd-out", "loom") and record()["frames"] == [1]
     assert record()["input"]["frames"] == len(read_video(film)[1]) == 8

@@ -13,14 +13,14 @@ import dlgmd_cli
 from dlgmd_cli.errors import DlgmdError, OutputExistsError, ParameterError
 
 
-def test_a_folder_that_looks_like_a_url_is_a_folder(dlgmd, clips):
+def test_a_folder_that_looks_like_a_url_is_a_folder(runs, clips):
     os.makedirs("rtsp:/x")
     os.link(clips / "loom.avi", "rtsp:/x/loom.avi")
-    assert dlgmd("run", "rtsp://x/loom.avi", "--no-plots").exit_code == 0
+    runs("run", "rtsp://x/loom.avi")
 
 
-def test_plotting_what_was_not_run_names_the_command(dlgmd, clips):
-    dlgmd("layers", clips / "loom.avi", "--frames", 9, "--out", "out")
+def test_plotting_what_was_not_run_names_the_command(dlgmd, runs, clips):
+    runs("layers", clips / "loom.avi", "--frames", 9, "--out", "out", plots=True)
     result = dlgmd("plot", "mp", "out/loom")
     assert result.exit_code == 1 and "Run 'dlgmd run" in result.stderr
 
@@ -31,7 +31,7 @@ def test_nothing_passes(dlgmd, clips):
     assert "0: everything was suppressed" in result.stdout and "none" in result.stdout
 
 
-def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
+def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, runs, clips):
     whole = (clips / "loom.avi").read_bytes()
     with open("cut.avi", "wb") as file:
         file.write(whole[: len(whole) * 3 // 4])
@@ -40,7 +40,7 @@ def test_warnings_of_a_truncated_file_are_in_the_json(dlgmd, clips):
     assert facts["complete"] is True
     (warning,) = [line for line in facts["warnings"] if "cut off" in line]
     assert f"Warning: cut.avi: {warning}." in result.stderr
-    facts = json.loads(dlgmd("compare", "cut.avi", "--json", "--no-plots", "--out", "b").stdout)
+    facts = json.loads(runs("compare", "cut.avi", "--json", "--out", "b").stdout)
     assert warning in facts["warnings"]
 
 

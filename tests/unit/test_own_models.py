@@ -102,47 +102,45 @@ def gone(own, monkeypatch):
     return remove
 
 
-def test_compares_beside_set_9(dlgmd, clips, own, tmp_path):
-    result = dlgmd("compare", clips / "loom.avi", "--set", 9, *FAST)
-    assert result.exit_code == 0, result.stderr
+def test_compares_beside_set_9(runs, clips, own, tmp_path):
+    runs("compare", clips / "loom.avi", "--set", 9, *FAST, plots=True)
     folder = tmp_path / "dlgmd-out/loom"
     both = dlgmd_cli.read_comparison(folder)
     assert list(both) == ["set9", "Fast"] and (folder / "compare-mp.png").stat().st_size > 5000
     assert both["Fast"].params == own.FastParameters() and both["Fast"].summary["mp_max"] > 0
 
 
-def test_runs_and_its_record_repeats_the_run(dlgmd, clips, own, tmp_path):
-    run = ["run", clips / "loom.avi", "--no-plots"]
-    assert dlgmd(*run, *FAST, "--param", "floor=0.1", "--param", "n_sp=3").exit_code == 0
+def test_runs_and_its_record_repeats_the_run(runs, clips, own, tmp_path):
+    run = ["run", clips / "loom.avi"]
+    runs(*run, *FAST, "--param", "floor=0.1", "--param", "n_sp=3")
     folder = tmp_path / "dlgmd-out/loom"
     record = yaml.safe_load((folder / "run.yaml").read_text())
     keys = ("model", "floor", "t_mp", "n_sp", "kappa", "engine")
     assert [record[key] for key in keys] == ["mymodel:Fast", 0.1, 0.4, 3, 0.01, "opencv"]
-    assert dlgmd(*run, "--config", folder / "run.yaml", "--out", "again").exit_code == 0
+    runs(*run, "--config", folder / "run.yaml", "--out", "again")
     again = (tmp_path / "again/loom/mp.csv").read_bytes()
     assert again == (folder / "mp.csv").read_bytes()
 
 
 @pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])
-def test_a_state_may_be_set_in_reset_alone(dlgmd, clips, own, command, tmp_path):
+def test_a_state_may_be_set_in_reset_alone(runs, clips, own, command, tmp_path):
     axes = ["--x", "n_sp=1,2", "--y", "t_mp=0.1:0.3:0.1"] if command == "sweep" else []
     film = ["--video", "film.mp4"] if command == "layers" else []
-    made = dlgmd(command, clips / "loom.avi", "--model", "mymodel:Adapting", *axes, *film)
-    assert made.exit_code == 0, made.stderr
+    runs(command, clips / "loom.avi", "--model", "mymodel:Adapting", *axes, *film)
     assert not film or (tmp_path / "film.mp4").stat().st_size > 1000
     assert dlgmd_cli.Alarm(own.Adapting().params).step(np.zeros((9, 9), np.uint8))
 
 
-def test_pages_have_films_of_models_with_undefined_frames(dlgmd, clips, own, tmp_path):
+def test_pages_have_films_of_models_with_undefined_frames(runs, clips, own, tmp_path):
     named = ["--model", "mymodel:Adapting"]
-    assert dlgmd("run", clips / "loom.avi", *named, "--no-plots").exit_code == 0
-    made = dlgmd("view", "dlgmd-out/loom", *named, "--out", "page.html")
-    assert made.exit_code == 0 and "layers" not in made.stderr, made.stderr
+    runs("run", clips / "loom.avi", *named)
+    made = runs("view", "dlgmd-out/loom", *named, "--out", "page.html")
+    assert "layers" not in made.stderr, made.stderr
     assert b"<video" in (tmp_path / "page.html").read_bytes()
 
 
-def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_path):
-    dlgmd("run", clips / "loom.avi", *FAST, "--param", "kappa=0.3", "--no-plots")
+def test_reads_back_with_and_without_the_module(dlgmd, runs, clips, own, gone, tmp_path):
+    runs("run", clips / "loom.avi", *FAST, "--param", "kappa=0.3")
     folder = tmp_path / "dlgmd-out/loom"
     before = dlgmd_cli.read_result(folder)
     assert before.params == own.FastParameters(kappa=0.3)
@@ -155,8 +153,8 @@ def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_pat
     assert pickle.loads(pickle.dumps(after.params)) == copy.deepcopy(after.params) == after.params
     np.testing.assert_array_equal(after.mp_abs, before.mp_abs)
     np.testing.assert_array_equal(after.spikes, before.spikes)
-    plotted = dlgmd("plot", "overview", folder, "--out", "overview.png")
-    assert plotted.exit_code == 0 and (tmp_path / "overview.png").exists()
+    runs("plot", "overview", folder, "--out", "overview.png")
+    assert (tmp_path / "overview.png").exists()
     with pytest.raises(ParameterError, match="mymodel:Fast is Python code"):
         create_model(after.params)
     again = ["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"]
@@ -165,8 +163,8 @@ def test_reads_back_with_and_without_the_module(dlgmd, clips, own, gone, tmp_pat
     assert unknown.exit_code == 2 and "mymodel:Fast cannot be imported" in unknown.stderr
 
 
-def test_a_record_without_a_threshold_is_damaged(dlgmd, clips, own, gone, tmp_path):
-    dlgmd("run", clips / "loom.avi", *FAST, "--no-plots")
+def test_a_record_without_a_threshold_is_damaged(runs, clips, own, gone, tmp_path):
+    runs("run", clips / "loom.avi", *FAST)
     record = tmp_path / "dlgmd-out/loom/run.yaml"
     record.write_text(record.read_text().replace("t_mp: 0.4", "t_mp: high"))
     gone()
@@ -174,16 +172,14 @@ def test_a_record_without_a_threshold_is_damaged(dlgmd, clips, own, gone, tmp_pa
         dlgmd_cli.read_result(record.parent)
 
 
-def test_sweeps_and_batches_in_processes(dlgmd, clips, own, tmp_path):
-    axes = ["--x", "floor=0.05:0.2:0.05", "--y", "n_sp=1,2", "--jobs", 2, "--no-plots"]
-    result = dlgmd("sweep", clips / "loom.avi", *FAST, *axes)
-    assert result.exit_code == 0, result.stderr
+def test_sweeps_and_batches_in_processes(runs, clips, own, tmp_path):
+    axes = ["--x", "floor=0.05:0.2:0.05", "--y", "n_sp=1,2", "--jobs", 2]
+    runs("sweep", clips / "loom.avi", *FAST, *axes)
     rows = (tmp_path / "dlgmd-out/sweep-loom/sweep.csv").read_text().splitlines()
     assert len(rows) == 9 and rows[0].startswith("floor,n_sp,mp_max")
     for name in "ab":
         write_video(tmp_path / f"videos/{name}.avi", looming_frames())
-    result = dlgmd("batch", "videos", *FAST, "--set", 9, "--jobs", 2, "--no-plots", "--out", "b")
-    assert result.exit_code == 0, result.stderr
+    runs("batch", "videos", *FAST, "--set", 9, "--jobs", 2, "--out", "b")
     found = dlgmd_cli.read_result(tmp_path / "b/Fast/a")
     assert found.params == own.FastParameters() and found.summary["mp_max"] > 0
 
@@ -193,18 +189,16 @@ def videos(tmp_path):
     (tmp_path / "videos").mkdir()
 
 
-def test_is_evaluated_and_calibrated(dlgmd, clips, own, tmp_path):
+def test_is_evaluated_and_calibrated(runs, clips, own, tmp_path):
     for name in "ab":
         write_video(tmp_path / f"videos/{name}.avi", looming_frames())
     labels = tmp_path / "videos/labels.csv"
     labels.write_text("video,collision_frame\na.avi,19\nb.avi,19\n")
-    common = [*FAST, "--jobs", 2, "--no-plots"]
-    result = dlgmd("evaluate", labels, *common, "--set", 9, "--no-baselines", "--out", "ev")
-    assert result.exit_code == 0, result.stderr
+    common = [*FAST, "--jobs", 2]
+    runs("evaluate", labels, *common, "--set", 9, "--no-baselines", "--out", "ev")
     text = (tmp_path / "ev/evaluate.csv").read_text()
     assert "\nFast,default," in text and "\nset9,default," in text
-    result = dlgmd("calibrate", labels, *FAST, "--jobs", 1, "--folds", 2, "--out", "cal")
-    assert result.exit_code == 0, result.stderr
+    runs("calibrate", labels, *FAST, "--jobs", 1, "--folds", 2, "--out", "cal")
     config = parameters.load_config(tmp_path / "cal/calibrated.yaml")
     assert isinstance(parameters.parameters_of(config), own.FastParameters)
 
@@ -249,14 +243,13 @@ def test_a_mask_and_the_number_of_cells_need_no_code(dlgmd, clips, own):
     assert model.n_cells == 4 * 32 and response.mp <= 4 * 32
 
 
-def test_a_class_may_derive_from_ours(dlgmd, clips, own):
+def test_a_class_may_derive_from_ours(dlgmd, runs, clips, own):
     three, kind = parameters.load_set(3), parameters.find_model("mymodel:Variant")
     assert dlgmd_cli.DLGMD.params_class is parameters.MODELS["dlgmd"] is not kind
     assert own.Variant(three).params.to_dict() == three.to_dict()
     result, ours = dlgmd_cli.run(clips / "loom.avi", models=[own.Variant(three).params, 3])
     np.testing.assert_array_equal(result.mp, ours.mp)
-    done = dlgmd("run", clips / "loom.avi", "--model", "mymodel:Variant", "--set", 3, "--no-plots")
-    assert done.exit_code == 0, done.stderr
+    runs("run", clips / "loom.avi", "--model", "mymodel:Variant", "--set", 3)
     refused = dlgmd("run", clips / "loom.avi", *FAST, "--set", 3)
     assert refused.exit_code == 2 and "--set works only with the D-LGMD" in refused.stderr
 
@@ -300,14 +293,14 @@ def test_the_cause_is_kept(own):
     assert isinstance(caught.value.__cause__, IndexError)
 
 
-def test_entry_points_are_names(dlgmd, clips, own, monkeypatch):
+def test_entry_points_are_names(dlgmd, runs, clips, own, monkeypatch):
     for module in ("parameters.presets", "commands.options"):
         monkeypatch.setattr(
             f"dlgmd_cli.{module}.installed_models", lambda: {"quick": "mymodel:Fast"}
         )
     assert parameters.find_model("quick") is own.FastParameters
-    result = dlgmd("compare", clips / "loom.avi", "--set", 9, "--model", "quick", "--no-plots")
-    assert result.exit_code == 0 and " Fast " in result.stdout
+    result = runs("compare", clips / "loom.avi", "--set", 9, "--model", "quick")
+    assert " Fast " in result.stdout
     shown = dlgmd("sets", "show", "mymodel:Fast")
     assert "floor: 0.05            # change that counts; 0 to 1" in shown.stdout
 

@@ -115,42 +115,38 @@ def test_repeats_are_found_beside_a_display(folder, tmp_path):
     assert n_repeats(mask=tmp_path / "twice.png") == len(frames) - 1
 
 
-def test_every_command_takes_them(dlgmd, folder, tmp_path):
+def test_every_command_takes_them(runs, folder, tmp_path):
     options = ("--crop", CROP, "--mask", folder / "cropped.png", "--set", 4)
     n_cells = WIDTH * (HEIGHT - 2 * BAR) - 5 * 16
-    result = dlgmd("run", folder / "display", *options, "--no-plots")
-    assert result.exit_code == 0, result.output
+    runs("run", folder / "display", *options)
     record = yaml_of(tmp_path / "dlgmd-out/display/run.yaml")
     assert record["processed"]["cells"] == n_cells
     assert record["options"]["crop"] == CROP
     assert record["options"]["mask"] == str(folder / "cropped.png")
     expected = dlgmd_cli.read_result(tmp_path / "dlgmd-out/display")
-    again = ("--config", "dlgmd-out/display/run.yaml", "--out", "again", "--no-plots")
-    assert dlgmd("run", folder / "display", *again).exit_code == 0
+    again = ("--config", "dlgmd-out/display/run.yaml", "--out", "again")
+    runs("run", folder / "display", *again)
     repeated = dlgmd_cli.read_result(tmp_path / "again/display")
     np.testing.assert_array_equal(repeated.mp_abs, expected.mp_abs)
     assert repeated.record["options"] == expected.record["options"]
 
-    result = dlgmd("compare", folder / "display", *options, "--model", "lgmd", "--no-plots")
-    assert result.exit_code == 0, result.output
+    runs("compare", folder / "display", *options, "--model", "lgmd")
     compared = read_comparison(tmp_path / "dlgmd-out/display")
     assert {one.n_cells for one in compared.values()} == {n_cells}
     np.testing.assert_allclose(compared["set4"].mp_abs, expected.mp_abs, rtol=1e-6)
 
     grid = ("--x", "alpha=-0.1", "--y", "t0=1")
-    result = dlgmd("sweep", *grid, *options, "--no-plots", folder / "display")
-    assert result.exit_code == 0, result.output
+    runs("sweep", *grid, *options, folder / "display")
     swept = yaml_of(tmp_path / "dlgmd-out/sweep-display/sweep.yaml")
     assert swept["processed"]["cells"] == n_cells
-    result = dlgmd("layers", folder / "display", *options, "--frames", "19", "--npz")
-    assert result.exit_code == 0, result.output
+    runs("layers", folder / "display", *options, "--frames", "19", "--npz", plots=True)
     with np.load(tmp_path / "dlgmd-out/display/layers.npz") as layers:
         hidden = open_video(folder / "display", crop=CROP, mask=folder / "cropped.png").hidden()
         for name in "psg":
             assert (layers[name][:, hidden] == 0.0).all() and layers[name].any()
 
 
-def test_a_batch_sees_that_a_mask_has_changed(dlgmd, folder, tmp_path):
+def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path):
     mask = tmp_path / "mask.png"
     (tmp_path / "in").mkdir()
     clip = write_video(tmp_path / "in" / "a.avi", looming_frames())
@@ -162,7 +158,7 @@ def test_a_batch_sees_that_a_mask_has_changed(dlgmd, folder, tmp_path):
     cv2.imwrite(str(mask), image)
     result = dlgmd(*command)
     assert result.exit_code == 2 and "other settings (--mask)" in result.stderr
-    assert dlgmd(*command, "--overwrite").exit_code == 0
+    runs(*command, "--overwrite")
 
 
 def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):

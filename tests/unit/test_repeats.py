@@ -139,9 +139,9 @@ def test_a_video_with_repeats_gives_the_alarms_of_the_one_without(doubled, name,
     assert kept.summary["alarms"] == 0 and "repeats" not in kept.record["input"]
 
 
-def test_what_is_recorded_and_read_again(dlgmd, doubled):
-    result = dlgmd("run", doubled / "ten.avi", "--set", 7, "--no-plots", "--json")
-    assert result.exit_code == 0 and json.loads(result.stdout)["alarms"] == 1
+def test_what_is_recorded_and_read_again(runs, doubled):
+    result = runs("run", doubled / "ten.avi", "--set", 7, "--json")
+    assert json.loads(result.stdout)["alarms"] == 1
     assert (
         "78 of 120 frames repeat the one before: the video shows about 10 new pictures"
         in result.stderr
@@ -151,11 +151,11 @@ def test_what_is_recorded_and_read_again(dlgmd, doubled):
     stored, fresh = read_result("dlgmd-out/ten"), run(doubled / "ten.avi", set=7)
     assert np.array_equal(stored.alarms, fresh.alarms) and stored.alarm_onsets.size == 1
     assert np.array_equal(stored.is_repeat, fresh.is_repeat)
-    assert dlgmd("compare", doubled / "ten.avi", "--set", 7, "--no-plots").exit_code == 0
+    runs("compare", doubled / "ten.avi", "--set", 7)
     compared = read_comparison("dlgmd-out/ten")["set7"]
     assert np.array_equal(compared.alarms, fresh.alarms)
-    again = ["--config", "dlgmd-out/ten/run.yaml", "--no-plots", "--out", "again"]
-    assert dlgmd("run", doubled / "ten.avi", *again).exit_code == 0
+    again = ["--config", "dlgmd-out/ten/run.yaml", "--out", "again"]
+    runs("run", doubled / "ten.avi", *again)
     assert yaml_of("again/ten/run.yaml") == record
     record["input"]["repeated_rows"] = "nonsense"
     Path("again/ten/run.yaml").write_text(yaml.safe_dump(record))
@@ -199,15 +199,14 @@ def test_an_alarm_begins_anew_after_a_gap_in_time():
     assert [t for t, one in enumerate(found) if not one.is_valid] == [0, 1, 20, 21]
 
 
-def test_layers_and_sweeps_see_what_run_sees(dlgmd, doubled):
+def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
     onset = run(doubled / "ten.avi", set=7).summary["first_alarm_frame"]
-    grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--no-plots", "--jobs", 1]
-    assert dlgmd("sweep", doubled / "ten.avi", *grid).exit_code == 0
+    grid = ["--x", "sigma_e=1", "--y", "a=1.5", "--set", 7, "--jobs", 1]
+    runs("sweep", doubled / "ten.avi", *grid)
     (row,) = csv_rows("dlgmd-out/sweep-ten/sweep.csv")
     assert int(row["first_alarm_frame"]) == onset
-    options = ["--frames", f"{onset},{onset + 1}", "--set", 7, "--no-plots", "--video", "film.mp4"]
-    result = dlgmd("layers", doubled / "ten.avi", *options)
-    assert result.exit_code == 0, result.output
+    options = ["--frames", f"{onset},{onset + 1}", "--set", 7, "--video", "film.mp4"]
+    result = runs("layers", doubled / "ten.avi", *options)
     left_out = f"frame {onset + 1} is left out by --start, --end or --fps, or repeated"
     assert left_out in result.stderr
     rate, pictures = read_video("film.mp4")

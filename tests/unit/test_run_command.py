@@ -27,9 +27,8 @@ def column(path, name):
     return np.genfromtxt(path, delimiter=",", names=True)[name]
 
 
-def test_files_and_columns(dlgmd, clips, tmp_path):
-    result = dlgmd("run", clips / "loom.avi")
-    assert result.exit_code == 0, result.output
+def test_files_and_columns(runs, clips, tmp_path):
+    result = runs("run", clips / "loom.avi", plots=True)
     folder = tmp_path / "dlgmd-out" / "loom"
     assert set(os.listdir(folder)) == FILES | PLOTS
     assert os.listdir(folder.parent) == ["loom"]
@@ -45,8 +44,8 @@ def test_files_and_columns(dlgmd, clips, tmp_path):
         assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(N_FRAMES))
 
 
-def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
-    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots")
+def test_numbers_are_the_library_s(runs, clips, tmp_path):
+    runs("run", clips / "loom.avi", "--set", 7)
     model = DLGMD(load_set(7))
     with open_video(clips / "loom.avi") as source:
         responses = [model.step(frame.grey) for frame in source]
@@ -75,8 +74,8 @@ def test_numbers_are_the_library_s(dlgmd, clips, tmp_path):
         (["--set", 1, "--formulation", "equations"], 2),
     ],
 )
-def test_first_valid_row(dlgmd, clips, tmp_path, options, first):
-    assert dlgmd("run", clips / "loom.avi", "--no-plots", *options).exit_code == 0
+def test_first_valid_row(runs, clips, tmp_path, options, first):
+    runs("run", clips / "loom.avi", *options)
     folder = tmp_path / "dlgmd-out/loom"
     undefined = [True] * first + [False] * (N_FRAMES - first)
     for file, name in [
@@ -92,9 +91,9 @@ def test_first_valid_row(dlgmd, clips, tmp_path, options, first):
     assert all(row["threshold"] == "0.4" for row in spikes)
 
 
-def test_spikes_follow_the_normalisation(dlgmd, clips, tmp_path):
-    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "a")
-    dlgmd("run", clips / "loom.avi", "--no-plots", "--out", "s", "--normalise", "sequence")
+def test_spikes_follow_the_normalisation(runs, clips, tmp_path):
+    runs("run", clips / "loom.avi", "--out", "a")
+    runs("run", clips / "loom.avi", "--out", "s", "--normalise", "sequence")
     for out, name in (("a", "mp_abs"), ("s", "mp_seq")):
         level = column(tmp_path / out / "loom/spikes.csv", "level")
         assert np.array_equal(level, column(tmp_path / out / "loom/mp.csv", name), equal_nan=True)
@@ -118,12 +117,12 @@ def test_looming_raises_the_alarm_and_receding_does_not(dlgmd, tmp_path):
     )
 
 
-def test_the_table_and_json_list_the_alarms(dlgmd, tmp_path):
+def test_the_table_and_json_list_the_alarms(dlgmd, runs, tmp_path):
     """Two approaches from the left, and a stretch of rest between them."""
     looms = [np.pad(frame, ((0, 0), (0, 64)), constant_values=215) for frame in looming_frames(24)]
     write_video(tmp_path / "looms.avi", [*looms, *looms[-1:] * 10, *looms])
     options = ["looms.avi", "--set", 3, "--param", "kappa=1e-5", "--no-plots"]
-    facts = json.loads(dlgmd("run", *options, "--json").stdout)
+    facts = json.loads(runs("run", *options, "--json").stdout)
     rows = csv_rows(tmp_path / "dlgmd-out/looms/alarms.csv")
     assert len(facts["alarm_list"]) == facts["alarms"] == len(rows) >= 2
     for one, row in zip(facts["alarm_list"], rows, strict=True):
@@ -144,21 +143,20 @@ def test_the_table_lists_five_alarms_at_most():
     assert len(listed(alarms[:5])) == 5 and listed([]) == []
 
 
-def test_engine(dlgmd, clips):
+def test_engine(runs, clips):
     pytest.importorskip("numba", reason="the numba engine needs numba")
     mp = {}
     for engine in ("opencv", "numba"):
-        result = dlgmd("run", clips / "loom.avi", "--no-plots", "--out", engine, "--engine", engine)
-        assert result.exit_code == 0, result.output
+        runs("run", clips / "loom.avi", "--out", engine, "--engine", engine)
         record = f"{engine}/loom/run.yaml"
         assert yaml_of(record)["engine"] == engine
-        again = ["--config", record, "--no-plots", "--out", "again", "--overwrite"]
-        assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+        again = ["--config", record, "--out", "again", "--overwrite"]
+        runs("run", clips / "loom.avi", *again)
         assert open_text("again/loom/run.yaml") == open_text(record)
         mp[engine] = open_text(f"{engine}/loom/mp.csv")
         assert open_text("again/loom/mp.csv") == mp[engine]
     record = ["--config", "numba/loom/run.yaml", "--engine", "opencv"]
-    dlgmd("run", clips / "loom.avi", *record, "--no-plots", "--out", "other")
+    runs("run", clips / "loom.avi", *record, "--out", "other")
     assert open_text("other/loom/mp.csv") == mp["opencv"]
 
 
@@ -188,9 +186,9 @@ def open_text(path):
         return file.read()
 
 
-def test_run_yaml(dlgmd, clips):
+def test_run_yaml(runs, clips):
     options = ["--set", 9, "--size", "20x16", "--param", "r=3"]
-    dlgmd("run", clips / "loom.avi", "--no-plots", *options)
+    runs("run", clips / "loom.avi", *options)
     record = yaml_of("dlgmd-out/loom/run.yaml")
     assert record["input"] == {
         "path": str(clips / "loom.avi"),
@@ -227,13 +225,13 @@ def test_run_yaml(dlgmd, clips):
     }
 
 
-def test_run_yaml_repeats_the_run(dlgmd, clips, tmp_path):
+def test_run_yaml_repeats_the_run(runs, clips, tmp_path):
     options = ["--set", 5, "--param", "sigma_e=0.5", "--formulation", "equations"]
     options += ["--scale", 0.75, "--fps", 12.5, "--start", "0.1", "--end", "00:00:00.7"]
-    options += ["--normalise", "sequence", "--no-plots"]
-    assert dlgmd("run", clips / "loom.avi", *options, "--out", "one").exit_code == 0
-    again = ["--config", "one/loom/run.yaml", "--no-plots", "--out", "two"]
-    assert dlgmd("run", clips / "loom.avi", *again).exit_code == 0
+    options += ["--normalise", "sequence"]
+    runs("run", clips / "loom.avi", *options, "--out", "one")
+    again = ["--config", "one/loom/run.yaml", "--out", "two"]
+    runs("run", clips / "loom.avi", *again)
     for name in FILES:
         assert (tmp_path / "one/loom" / name).read_bytes() == (
             tmp_path / "two/loom" / name
@@ -242,14 +240,13 @@ def test_run_yaml_repeats_the_run(dlgmd, clips, tmp_path):
     assert [int(row["frame"]) for row in rows] == list(range(3, 18, 2))
     # What the command line says goes before what the file recorded.
     over = ["--size", "16x12", "--out", "three", "--normalise", "absolute"]
-    assert dlgmd("run", clips / "loom.avi", *again, *over).exit_code == 0
+    runs("run", clips / "loom.avi", *again, *over)
     record = yaml_of("three/loom/run.yaml")
     assert record["processed"]["width"] == 16 and record["options"]["normalise"] == "absolute"
 
 
-def test_plot_formats(dlgmd, clips, tmp_path):
-    result = dlgmd("run", clips / "loom.avi", "--format", "pdf", "--format", "svg")
-    assert result.exit_code == 0
+def test_plot_formats(runs, clips, tmp_path):
+    runs("run", clips / "loom.avi", "--format", "pdf", "--format", "svg")
     names = {
         f"{plot}.{kind}" for plot in ("mp", "attenuation", "spikes") for kind in ("pdf", "svg")
     }
@@ -257,16 +254,15 @@ def test_plot_formats(dlgmd, clips, tmp_path):
     assert (tmp_path / "dlgmd-out/loom/mp.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_folder_of_pictures(dlgmd, pictures, tmp_path):
-    result = dlgmd("run", pictures, "--no-plots")
-    assert result.exit_code == 0
+def test_folder_of_pictures(runs, pictures, tmp_path):
+    result = runs("run", pictures)
     assert "Warning: " in result.stderr and "taken as 30 fps" in result.stderr
     rows = csv_rows(tmp_path / "dlgmd-out" / pictures.name / "mp.csv")
     assert [row["time_s"] for row in rows[:3]] == ["0", "0.0333333333", "0.0666666667"]
 
 
-def test_existing_result(dlgmd, clips):
-    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+def test_existing_result(dlgmd, runs, clips):
+    runs("run", clips / "loom.avi")
     before = os.stat("dlgmd-out/loom/mp.csv")
     refused = dlgmd("run", clips / "loom.avi", "--no-plots")
     assert refused.exit_code == 2
@@ -275,23 +271,21 @@ def test_existing_result(dlgmd, clips):
         "Add --overwrite to replace it, or choose another --out.\n"
     )
     assert os.stat("dlgmd-out/loom/mp.csv") == before
-    assert dlgmd("run", clips / "loom.avi", "--overwrite").exit_code == 0
+    runs("run", clips / "loom.avi", "--overwrite", plots=True)
     assert set(os.listdir("dlgmd-out/loom")) == FILES | PLOTS
 
 
-def test_a_folder_of_another_input_is_refused(dlgmd, clips, tmp_path):
+def test_a_folder_of_another_input_is_refused(dlgmd, runs, clips, tmp_path):
     (tmp_path / "a").mkdir()
     write_video(tmp_path / "a/loom.avi", looming_frames(12))
-    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    runs("run", clips / "loom.avi")
     for command in ("compare", "layers"):
         more = ["--frames", 5] if command == "layers" else ["--set", 9]
         mixed = dlgmd(command, "a/loom.avi", "--no-plots", *more)
         assert mixed.exit_code == 2, mixed.output
         assert "it holds the result of another input (run.yaml)" in mixed.stderr
-    same = dlgmd("compare", clips / "loom.avi", "--no-plots")
-    assert same.exit_code == 0, same.output
-    over = dlgmd("compare", "a/loom.avi", "--no-plots", "--overwrite")
-    assert over.exit_code == 0, over.output
+    runs("compare", clips / "loom.avi")
+    runs("compare", "a/loom.avi", "--overwrite")
     assert set(os.listdir("dlgmd-out/loom")) == {"compare.csv", "compare.yaml"}
 
 
@@ -303,12 +297,12 @@ def test_a_folder_of_other_files_is_left_alone(dlgmd, clips, tmp_path):
     assert os.listdir("dlgmd-out/loom") == ["notes.txt"]
 
 
-def test_what_a_killed_run_left_is_no_result(dlgmd, clips, tmp_path):
+def test_what_a_killed_run_left_is_no_result(runs, clips, tmp_path):
     folder = tmp_path / "dlgmd-out/loom"
     folder.mkdir(parents=True)
     for name in ("mp.csv", ".dlgmd-spikes.csv", "mp.pdf"):
         (folder / name).write_text("half")
-    assert dlgmd("run", clips / "loom.avi", "--no-plots").exit_code == 0
+    runs("run", clips / "loom.avi")
     assert set(os.listdir(folder)) == FILES
 
 
@@ -332,24 +326,21 @@ def test_what_a_config_may_not_say(dlgmd, clips, tmp_path, document, why):
     assert result.exit_code == 2 and why in result.stderr
 
 
-def test_the_decoder_is_on_record_and_repeated(dlgmd, clips, tmp_path, decoder):
-    assert dlgmd("run", clips / "loom.mp4", "--decoder", decoder, "--no-plots").exit_code == 0
+def test_the_decoder_is_on_record_and_repeated(runs, clips, tmp_path, decoder):
+    runs("run", clips / "loom.mp4", "--decoder", decoder)
     folder = tmp_path / "dlgmd-out/loom"
     record = yaml_of(folder / "run.yaml")
     assert record["input"]["decoder"] == record["options"]["decoder"] == decoder
     assert ("av" in record["versions"]) == (decoder == "pyav")
-    again = dlgmd(
-        "run", clips / "loom.mp4", "--config", folder / "run.yaml", "--no-plots", "--out", "again"
-    )
-    assert again.exit_code == 0
+    runs("run", clips / "loom.mp4", "--config", folder / "run.yaml", "--out", "again")
     for name in FILES:
         assert (tmp_path / "again/loom" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_opencv_is_the_default_and_reads_pictures(dlgmd, clips, pictures, tmp_path, monkeypatch):
+def test_opencv_is_the_default_and_reads_pictures(runs, clips, pictures, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    assert dlgmd("run", clips / "loom.mp4", "--no-plots").exit_code == 0
-    assert dlgmd("run", pictures, "--decoder", "pyav", "--no-plots").exit_code == 0
+    runs("run", clips / "loom.mp4")
+    runs("run", pictures, "--decoder", "pyav")
     for name in ("loom", pictures.name):
         record = yaml_of(tmp_path / "dlgmd-out" / name / "run.yaml")
         assert record["input"]["decoder"] == "opencv"
@@ -361,14 +352,14 @@ def test_an_unknown_decoder(clips):
         open_video(clips / "loom.mp4", decoder="vlc")
 
 
-def test_too_short(dlgmd, clips):
+def test_too_short(dlgmd, runs, clips):
     result = dlgmd("run", clips / "short.avi", "--set", 9)
     assert result.exit_code == 1
     assert result.stderr == (
         f"Error: {clips / 'short.avi'}: 3 frames, but set9 needs at least 4. Use a longer clip.\n"
     )
     assert os.listdir(".") == []
-    assert dlgmd("run", clips / "short.avi", "--set", 3, "--no-plots").exit_code == 0
+    runs("run", clips / "short.avi", "--set", 3)
 
 
 def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
@@ -379,27 +370,26 @@ def test_a_still_sequence_cannot_be_normalised(dlgmd, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["..avi", "...avi"])
-def test_a_name_of_dots_stays_inside_out(dlgmd, tmp_path, clips, name):
+def test_a_name_of_dots_stays_inside_out(runs, tmp_path, clips, name):
     (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
-    assert dlgmd("run", name, "--no-plots").exit_code == 0
+    runs("run", name)
     (result,) = os.listdir("dlgmd-out")
     assert result.startswith("video.") and set(os.listdir(f"dlgmd-out/{result}")) == FILES
 
 
-def test_terminal_controls_in_a_name_are_not_printed(dlgmd, tmp_path, clips):
+def test_terminal_controls_in_a_name_are_not_printed(dlgmd, runs, tmp_path, clips):
     name = "red\x1b[31m\nline.avi"
     (tmp_path / name).write_bytes((clips / "loom.avi").read_bytes())
-    result = dlgmd("run", name, "--no-plots")
-    assert result.exit_code == 0 and "\x1b" not in result.output
+    result = runs("run", name)
+    assert "\x1b" not in result.output
     missing = dlgmd("run", "no\x1b[31m.avi")
     assert "\x1b" not in missing.output and "no\\x1b[31m.avi" in missing.stderr
 
 
-def test_a_warning_is_recorded(dlgmd, tmp_path, clips):
+def test_a_warning_is_recorded(runs, tmp_path, clips):
     data = (clips / "loom.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
-    result = dlgmd("run", "cut.avi", "--no-plots")
-    assert result.exit_code == 0
+    result = runs("run", "cut.avi")
     assert "Warning: " in result.stderr and f"of about {N_FRAMES} frames" in result.stderr
     record = yaml_of("dlgmd-out/cut/run.yaml")
     assert len(record["warnings"]) == 1 and record["warnings"][0] in result.stderr
@@ -467,10 +457,9 @@ def test_a_full_disk_is_one_line_and_leaves_no_result(dlgmd, clips, monkeypatch)
     assert os.listdir(".") == []
 
 
-def test_other_models(dlgmd, clips, tmp_path):
+def test_other_models(runs, clips, tmp_path):
     for name in ("lgmd", "emd-lgmd"):
-        result = dlgmd("run", clips / "loom.avi", "--model", name, "--out", name, "--no-plots")
-        assert result.exit_code == 0, result.output
+        runs("run", clips / "loom.avi", "--model", name, "--out", name)
         folder = tmp_path / name / "loom"
         record = yaml_of(folder / "run.yaml")
         assert record["model"] == name and record["engine"] == "opencv"
@@ -483,36 +472,34 @@ def test_other_models(dlgmd, clips, tmp_path):
                 expected = mean / (mean + record["kappa"])
             assert float(row["mp_abs"]) == pytest.approx(expected, rel=1e-6)
         assert record["summary"]["mp_max"] > 0.0
-        again = dlgmd(
+        runs(
             *["run", clips / "loom.avi", "--config", folder / "run.yaml", "--out", "again"],
-            *["--overwrite", "--no-plots"],
+            *["--overwrite"],
         )
-        assert again.exit_code == 0, again.output
         assert (tmp_path / "again/loom/mp.csv").read_bytes() == (folder / "mp.csv").read_bytes()
 
 
-def test_the_default_is_the_preset_which_a_record_repeats(dlgmd, tmp_path):
+def test_the_default_is_the_preset_which_a_record_repeats(runs, tmp_path):
     write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
     for out, options in (("a", []), ("b", ["--config", "flight"]), ("s", ["--set", 3])):
-        assert dlgmd("run", "wide.avi", *options, "--no-plots", "--out", out).exit_code == 0
+        runs("run", "wide.avi", *options, "--out", out)
     record = yaml_of("a/wide/run.yaml")
     assert (record["preset"], record["width_px"], record["model_fps"]) == ("flight", 240, 30.0)
     assert record["processed"] == {"width": 240, "height": 135, "frames": 12}
     assert open_text("a/wide/run.yaml") == open_text("b/wide/run.yaml")
     other = yaml_of("s/wide/run.yaml")
     assert other["processed"]["width"] == other["width_px"] == 480 and "preset" not in other
-    again = ["--config", "a/wide/run.yaml", "--no-plots", "--out", "again"]
-    assert dlgmd("run", "wide.avi", *again).exit_code == 0
+    again = ["--config", "a/wide/run.yaml", "--out", "again"]
+    runs("run", "wide.avi", *again)
     for name in FILES:
         assert open_text(f"again/wide/{name}") == open_text(f"a/wide/{name}")
-    assert dlgmd("run", "wide.avi", *again, "--size", "64x36", "--overwrite").exit_code == 0
+    runs("run", "wide.avi", *again, "--size", "64x36", "--overwrite")
     assert yaml_of("again/wide/run.yaml")["processed"]["width"] == 64
 
 
-def test_models_of_several_widths_share_a_decoding(dlgmd, tmp_path):
+def test_models_of_several_widths_share_a_decoding(runs, tmp_path):
     write_video(tmp_path / "wide.avi", looming_frames(12, 480, 270))
-    result = dlgmd("compare", "wide.avi", "--config", "flight", "--set", 3, "--no-plots")
-    assert result.exit_code == 0, result.output
+    runs("compare", "wide.avi", "--config", "flight", "--set", 3)
     models = yaml_of("dlgmd-out/wide/compare.yaml")["models"]
     assert [(one["label"], one["width"]) for one in models] == [("set3", 480), ("flight", 240)]
 
@@ -535,14 +522,14 @@ def test_a_slow_video_warns_that_alarms_are_unreliable(dlgmd):
     assert "unreliable" not in dlgmd("run", "noise.npy", *options).stderr
 
 
-def test_provenance_is_recorded(dlgmd, clips, tmp_path):
-    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots", "--hash")
+def test_provenance_is_recorded(runs, clips, tmp_path):
+    runs("run", clips / "loom.avi", "--set", 7, "--hash")
     found = yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")
     digest = hashlib.sha256((clips / "loom.avi").read_bytes()).hexdigest()
     assert found["input"]["content_sha256"] == digest
     assert found["machine"]["cpu"] and found["machine"]["os"]
     assert {"dlgmd", "numpy", "ffmpeg"} <= set(found["versions"])
-    dlgmd("run", clips / "loom.avi", "--set", 7, "--no-plots", "--overwrite")
+    runs("run", clips / "loom.avi", "--set", 7, "--overwrite")
     assert "content_sha256" not in yaml_of(tmp_path / "dlgmd-out/loom/run.yaml")["input"]
 
 
@@ -557,6 +544,6 @@ def test_provenance_is_recorded(dlgmd, clips, tmp_path):
         (["--formulation", "equations", "--normalise", "sequence"], False),
     ],
 )
-def test_a_kappa_of_another_formulation_is_doubted(dlgmd, clips, more, is_warned):
-    result = dlgmd("run", clips / "loom.avi", "--set", 9, "--no-plots", *more)
-    assert result.exit_code == 0 and ("kappa 0.0028 was calibrated" in result.stderr) == is_warned
+def test_a_kappa_of_another_formulation_is_doubted(runs, clips, more, is_warned):
+    result = runs("run", clips / "loom.avi", "--set", 9, *more)
+    assert ("kappa 0.0028 was calibrated" in result.stderr) == is_warned

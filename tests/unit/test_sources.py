@@ -77,7 +77,7 @@ def test_every_source_keeps_the_contract(kind, tmp_path):
             assert np.abs(levels - FRAMES).max() <= (2 if kind in ("opencv", "pyav") else 0)
 
 
-def test_arrays_and_files_give_the_same_result(dlgmd, tmp_path):
+def test_arrays_and_files_give_the_same_result(runs, tmp_path):
     np.save(tmp_path / "flight.v2.npy", FRAMES)
     cv2_frames = [cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR) for frame in FRAMES]
     results = [
@@ -86,7 +86,7 @@ def test_arrays_and_files_give_the_same_result(dlgmd, tmp_path):
         dlgmd_cli.run(np.array(FRAMES) / np.float64(255.0), fps=FPS),
         dlgmd_cli.run("flight.v2.npy", input_fps=FPS),
     ]
-    assert dlgmd("run", "flight.v2.npy", "--input-fps", FPS, "--no-plots").exit_code == 0
+    runs("run", "flight.v2.npy", "--input-fps", FPS)
     stored = read_result("dlgmd-out/flight.v2")
     assert stored.name == "flight.v2" and stored.record["input"]["decoder"] == "array"
     for one in results:
@@ -141,10 +141,10 @@ def test_files_of_other_arrays_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("pattern", ["frames.v2", "frames.v2/%04d.png", "frames.v2/*.png"])
-def test_results_of_pictures_have_their_folders_name(dlgmd, tmp_path, pattern):
+def test_results_of_pictures_have_their_folders_name(runs, tmp_path, pattern):
     (tmp_path / "frames.v2").mkdir()
     pictures(tmp_path / "frames.v2").close()
-    assert dlgmd("run", pattern, "--no-plots").exit_code == 0
+    runs("run", pattern)
     assert read_result("dlgmd-out/frames.v2").name == "frames.v2"
 
 

@@ -23,19 +23,13 @@ def record(folder):
     return yaml_of(Path(folder, "sweep.yaml"))
 
 
-def succeed(dlgmd, *arguments):
-    result = dlgmd(*arguments)
-    assert result.exit_code == 0, result.output
-    return result
-
-
-def summary_of_run(dlgmd, *arguments):
-    result = succeed(dlgmd, "run", *arguments, "--no-plots", "--json", "--overwrite")
+def summary_of_run(runs, *arguments):
+    result = runs("run", *arguments, "--json", "--overwrite")
     return json.loads(result.stdout)
 
 
-def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(dlgmd, monkeypatch):
-    result = succeed(dlgmd, "sweep", *TINY, "--format", "svg")
+def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(runs, monkeypatch):
+    result = runs("sweep", *TINY, "--format", "svg")
     assert set(os.listdir(CUBES)) == FILES | {"sweep.svg"}
     assert os.listdir("dlgmd-out") == ["sweep-translating-cubes"]
     assert result.stdout.splitlines()[-1] == CUBES
@@ -46,29 +40,29 @@ def test_files_columns_and_that_a_finished_sweep_is_only_drawn_again(dlgmd, monk
     assert keys[:3] == [("1", "1.5", "0.5"), ("1", "1.5", "1"), ("1", "2", "0.5")]
     assert len(set(keys)) == len(keys)
     monkeypatch.setattr(sweeps, "_computed", None)
-    assert succeed(dlgmd, "sweep", *TINY).stderr == "6 of 6 points are already done.\n"
+    assert runs("sweep", *TINY, plots=True).stderr == "6 of 6 points are already done.\n"
     assert set(os.listdir(CUBES)) == FILES | {"sweep.svg", "sweep.png"}
     assert Path(CUBES, "sweep.csv").read_bytes() == before
 
 
-def test_attenuation_is_that_of_the_paper_s_fig_11(dlgmd):
+def test_attenuation_is_that_of_the_paper_s_fig_11(runs):
     grid = ["--x", "sigma_e=1.1", "--y", "sigma_i=1.5"]
-    succeed(dlgmd, "sweep", *grid, "--no-plots")
+    runs("sweep", *grid)
     found = [round(float(row["attenuation_db"]), 1) for row in csv_rows(f"{CUBES}/sweep.csv")]
     assert found == [-12.8, -0.8, 1.4, 2.3]
     cubes = {"speeds_px": [1.0, 2.0, 3.0, 4.0], "side_px": 40.0, "frames": 41}
     assert record(CUBES)["sweep"]["cubes"] == {**cubes, "width": 200, "height": 150}
 
 
-def test_cubes_are_what_run_says_of_their_clip(dlgmd):
+def test_cubes_are_what_run_says_of_their_clip(runs):
     grid = ["--x", "sigma_e=1.1", "--y", "r=4,9", "--speed", 3, "--param", "sigma_i=1.5"]
-    succeed(dlgmd, "sweep", *grid, "--no-plots", "--jobs", 1)
+    runs("sweep", *grid, "--jobs", 1)
     found = {int(r["r"]): r["attenuation_db"] for r in csv_rows(f"{CUBES}/sweep.csv")}
     clip = "synth translating-cubes --speed 3 --size 200x150 --contrast -1 --background 1"
-    succeed(dlgmd, *clip.split(), "--object-size", 40, "--frames", 53, "--lossless")
+    runs(*clip.split(), "--object-size", 40, "--frames", 53, "--lossless")
     changed = {"alpha": 0, "beta": 0, "lam": 0, "sigma_e": 1.1, "sigma_i": 1.5, "r": 4}
     params = [text for key, value in changed.items() for text in ("--param", f"{key}={value}")]
-    summary = summary_of_run(dlgmd, "translating-cubes.avi", "--set", 9, "--scale", 1, *params)
+    summary = summary_of_run(runs, "translating-cubes.avi", "--set", 9, "--scale", 1, *params)
     assert found[4] == f"{summary['mean_attenuation_db']:.9g}"
 
 
@@ -77,15 +71,15 @@ SEQUENCE += ["--param", "kappa=100", "--param", "n_sp=1"]
 
 
 @pytest.mark.parametrize("options", [[], SEQUENCE], ids=["absolute", "sequence"])
-def test_a_video_is_what_run_says(dlgmd, clips, options):
+def test_a_video_is_what_run_says(runs, clips, options):
     grid = ["--x", "r=2:6:2", "--y", "sigma_i=1,5", "--param", "a=0.8", "--jobs", 1]
-    succeed(dlgmd, "sweep", clips / "loom.avi", *grid, *options, "--no-plots")
+    runs("sweep", clips / "loom.avi", *grid, *options)
     found = {(r["r"], r["sigma_i"]): r for r in csv_rows("dlgmd-out/sweep-loom/sweep.csv")}
     assert list(found) == [(r, s) for s in ("1", "5") for r in ("2", "4", "6")]
     columns = list(found["2", "1"])
     assert columns == ["r", "sigma_i", *sweeps.RESPONSE_COLUMNS]
     params = ["--param", "r=6", "--param", "sigma_i=5", "--param", "a=0.8"]
-    summary = summary_of_run(dlgmd, clips / "loom.avi", *params, *options)
+    summary = summary_of_run(runs, clips / "loom.avi", *params, *options)
     row = found["6", "5"]
     for column in set(columns) & set(summary):
         value = summary[column]
@@ -96,19 +90,19 @@ def test_a_video_is_what_run_says(dlgmd, clips, options):
     assert row["distinguishability"] == ""
 
 
-def test_distinguishability_may_be_infinite_and_that_is_said(dlgmd, tmp_path):
+def test_distinguishability_may_be_infinite_and_that_is_said(runs, tmp_path):
     frames = looming_frames(24, 96, 72)
     write_video(tmp_path / "late.avi", frames[:1] * 14 + frames, fourcc="FFV1")
     grid = ["--set", 9, "--x", "sigma_e=1,1.5", "--y", "a=0.5,100", "--jobs", 1]
-    result = succeed(dlgmd, "sweep", "late.avi", *grid, "--no-plots", "--false-positive-frame", 5)
+    result = runs("sweep", "late.avi", *grid, "--false-positive-frame", 5)
     assert "inf: the membrane potential is 0 within 5 frames of the false positive" in result.stdout
     found = [row["distinguishability"] for row in csv_rows("dlgmd-out/sweep-late/sweep.csv")]
     assert found == ["inf", "inf", "", ""]
 
 
-def test_points_that_are_not_possible_are_cells_without_a_value(dlgmd):
+def test_points_that_are_not_possible_are_cells_without_a_value(runs):
     grid = ["--x", "alpha=-1,0", "--y", "sigma_e=0,1", "--speed", 2]
-    result = succeed(dlgmd, "sweep", *SMALL, *grid, "--no-plots")
+    result = runs("sweep", *SMALL, *grid)
     warnings = [line for line in result.stderr.splitlines() if line.startswith("Warning")]
     assert warnings == ["Warning: 2 of 4 points cannot be computed: sigma_e = 0.0 is not above 0."]
     found = {
@@ -118,17 +112,17 @@ def test_points_that_are_not_possible_are_cells_without_a_value(dlgmd):
     assert record(CUBES)["summary"] == {"points": 4, "computed": 2, "impossible": 2}
 
 
-def test_nothing_passes_is_minus_infinity(dlgmd):
+def test_nothing_passes_is_minus_infinity(runs):
     grid = ["--x", "sigma_e=0.2,1.4", "--y", "sigma_i=5", "--speed", 1, "--set", 9]
-    succeed(dlgmd, "sweep", *grid, "--no-plots", "--jobs", 1)
+    runs("sweep", *grid, "--jobs", 1)
     first, second = (row["attenuation_db"] for row in csv_rows(f"{CUBES}/sweep.csv"))
     assert math.isfinite(float(first)) and second == "-inf"
 
 
-def test_base_parameters(dlgmd, tmp_path):
+def test_base_parameters(runs, tmp_path):
     def base(*options):
         grid = ["--x", "sigma_e=1", "--y", "sigma_i=2"]
-        succeed(dlgmd, "sweep", *SMALL, *grid, *options, "--no-plots", "--overwrite")
+        runs("sweep", *SMALL, *grid, *options, "--overwrite")
         return record(CUBES)
 
     paper = {**DlgmdParameters().to_dict(), "alpha": 0, "beta": 0, "lam": 0, "a": 1.5, "r": 4}
@@ -142,12 +136,12 @@ def test_base_parameters(dlgmd, tmp_path):
     assert (mine["r"], mine["lam"]) == (3, 0.7)
 
 
-def test_the_record_is_a_config(dlgmd, clips):
-    options = ["--x", "r=2,3", "--y", "a=1,1.5", "--no-plots", "--jobs", 1]
+def test_the_record_is_a_config(runs, clips):
+    options = ["--x", "r=2,3", "--y", "a=1,1.5", "--jobs", 1]
     first = [*options, "--set", 5, "--scale", 0.75, "--param", "sigma_e=0.5"]
-    succeed(dlgmd, "sweep", clips / "loom.avi", *first)
+    runs("sweep", clips / "loom.avi", *first)
     again = [*options, "--config", "dlgmd-out/sweep-loom/sweep.yaml", "--out", "again"]
-    succeed(dlgmd, "sweep", clips / "loom.avi", *again)
+    runs("sweep", clips / "loom.avi", *again)
     one, other = (Path(out, "sweep-loom/sweep.csv") for out in ("dlgmd-out", "again"))
     assert one.read_bytes() == other.read_bytes()
     found = record("dlgmd-out/sweep-loom")
@@ -162,10 +156,10 @@ def test_the_record_is_a_config(dlgmd, clips):
     assert found["versions"].keys() == {"dlgmd", "python", "numpy", "opencv"}
 
 
-def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
+def test_another_input_of_the_same_name_is_refused(dlgmd, runs, clips):
     shutil.copy(clips / "loom.avi", "my.avi")
     command = ["sweep", "my.avi", "--x", "r=2,3", "--y", "a=1", "--no-plots", "--jobs", 1]
-    succeed(dlgmd, *command)
+    runs(*command)
     assert dlgmd(*command).stderr == "2 of 2 points are already done.\n"
     os.utime("my.avi", ns=(1, 1))
     result = dlgmd(*command)
@@ -173,7 +167,7 @@ def test_another_input_of_the_same_name_is_refused(dlgmd, clips):
     assert "other settings already exists here (input)" in result.stderr
 
 
-def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, stop, monkeypatch):
+def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, runs, stop, monkeypatch):
     measured = sweeps.measured
 
     def stopping(*arguments):
@@ -193,8 +187,8 @@ def test_an_interrupted_sweep_says_what_it_holds_and_goes_on(dlgmd, stop, monkey
     with Path(CUBES, "sweep.csv").open("a") as file:
         file.write("1,1.5,1,-3.1")
     Path(CUBES, ".dlgmd-frames-0").write_bytes(b"of a process that was killed")
-    assert succeed(dlgmd, *command).stderr == "1 of 6 points are already done.\n"
-    succeed(dlgmd, *command, "--out", "whole")
+    assert runs(*command).stderr == "1 of 6 points are already done.\n"
+    runs(*command, "--out", "whole")
     assert set(os.listdir(CUBES)) == FILES
     for name in FILES:
         whole = Path("whole/sweep-translating-cubes", name)
@@ -208,11 +202,11 @@ def test_interrupted_before_the_first_point(dlgmd, stop):
     assert os.listdir(".") == []
 
 
-def test_warnings_of_the_input_are_kept(dlgmd, tmp_path):
+def test_warnings_of_the_input_are_kept(runs, tmp_path):
     write_video(tmp_path / "still.avi", looming_frames(1) * 8)
-    options = ["still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1, "--no-plots"]
+    options = ["still.avi", "--x", "r=2,3", "--y", "a=1,2", "--jobs", 1]
     for _ in range(2):
-        result = succeed(dlgmd, "sweep", *options)
+        result = runs("sweep", *options)
         assert "Warning: still.avi: nothing can be seen: all pictures are the same" in result.stderr
     assert len(record("dlgmd-out/sweep-still")["warnings"]) == 1
     found = csv_rows("dlgmd-out/sweep-still/sweep.csv")

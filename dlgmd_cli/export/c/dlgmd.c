@@ -95,6 +95,89 @@ static void sum_row(dlgmd_state *state, int y, dlgmd_sum *s)
     sum_along(sources, state->work.rows.columns, s);
 }
 
+#if DLGMD_CONTRAST
+
+#if DLGMD_FIXED
+
+/* The interval in 1/2^20 s, and in frames at the usual rate, in 1/65536. */
+static void see_time(dlgmd_state *state, uint32_t step_ms)
+{
+    step_ms = step_ms < MAX_STEP_MS ? step_ms : MAX_STEP_MS;
+    state->interval = step_ms ? ((step_ms << 17) + 62) / 125 : USUAL_INTERVAL;
+    state->n_usual = (uint32_t)((uint64_t)state->interval * USUAL_FPS >> 20);
+    state->n_usual = USUAL_FPS && step_ms ? state->n_usual : 65536;
+}
+
+/* 1 - exp(-x): the share that the newest value has in a mean. `x` is in 1/2^24, the share in 1/32768. */
+static int32_t share_of(uint64_t x)
+{
+    unsigned n_halved = 0;
+    for (; x > 1 << 20; x >>= 1) {
+        n_halved++;
+    }
+    uint64_t share = x - (x * x >> 25) + (x * x / 6 >> 24) * x / (1 << 24);
+    for (; n_halved > 0; n_halved--) {
+        share = 2 * share - (share * share >> 24);
+    }
+    return (int32_t)((share + 256) >> 9);
+}
+
+#if DLGMD_ADAPTS || DLGMD_EXPANDS
+/* The same after the interval of this frame, for a rate per second in 1/65536. */
+static int32_t newest_of(const dlgmd_state *state, uint32_t rate)
+{
+    return share_of((uint64_t)state->interval * rate >> 12);
+}
+#endif
+
+/* The same, for a rate per usual frame in 1/2^24. */
+static int32_t newest_of_frames(const dlgmd_state *state, uint32_t rate)
+{
+    return share_of((uint64_t)state->n_usual * rate >> 16);
+}
+
+#else
+
+/* The interval in seconds, and in frames at the usual rate. */
+static void see_time(dlgmd_state *state, uint32_t step_ms)
+{
+    step_ms = step_ms < MAX_STEP_MS ? step_ms : MAX_STEP_MS;
+    state->interval = step_ms ? 0.001f * (float)step_ms : USUAL_INTERVAL;
+    state->n_usual = USUAL_FPS > 0.0f && step_ms ? state->interval * USUAL_FPS : 1.0f;
+}
+
+/* 1 - exp(-x): the share that the newest value has in a mean. */
+static float share_of(float x)
+{
+    unsigned n_halved = 0;
+    for (; x > 0.125f; x *= 0.5f) {
+        n_halved++;
+    }
+    float share = x * (1.0f - x / 2.0f * (1.0f - x / 3.0f * (1.0f - x / 4.0f * (1.0f - x / 5.0f))));
+    for (; n_halved > 0; n_halved--) {
+        share *= 2.0f - share;
+    }
+    return share;
+}
+
+#if DLGMD_ADAPTS || DLGMD_EXPANDS
+/* The same after the interval of this frame, for a rate per second. */
+static float newest_of(const dlgmd_state *state, float rate)
+{
+    return share_of(state->interval * rate);
+}
+#endif
+
+/* The same, for a rate per usual frame. */
+static float newest_of_frames(const dlgmd_state *state, float rate)
+{
+    return share_of(state->n_usual * rate);
+}
+
+#endif
+
+#endif
+
 #if DLGMD_SHIFT > 0
 
 enum { BLOCKS_Y = DLGMD_HEIGHT / 4, BLOCKS_X = DLGMD_WIDTH / 4 };
@@ -231,6 +314,13 @@ static dlgmd_motion part_of(dlgmd_motion all, int32_t share)
     return all * share >> 15;
 }
 
+/* A rate per frame as one per second, within the limits. */
+static dlgmd_motion per_second(const dlgmd_state *state, dlgmd_motion rate)
+{
+    int64_t interval = state->interval, most = MAX_RATE * interval >> 20;
+    return (rate < -most ? -most : rate < most ? rate : most) * (INT64_C(1) << 20) / interval;
+}
+
 /* What a cell at `offset` halves from the middle, at `from` halves, moves to. */
 static dlgmd_place place_of(int from, int offset, dlgmd_motion shift, dlgmd_motion rate)
 {
@@ -328,6 +418,13 @@ typedef float moment;
 static dlgmd_motion part_of(dlgmd_motion all, float share)
 {
     return all * share;
+}
+
+/* A rate per frame as one per second, within the limits. */
+static dlgmd_motion per_second(const dlgmd_state *state, dlgmd_motion rate)
+{
+    rate /= state->interval;
+    return rate < -MAX_RATE ? -MAX_RATE : rate < MAX_RATE ? rate : MAX_RATE;
 }
 
 static dlgmd_place place_of(int from, int offset, dlgmd_motion shift, dlgmd_motion rate)
@@ -511,10 +608,6 @@ static dlgmd_motion magnitude(dlgmd_motion a)
     return a < 0 ? -a : a;
 }
 
-static dlgmd_motion limited(dlgmd_motion rate)
-{
-    return larger_of(lesser(rate, MAX_RATE), -MAX_RATE);
-}
 
 /* Where the change spreads along a side of `n` cells; false if it spreads too far. */
 static bool spread_of(moment mass, moment first, moment second, int n, int *at, int *reach)
@@ -595,12 +688,12 @@ static void expand(dlgmd_state *state, const uint8_t *frame, int dy, int dx)
     dlgmd_motion by[4] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR, 0, 0};
     fit(state, middle, by);
     dlgmd_motion rate = lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4;
-    state->ahead += part_of(limited(rate) - state->ahead, W_AHEAD);
+    state->ahead += part_of(per_second(state, rate) - state->ahead, newest_of(state, AHEAD_RATE));
     rate = state->blocks_y == 0 && state->blocks_x == 0 ? approach(state) : 0;
-    state->beside += part_of(limited(rate) - state->beside, W_BESIDE);
+    state->beside += part_of(per_second(state, rate) - state->beside, newest_of(state, BESIDE_RATE));
 }
 
-/* The rate of expansion, per frame. */
+/* The rate of expansion, per second. */
 static dlgmd_motion expansion(const dlgmd_state *state)
 {
     return larger_of(state->ahead, state->beside / 2);
@@ -763,6 +856,12 @@ static dlgmd_change passing(uint32_t level, number least)
     return (dlgmd_change)(of_level(level) > least ? (of_level(level) - least) >> 9 : 0);
 }
 
+/* A change as one per usual frame. */
+static total per_usual(const dlgmd_state *state, total change)
+{
+    return (change << 16) / state->n_usual;
+}
+
 /* Square of the share of G that is not inhibited, in 1/32768. */
 static number uninhibited(total usual, total sum)
 {
@@ -802,6 +901,7 @@ static total expanding(total mp, dlgmd_motion rate)
 {
     int64_t ratio = rate > 0 ? rate * EXPANSION >> 24 : 0;
     ratio = ratio < 1024 ? 1024 : ratio < 16384 ? ratio : 16384;
+    mp = mp >> 35 == 0 ? mp : UINT64_C(1) << 35; /* or the product is more than 64 bits */
     return ((total)(ratio * ratio) * (mp + K_0) >> 20) - K_0;
 }
 
@@ -844,6 +944,12 @@ static total smoothed(total before, total newest, float weight)
 static dlgmd_change passing(uint32_t level, number least)
 {
     return of_level(level) > least ? of_level(level) - least : 0.0f;
+}
+
+/* A change as one per usual frame. */
+static total per_usual(const dlgmd_state *state, total change)
+{
+    return change / state->n_usual;
 }
 
 /* Square of the share of G that is not inhibited. */
@@ -948,10 +1054,12 @@ static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *
         state->sigma = newest;
         return 0;
     }
-    state->sigma = (number)smoothed(state->sigma, newest, W_SIGMA);
+    state->sigma = (number)smoothed(state->sigma, newest, newest_of_frames(state, SIGMA_RATE));
     count_changes(state, frame);
     newest = of_level(lower_quartile(state->work.counts.some));
-    state->noise = state->frame == 1 ? newest : (number)smoothed(state->noise, newest, W_SIGMA);
+    state->noise = state->frame == 1
+                       ? newest
+                       : (number)smoothed(state->noise, newest, newest_of_frames(state, SIGMA_RATE));
     number least = larger(times(state->sigma, C_P), times(state->noise, C_N));
     least = larger(least, P_MIN);
     dlgmd_change *passed = state->passed[state->frame % DELAYS];
@@ -960,8 +1068,10 @@ static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *
         passed[level] = passing(level, least);
         sum += (total)state->work.counts.all[level] * passed[level];
     }
-    number share = uninhibited(state->usual, sum);
-    state->usual = state->frame == 1 ? sum : smoothed(state->usual, sum, W_M);
+    sum = per_usual(state, sum);
+    number share = (number)per_usual(state, uninhibited(state->usual, sum));
+    state->usual =
+        state->frame == 1 ? sum : smoothed(state->usual, sum, newest_of_frames(state, USUAL_RATE));
     *above = threshold_of(larger(times(state->sigma, C_S), S_MIN));
     return share;
 }
@@ -1027,7 +1137,7 @@ static total weakest(const total *quadrants)
 static total adapted(dlgmd_state *state, total mp)
 {
     total before = state->frame == FIRST_VALID ? mp : state->mean;
-    state->mean = smoothed(before, mp, W_MEAN);
+    state->mean = smoothed(before, mp, newest_of(state, MEAN_RATE));
     before = above_mean(before);
     return mp > before ? mp - before : 0;
 }
@@ -1215,10 +1325,15 @@ static void finish(dlgmd_answer *answer, const totals *sums)
 
 #endif
 
-dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame)
+dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms)
 {
     dlgmd_answer answer = {0};
     totals sums = {0};
+#if DLGMD_CONTRAST
+    see_time(state, step_ms);
+#else
+    (void)step_ms;
+#endif
     if (state->frame == 0) {
         memcpy(state->previous, frame, CELLS);
     }

@@ -2,8 +2,8 @@
 
    @costs@
 
-   Pass each picture once: repeated frames are not detected. Pass DLGMD_FPS of them a second, since
-   the model knows no times: see dlgmd_every. */
+   Pass each picture once: repeated frames are not detected. DLGMD_FPS of them a second are best: see
+   dlgmd_every, and the step of dlgmd_step for other rates. */
 #ifndef DLGMD_H
 #define DLGMD_H
 
@@ -30,7 +30,7 @@ typedef uint16_t dlgmd_sum;
 #endif
 typedef uint16_t dlgmd_change;
 typedef int32_t dlgmd_place;  /* in 1/256 cell */
-typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame */
+typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame or second */
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
@@ -42,7 +42,7 @@ typedef float dlgmd_motion;
 /* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
 #if DLGMD_EXPANDS
-    dlgmd_motion ahead, beside; /* expansion in the middle, and of what moves, per frame */
+    dlgmd_motion ahead, beside; /* expansion in the middle, and of what moves, per second */
 #endif
 #if DLGMD_CONTRAST
 #if DLGMD_FIXED
@@ -52,6 +52,8 @@ typedef struct {
     uint64_t usual; /* mean change so far, summed over the cells, in levels / 128 */
     uint32_t sigma; /* contrast, in levels / 65536 */
     uint32_t noise; /* in levels / 65536 */
+    uint32_t interval; /* since the frame before, in 1/2^20 s */
+    uint32_t n_usual;  /* the same in frames at the usual rate, in 1/65536 */
 #else
 #if DLGMD_ADAPTS
     float mean; /* mean K so far */
@@ -59,6 +61,8 @@ typedef struct {
     float usual; /* mean change so far, summed over the cells, in levels */
     float sigma; /* contrast, in levels */
     float noise; /* in levels */
+    float interval; /* since the frame before, in seconds */
+    float n_usual;  /* the same in frames at the usual rate */
 #endif
 #else
     uint32_t change_sums[DLGMD_FFI_DELAY + 1]; /* of the last frames, newest first, in levels */
@@ -142,6 +146,23 @@ static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
     return (dlgmd_side){(int8_t)((x > third) - (x < -third)), (int8_t)((y > third) - (y < -third))};
 }
 
+/* Why pictures show nothing: too little light, too little contrast, nothing but noise, or always the
+   same picture. */
+typedef enum { DLGMD_SOUND, DLGMD_BLACK, DLGMD_FLAT, DLGMD_NOISE, DLGMD_FROZEN } dlgmd_blind;
+
+/* The state of dlgmd_health. */
+#define DLGMD_BLOCKS ((DLGMD_WIDTH / 4) * (DLGMD_HEIGHT / 4))
+typedef struct {
+    uint32_t now_ms, first_ms;         /* time of the newest picture, and of `first` */
+    uint32_t turned_ms, suspected_ms;  /* when pictures turned bad or sound, and `suspected` began */
+    int32_t change;                    /* usual change of a block, in levels / 4096 */
+    uint32_t n_seen;                   /* pictures so far, at most 2 */
+    dlgmd_blind suspected, reason;
+    uint16_t now[DLGMD_BLOCKS];    /* sums over 4 x 4 cells of the newest picture */
+    uint16_t before[DLGMD_BLOCKS]; /* of the one before */
+    uint16_t first[DLGMD_BLOCKS];  /* of the first one that the newest is the same as */
+} dlgmd_sight;
+
 /* For a camera of `fps` frames a second: pass every how many-th of them, as Python does, or 0 where
    it is too slow for the model: under four fifths of DLGMD_FPS. */
 static inline uint32_t dlgmd_every(uint32_t fps)
@@ -153,7 +174,17 @@ static inline uint32_t dlgmd_every(uint32_t fps)
 /* Start anew. Call this before the first frame, and after missing frames. */
 void dlgmd_reset(dlgmd_state *state);
 
-/* Process the next frame: grey levels, row by row, from the top left corner. */
-dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame);
+/* Process the next frame: grey levels, row by row, from the top left corner. `step_ms` is the time
+   since the frame before in milliseconds, at most 1000; 0 is 1 / DLGMD_FPS.
+   @timed@ */
+dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms);
+
+/* In dlgmd_health.c, which a project needs for these only. Start anew. */
+void dlgmd_health_reset(dlgmd_sight *sight);
+
+/* Whether the pictures show what the model needs: DLGMD_SOUND, or why they have not for 0.7 s. Pass
+   every picture of the camera, repeated ones too, with its step as above. It is sound again after half
+   a second. No alarm is no all-clear while it is not; an alarm still is one. */
+dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step_ms);
 
 #endif

@@ -65,11 +65,11 @@ static bool play(dlgmd_answer *into, uint32_t *n_ticks)
         is_whole = fread(frame, 1, sizeof frame, file) == sizeof frame;
 #ifdef BOARD_TICKS
         uint32_t before = board_ticks();
-        into[i] = dlgmd_step(&state, frame);
+        into[i] = dlgmd_step(&state, frame, 0);
         uint32_t ticks = (before - board_ticks()) & 0xffffff;
         *n_ticks = ticks > *n_ticks ? ticks : *n_ticks;
 #else
-        into[i] = dlgmd_step(&state, frame);
+        into[i] = dlgmd_step(&state, frame, 0);
 #endif
     }
     fclose(file);

@@ -18,7 +18,7 @@ from dlgmd_cli.errors import OutputExistsError
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import versions, yaml_text
-from dlgmd_cli.results.store import refuse_existing, replacing
+from dlgmd_cli.results.store import Claim, refuse_existing
 from dlgmd_cli.scenes.stimuli.base import ClipOptions, GreyImage, Scene, invalid
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
 
@@ -151,7 +151,7 @@ class Rendering:
         overwrite: bool = False,
         on_frame: Callable[[int], None] = lambda n_rendered: None,
     ) -> tuple[Path, ...]:
-        """Render and write all files; returns `paths`.
+        """Render and write all files into the folder, which is claimed; returns `paths`.
 
         Parameters
         ----------
@@ -178,7 +178,7 @@ class Rendering:
         chosen = chosen_frames(n_frames, facts.get("collision_frame"))
         stills: dict[int, Any] = dict.fromkeys(chosen)
         record = paths[2].name if scene.is_flight else ""
-        with replacing(self.folder, record=record, what=paths[0]) as stage:
+        with Claim(self.folder, record).staged(what=paths[0]) as stage:
             temporary = [stage / path.name for path in paths]
             images = _watched(scene.frames(options), stills, on_frame)
             if self.codec == "png":

@@ -29,9 +29,9 @@ def days(made, tmp_path, dlgmd):
     return tmp_path
 
 
-def batch(out, folder, dlgmd):
-    options = ("--set", 9, "--no-plots", "--jobs", 1, "--repeats", "keep", "--out", out)
-    assert dlgmd("batch", folder, *options).exit_code == 0
+def batch(out, folder, runs):
+    options = ("--set", 9, "--jobs", 1, "--repeats", "keep", "--out", out)
+    runs("batch", folder, *options)
 
 
 def scores(dlgmd, labels, text, results="res"):
@@ -114,7 +114,7 @@ def test_two_spellings_are_one_video(days, dlgmd):
     assert plotted.exit_code == 1 and "with a collision and without one" in plotted.stderr
 
 
-def test_a_column_that_stands_twice_is_an_error(days, dlgmd):
+def test_a_column_that_stands_twice_is_an_error(days, dlgmd, runs):
     labels = days / "day1/labels.csv"
     labels.write_text("video,collision_frame,collision_frame\nv.avi,29,5\n")
     result = dlgmd("evaluate", labels, "--results", "res", *QUIET)
@@ -122,4 +122,4 @@ def test_a_column_that_stands_twice_is_an_error(days, dlgmd):
     assert "labels.csv: has the column collision_frame twice. Remove one" in result.stderr
     # Spreadsheets leave empty columns, and those of others do not matter.
     labels.write_text("video,collision_frame,,,note,note\nv.avi,29,,,a,b\n")
-    assert dlgmd("evaluate", labels, "--results", "res", *QUIET).exit_code == 0
+    runs("evaluate", labels, "--results", "res", *QUIET)

@@ -34,9 +34,8 @@ def test_no_model_raises_a_false_alarm_on_the_clips(dlgmd):
 
 
 @pytest.mark.parametrize("scene", sorted(NAMED))
-def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(dlgmd, scene):
-    result = dlgmd("synth", scene, "--size", "480x270", "--out", "flights")
-    assert result.exit_code == 0, result.output
+def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(runs, scene):
+    runs("synth", scene, "--size", "480x270", "--out", "flights")
     contact = yaml_of(f"flights/{scene}.yaml")["collision_frame"]
     found = run(f"flights/{scene}.mp4")
     onsets = found.frame[found.alarm_onsets]
@@ -49,11 +48,10 @@ def test_the_default_announces_the_collisions_of_named_flights_and_nothing_else(
 
 
 @pytest.mark.parametrize("scene", ["group1", "group2", "group5"])
-def test_a_flight_raises_the_same_alarm_at_24_30_and_60_frames_a_second(dlgmd, scene):
+def test_a_flight_raises_the_same_alarm_at_24_30_and_60_frames_a_second(runs, scene):
     """Less than 24 frames/s make a difference; at 60, every second frame is processed."""
     first_s = []
     for fps in (24, 30, 60):
-        result = dlgmd("synth", scene, "--size", "240x136", "--fps", fps, "--out", str(fps))
-        assert result.exit_code == 0, result.output
+        runs("synth", scene, "--size", "240x136", "--fps", fps, "--out", str(fps))
         first_s.append(run(f"{fps}/{scene}.mp4").alarm_list[0].start_s)
     assert max(first_s) - min(first_s) <= 0.1

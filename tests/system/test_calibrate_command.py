@@ -177,11 +177,10 @@ def footage(tmp_path_factory):
     return folder
 
 
-def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
+def test_a_preset_that_does_what_it_says(dlgmd, runs, footage, tmp_path):
     labels = footage / "labels.csv"
     common = ["calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 3, "--name", "mine"]
-    result = dlgmd(*common, "--size", "32x24")
-    assert result.exit_code == 0, result.output
+    result = runs(*common, "--size", "32x24")
     assert "held out (3 folds)" in result.stdout and "before (set3)" in result.stdout
     assert "only 4 videos have a collision" in result.stderr
     verdict = next(line for line in result.stdout.splitlines() if line.startswith("Held out, "))
@@ -194,45 +193,43 @@ def test_a_preset_that_does_what_it_says(dlgmd, footage, tmp_path):
     assert load_config(preset).options == {"size": "32x24"}
     again = dlgmd(*common)
     assert again.exit_code == 2 and "already exists" in again.stderr
-    facts = json.loads(dlgmd(*common, "--size", "32x24", "--overwrite", "--json").stdout)
+    facts = json.loads(runs(*common, "--size", "32x24", "--overwrite", "--json").stdout)
     assert preset.read_text(encoding="utf-8") == text and len(facts["folds"]) == 3
     assert facts["verdict"] == verdict and facts["preset"].endswith("mine.yaml")
     same = facts["same_videos"]
     assert same["recall"] >= 0.75 and same["false_alarms"] == 0
     more = ("--config", preset, "--jobs", 1, "--json", "--no-plots", "--no-baselines")
-    found = json.loads(dlgmd("evaluate", labels, *more).stdout)["models"]["mine"]
+    found = json.loads(runs("evaluate", labels, *more).stdout)["models"]["mine"]
     for key in ("recall", "false_alarms_per_min", "lead_s", "auc", "minutes", "n_sp"):
         assert found[key] == pytest.approx(same[key] if key in same else facts["parameters"][key])
 
 
-def test_each_kind_is_scored_and_one_limits_the_false_alarms(dlgmd, footage, tmp_path):
+def test_each_kind_is_scored_and_one_limits_the_false_alarms(runs, footage, tmp_path):
     rows = (footage / "labels.csv").read_text().splitlines()
     kinds = ["kind", "real", "rendered", "real", "rendered", "real", "rendered"]
     labels = footage / "kinds.csv"
     labels.write_text("\n".join(map(",".join, zip(rows, kinds, strict=True))))
     common = ["calibrate", labels, "--set", 3, "--jobs", 1, "--max-false-per-min", "2:real"]
-    result = dlgmd(*common)
-    assert result.exit_code == 0, result.output
+    result = runs(*common)
     shown = [line.split()[0] for line in result.stdout.splitlines()[3:12]]
     assert shown == ["held", "real", "rendered", "on", "real", "rendered", "before", *shown[1:3]]
     text = (tmp_path / "dlgmd-out/calibrated.yaml").read_text(encoding="utf-8")
     assert "2 false alarms per minute on videos of the kind real." in text
     assert "# Held out, real: recall" in text and "# Held out, rendered: recall" in text
-    facts = json.loads(dlgmd(*common, "--overwrite", "--json").stdout)
+    facts = json.loads(runs(*common, "--overwrite", "--json").stdout)
     assert [one["videos"] for one in facts["held_out"]["by_kind"].values()] == [3, 3]
 
 
-def test_a_search_from_the_command_line(dlgmd, footage, tmp_path):
+def test_a_search_from_the_command_line(dlgmd, runs, footage, tmp_path):
     common = ["calibrate", footage / "labels.csv", "--set", 3, "--jobs", 1, "--out", "cal"]
     search = ["--search", "r=2:4", "--search", "width_px=24:32", "--json"]
-    result = dlgmd(*common, *search, "--trials", 2)
-    assert result.exit_code == 0, result.output
+    result = runs(*common, *search, "--trials", 2)
     params = json.loads(result.stdout)["parameters"]
     assert 2 <= params["r"] <= 4 and 24 <= params["width_px"] <= 32
     text = (tmp_path / "cal/calibrated.yaml").read_text(encoding="utf-8")
     assert "2 trials: r = 2:4, width_px = 24:32" in text
-    more = dlgmd(*common, *search, "--trials", 3, "--name", "more")
-    assert more.exit_code == 0 and "2 trials are done already" in more.stderr
+    more = runs(*common, *search, "--trials", 3, "--name", "more")
+    assert "2 trials are done already" in more.stderr
     other = dlgmd(*common, "--search", "r=2:5", "--name", "other")
     assert other.exit_code == 2 and "another search" in other.stderr
 

@@ -43,10 +43,9 @@ SETS = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--jobs", 1, "--repeats
 BASELINES = ("ΣP alone", "flow divergence")
 
 
-def test_files_and_tables(dlgmd, footage, tmp_path):
+def test_files_and_tables(dlgmd, runs, footage, tmp_path):
     command = ("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev", "--format", "svg")
-    result = dlgmd(*command)
-    assert result.exit_code == 0, result.output
+    result = runs(*command, plots=True)
     figures = {"evaluate-trade-off.svg", "evaluate-leads.svg"}
     tables = {"evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"}
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
@@ -77,13 +76,12 @@ def test_files_and_tables(dlgmd, footage, tmp_path):
     assert again.exit_code == 2 and "already exists" in again.stderr
 
 
-def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
-    assert dlgmd("batch", footage, *SETS, "--no-plots", "--out", "ba").exit_code == 0
+def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
+    runs("batch", footage, *SETS, "--out", "ba")
     common = ("evaluate", footage / "labels.csv", "--no-baselines", "--no-plots")
     both = []
     for source in ((*SETS, *NAMES), ("--results", "ba")):
-        result = dlgmd(*common, *source, "--json", "--out", f"ev{len(both)}")
-        assert result.exit_code == 0, result.output
+        result = runs(*common, *source, "--json", "--out", f"ev{len(both)}")
         both.append(json.loads(result.stdout)["models"])
     assert list(both[0]) == list(both[1]) == ["set3", "set9"]
     facts = both[0]["set9"]
@@ -103,22 +101,22 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, footage):
     assert read_result("ba/set9/near").params.kappa == 1e-4
 
 
-def test_options_that_a_config_sets_are_recorded(dlgmd, footage):
-    assert dlgmd("run", footage / "near.avi", "--scale", 0.5, "--end", 0.5).exit_code == 0
+def test_options_that_a_config_sets_are_recorded(runs, footage):
+    runs("run", footage / "near.avi", "--scale", 0.5, "--end", 0.5)
     (footage / "one.csv").write_text("video,collision_frame\nnear.avi,10\n")
-    more = ("--config", "dlgmd-out/near/run.yaml", "--no-plots", "--out", "ev", "--repeats", "keep")
-    assert dlgmd("evaluate", footage / "one.csv", *more).exit_code == 0
+    more = ("--config", "dlgmd-out/near/run.yaml", "--out", "ev", "--repeats", "keep")
+    runs("evaluate", footage / "one.csv", *more)
     assert recorded()["options"] == {"scale": 0.5, "end": 0.5, "repeats": "keep"}
 
 
 @pytest.mark.parametrize(
     ("options", "label"), [(["--set", 3], "set3"), ([], "flight"), (["--model", "lgmd"], "lgmd")]
 )
-def test_results_of_one_model_have_its_name(dlgmd, footage, options, label):
-    common = ("--no-plots", "--repeats", "keep", "--jobs", 1, "--out", "one")
-    assert dlgmd("batch", footage, *options, *common).exit_code == 0
-    more = ("--results", "one", "--out", "ev", "--no-plots")
-    assert dlgmd("evaluate", footage / "labels.csv", *more).exit_code == 0
+def test_results_of_one_model_have_its_name(runs, footage, options, label):
+    common = ("--repeats", "keep", "--jobs", 1, "--out", "one")
+    runs("batch", footage, *options, *common)
+    more = ("--results", "one", "--out", "ev")
+    runs("evaluate", footage / "labels.csv", *more)
     assert {row["model"] for row in csv_rows("ev/evaluate.csv")} == {label, "ΣP alone"}
     assert recorded()["models"][0]["label"] == label
     assert recorded()["options"] == {"repeats": "keep"}
@@ -197,15 +195,14 @@ def test_groups_of_kinds_and_manners():
     assert of_kind(cases, None).all()
 
 
-def test_kinds_and_manners_have_rows_of_their_own(dlgmd, footage, tmp_path):
+def test_kinds_and_manners_have_rows_of_their_own(runs, footage, tmp_path):
     labels = footage / "kinds.csv"
     labels.write_text(
         "video,collision_frame,kind,manner\nnear.avi,20,rendered,\ntwice.avi,52,real,walk\n"
         "still.avi,,rendered,\n"
     )
     more = ("--max-false-per-min", "0:rendered", "--no-baselines", "--format", "svg")
-    result = dlgmd("evaluate", labels, *SETS[2:], *more, "--out", "ev")
-    assert result.exit_code == 0, result.output
+    result = runs("evaluate", labels, *SETS[2:], *more, "--out", "ev")
     rows = csv_rows("ev/evaluate.csv")
     by_kind = {(r["at"], r["kind"]): r for r in rows if r["manner"] == "all"}
     assert [by_kind["default", kind]["videos"] for kind in ("all", "real", "rendered")] == [*"312"]
@@ -232,21 +229,20 @@ def test_a_limit_that_cannot_be(dlgmd, footage, limit, why):
         assert why in result.stderr
 
 
-def test_baselines_do_not_depend_on_the_models(dlgmd, footage):
+def test_baselines_do_not_depend_on_the_models(runs, footage):
     found = {}
     for name, models in {"flight": (), "nine": ("--set", 9)}.items():
-        common = ("evaluate", footage / "labels.csv", *models, "--no-plots", "--out", name)
-        assert dlgmd(*common, "--jobs", 1).exit_code == 0
+        common = ("evaluate", footage / "labels.csv", *models, "--out", name)
+        runs(*common, "--jobs", 1)
         rows = csv_rows(f"{name}/evaluate.csv")
         found[name] = [r for r in rows if r["model"] in BASELINES]
     assert found["flight"] == found["nine"] and found["nine"]
 
 
-def test_where_there_is_nothing_to_announce_no_threshold_is_best(dlgmd, footage):
+def test_where_there_is_nothing_to_announce_no_threshold_is_best(runs, footage):
     labels = footage / "none.csv"
     labels.write_text("video,collision_frame\nstill.avi,\n")
-    made = dlgmd("evaluate", labels, "--no-plots", "--out", "none", "--jobs", 1)
-    assert made.exit_code == 0, made.stderr
+    made = runs("evaluate", labels, "--out", "none", "--jobs", 1)
     best = [row for row in csv_rows("none/evaluate.csv") if row["at"] == "best"]
     assert len(best) == 3 and {row["threshold"] for row in best} == {"inf"}
     assert made.stdout.count("best: none") == 3
@@ -258,11 +254,10 @@ def test_the_figure_of_the_leads_names_the_thresholds(footage):
     assert words == ["set9, default threshold", *(f"{one}, best threshold" for one in BASELINES)]
 
 
-def test_variants_labels_and_parameters_are_named(dlgmd, footage):
+def test_variants_labels_and_parameters_are_named(dlgmd, runs, footage):
     def models(*options):
         more = ("--no-baselines", "--no-plots", "--jobs", 1, "--overwrite", "--out", "ev")
-        made = dlgmd("evaluate", footage / "labels.csv", *options, *more)
-        assert made.exit_code == 0, made.stderr
+        runs("evaluate", footage / "labels.csv", *options, *more)
         return list(dict.fromkeys(row["model"] for row in csv_rows("ev/evaluate.csv")))
 
     assert models("--set", 9, "--variant", "weak:kappa=0.1") == ["set9", "weak"]

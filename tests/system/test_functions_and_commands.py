@@ -44,9 +44,9 @@ def assert_same(table, path, *, but=()):
             np.testing.assert_allclose(table[name], expected, rtol=1e-8, err_msg=name)
 
 
-def test_batch(dlgmd, footage):
-    command = ("batch", footage, "--set", 9, "--model", "lgmd", "--no-plots", "--jobs", 1)
-    assert dlgmd(*command).exit_code == 0
+def test_batch(runs, footage):
+    command = ("batch", footage, "--set", 9, "--model", "lgmd", "--jobs", 1)
+    runs(*command)
     found = dlgmd_cli.batch(footage, [9, "lgmd"], out="mine", jobs=1)
     assert found.complete and set(found.statuses.values()) == {"done"}
     for label in ("set9", "lgmd"):
@@ -70,10 +70,10 @@ def test_a_video_that_fails_is_a_row_of_the_batch(dlgmd, footage, tmp_path):
     assert np.isnan(found.table["alarms"][0]) and found.table["alarms"][1] == 0
 
 
-def test_evaluate(dlgmd, footage):
+def test_evaluate(runs, footage):
     options = ("--set", 3, "--set", 9, "--param", "kappa=1e-4", "--repeats", "keep", "--jobs", 1)
-    command = ("evaluate", footage / "labels.csv", *options, "--no-plots", "--horizon", 0.5)
-    assert dlgmd(*command).exit_code == 0
+    command = ("evaluate", footage / "labels.csv", *options, "--horizon", 0.5)
+    runs(*command)
     named = {"param": {"kappa": 1e-4}, "repeats": "keep", "jobs": 1, "horizon": 0.5}
     report = dlgmd_cli.evaluate(footage / "labels.csv", [3, 9], **named)
     assert_same(report.table, "dlgmd-out/evaluate.csv")
@@ -89,12 +89,12 @@ def test_evaluate(dlgmd, footage):
     assert not Path("evaluate.csv").exists()
 
 
-def test_evaluate_writes_what_the_command_writes(dlgmd, footage):
+def test_evaluate_writes_what_the_command_writes(runs, footage):
     dlgmd_cli.batch(footage, set=9, jobs=1)
     labels = footage / "labels.csv"
     dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine", formats=["svg"])
     command = ("evaluate", labels, "--results", "dlgmd-out", "--out", "its", "--format", "svg")
-    assert dlgmd(*command).exit_code == 0
+    runs(*command)
     assert {p.name for p in Path("mine").iterdir()} == {p.name for p in Path("its").iterdir()}
     for name in ("evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"):
         assert Path("mine", name).read_text() == Path("its", name).read_text()
@@ -102,10 +102,9 @@ def test_evaluate_writes_what_the_command_writes(dlgmd, footage):
         dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine")
 
 
-def test_calibrate(dlgmd, footage):
+def test_calibrate(runs, footage):
     labels = footage / "labels.csv"
-    result = dlgmd("calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 2, "--json")
-    assert result.exit_code == 0, result.output
+    result = runs("calibrate", labels, "--set", 3, "--jobs", 1, "--folds", 2, "--json")
     found = dlgmd_cli.calibrate(labels, set=3, jobs=1, folds=2)
     assert found.preset == Path("dlgmd-out/calibrated.yaml").read_text("utf-8")
     facts = json.loads(result.stdout)
@@ -116,11 +115,11 @@ def test_calibrate(dlgmd, footage):
     assert sorted(path.name for path in footage.iterdir() if path.suffix == ".yaml") == []
 
 
-def test_layers(dlgmd, footage):
+def test_layers(runs, footage):
     for frames in (None, [3, 15]):
         shown = ("--frames", "3,15") if frames else ()
-        command = ("layers", footage / "near.avi", "--set", 9, "--npz", "--no-plots", *shown)
-        assert dlgmd(*command, "--overwrite").exit_code == 0
+        command = ("layers", footage / "near.avi", "--set", 9, "--npz", *shown)
+        runs(*command, "--overwrite")
         found = dlgmd_cli.layers(footage / "near.avi", frames, set=9)
         with np.load("dlgmd-out/near/layers.npz") as arrays:
             for name in ("frame", "time_s", "luminance", "p", "s", "g"):
@@ -135,9 +134,9 @@ def test_layers(dlgmd, footage):
     }
 
 
-def test_a_film_of_layers_that_were_not_run_to_the_end(dlgmd, footage):
+def test_a_film_of_layers_that_were_not_run_to_the_end(runs, footage):
     command = ("layers", footage / "near.avi", "--set", 9, "--end", 0.3, "--video", "its.mp4")
-    assert dlgmd(*command).exit_code == 0
+    runs(*command)
     found = dlgmd_cli.layers(footage / "near.avi", [3], set=9, end=0.3)
     assert found.film("mine.mp4") == 8
     assert Path("mine.mp4").read_bytes() == Path("its.mp4").read_bytes()
@@ -150,12 +149,12 @@ def test_a_film_of_layers_that_were_not_run_to_the_end(dlgmd, footage):
 
 
 @pytest.mark.parametrize("video", [None, "near.avi"])
-def test_sweep(dlgmd, footage, video):
+def test_sweep(runs, footage, video):
     place = None if video is None else footage / video
     inputs, options = ([], {"frames": 9}) if video is None else ([place], {"set": 9})
     flags = [text for key, value in options.items() for text in (f"--{key}", value)]
     axes = ("--x", "r=2,3", "--y", "sigma_e=0.5:1.5:0.5")
-    assert dlgmd("sweep", *inputs, *axes, *flags, "--jobs", 1, "--no-plots").exit_code == 0
+    runs("sweep", *inputs, *axes, *flags, "--jobs", 1)
     found = dlgmd_cli.sweep(place, x=("r", [2, 3]), y="sigma_e=0.5:1.5:0.5", jobs=1, **options)
     name = "near" if video else "translating-cubes"
     assert_same(found.table, f"dlgmd-out/sweep-{name}/sweep.csv")
@@ -163,9 +162,9 @@ def test_sweep(dlgmd, footage, video):
     assert found.plot().axes
 
 
-def test_synth_in_memory_is_the_lossless_video(dlgmd):
+def test_synth_in_memory_is_the_lossless_video(runs):
     scene = ("synth", "looming-cube", "--size", "64x48", "--speed", 5, "--noise", 0.01)
-    assert dlgmd(*scene, "--lossless").exit_code == 0
+    runs(*scene, "--lossless")
     clip = dlgmd_cli.synth("looming-cube", size="64x48", speed=5, noise=0.01)
     assert_same(clip.truth, "looming-cube.csv")
     stored = dlgmd_cli.run("looming-cube.avi", set=9, repeats="keep")
@@ -176,9 +175,9 @@ def test_synth_in_memory_is_the_lossless_video(dlgmd):
     assert repr(clip) == f"<RenderedClip looming-cube: {len(stored)} frames>"
 
 
-def test_synth_of_many(dlgmd, monkeypatch):
+def test_synth_of_many(runs, monkeypatch):
     monkeypatch.setitem(SCENES, "quick", Quick())
-    assert dlgmd("synth", "quick", "--count", 3, "--jobs", 1, "--out", "its").exit_code == 0
+    runs("synth", "quick", "--count", 3, "--jobs", 1, "--out", "its")
     flights = dlgmd_cli.synth("quick", "mine", count=3, jobs=1)
     assert_same(flights.labels, "its/labels.csv")
     assert Path("mine/labels.csv").read_text() == Path("its/labels.csv").read_text()

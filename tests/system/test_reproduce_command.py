@@ -28,10 +28,9 @@ def few_seeds(monkeypatch):
     monkeypatch.setattr("dlgmd_cli.reproduce.plan._FEW_SEEDS", 2)
 
 
-def test_a_quick_report(tmp_path, dlgmd, few_seeds):
+def test_a_quick_report(tmp_path, runs, few_seeds):
     only = "fig6,fig8,fig11,fig13,fig15,table4"
-    result = dlgmd("reproduce", "--quick", "--only", only, "--out", "paper", "--jobs", 2)
-    assert result.exit_code == 0, result.output
+    runs("reproduce", "--quick", "--only", only, "--out", "paper", "--jobs", 2)
     out = tmp_path / "paper"
     specs = select(load_claims()[0], only.split(","))
     rows = csv_rows(out / "claims.csv")
@@ -75,14 +74,13 @@ def test_an_interrupted_report_continues(tmp_path):
     assert (tmp_path / "paper/report.html").is_file() and not kept.exists()
 
 
-def test_the_authors_frames_stand_beside_ours(tmp_path, dlgmd):
+def test_the_authors_frames_stand_beside_ours(tmp_path, runs):
     (tmp_path / "frames/looming_ball").mkdir(parents=True)
     with clips.open_clip(Clip.of("looming-ball", size=(30, 40), frames=25)) as video:
         for frame in video:
             path = tmp_path / f"frames/looming_ball/{frame.index + 1:03d}.png"
             cv2.imwrite(str(path), frame.grey)
-    result = dlgmd("reproduce", "--only", "fig10,fig6-fast", "--reference", "frames", "--quick")
-    assert result.exit_code == 0, result.output
+    runs("reproduce", "--only", "fig10,fig6-fast", "--reference", "frames", "--quick")
     rows = csv_rows(tmp_path / "dlgmd-paper/claims.csv")
     frames = {(row["id"], row["shown_on"]) for row in rows}
     both = {"own frames", "authors' frames"}
@@ -91,10 +89,9 @@ def test_the_authors_frames_stand_beside_ours(tmp_path, dlgmd):
     assert "authors&#39; frames: " in (tmp_path / "dlgmd-paper/report.html").read_text("utf-8")
 
 
-def test_latency_without_models(dlgmd, tmp_path):
+def test_latency_without_models(dlgmd, runs, tmp_path):
     common = ("reproduce", "--only", "fig5, fig2-size", "--quick", "--out", "paper")
-    result = dlgmd(*common, "--dpi", 60)
-    assert result.exit_code == 0, result.output
+    runs(*common, "--dpi", 60)
     width_px = cv2.imread("paper/fig2.png").shape[1]
     assert width_px == pytest.approx(60 * width_in("two"), abs=2)
     rows = csv_rows("paper/claims.csv")
@@ -110,7 +107,7 @@ def test_latency_without_models(dlgmd, tmp_path):
         assert (tmp_path / "paper" / name).stat().st_size > 1000
     again = dlgmd("reproduce", "--only", "fig5", "--out", "paper")
     assert again.exit_code == 2 and "already exists" in again.stderr
-    assert dlgmd("reproduce", "--only", "fig5", "--out", "paper", "--overwrite").exit_code == 0
+    runs("reproduce", "--only", "fig5", "--out", "paper", "--overwrite")
 
 
 def test_group_2_brakes_at_the_papers_frame():
