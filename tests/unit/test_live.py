@@ -845,6 +845,30 @@ def test_mavlink_arrives_at_a_receiver():
     send.close()
 
 
+def test_the_heartbeat_goes_on_without_frames(monkeypatch):
+    """BOOT before the first frame, CRITICAL after `blind`, each second."""
+    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
+    monkeypatch.setattr(outputs, "_HEARTBEAT_S", 0.05)
+    receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
+    send = outputs.Mavlink(f"udp://127.0.0.1:{receiver.port.getsockname()[1]}")
+    output = outputs.Output("--mavlink", send)
+
+    def state():
+        message = receiver.recv_match(type="HEARTBEAT", blocking=True, timeout=SOON_S)
+        assert message is not None
+        return message.system_status
+
+    boot, active, critical = 1, 4, 5
+    assert [state(), state()] == [boot, boot]
+    output.put(answer(event="blind", reason="lost"))
+    until(lambda: state() == critical)
+    assert state() == critical
+    output.put(answer(event="sees"))
+    until(lambda: state() == active)
+    output.close()
+    receiver.close()
+
+
 def test_mavlink_addresses():
     with pytest.raises(ValueError, match="only udp:// and serial://"):
         outputs._link("tcp://a:5")
