@@ -136,7 +136,7 @@ def _link(name: str) -> str:
 
 
 def _write_index(
-    claim: store.Claim, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
+    claim: store.ClaimedFolder, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
 ) -> None:
     """Write a page for each input into a folder beside the index, then the index."""
     folder = out.with_name(f"{out.stem}-pages")
@@ -157,7 +157,7 @@ def _write_index(
 
 
 def _write_page(
-    claim: store.Claim,
+    claim: store.ClaimedFolder,
     name: str,
     one: Input,
     request: _Request,
