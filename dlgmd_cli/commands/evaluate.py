@@ -156,8 +156,8 @@ def evaluate(
     In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: at the first
     alarm that is within --horizon before the collision or justified, the pilot reacts and the drone
     brakes, straight on. It is saved if it stops before it touches anything. A stop is justified if
-    the drone would have hit something within 1.5 s, flying straight on; other alarms ask for an
-    unneeded stop, and the flight goes on.
+    the drone would have hit something within 1.5 s, flying straight on, and its alarm is not false.
+    Other alarms ask for an unneeded stop, and the flight goes on.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
