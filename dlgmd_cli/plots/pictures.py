@@ -18,7 +18,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from dlgmd_cli.plots.curves import DRAWS, AxisScale, traces_of
-from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
     DPI,
     PNG_OPTIONS,
@@ -36,6 +35,7 @@ from dlgmd_cli.plots.traces import (
     fix_margins,
     heights_alone,
 )
+from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.result import Result
 
 Picture = npt.NDArray[np.uint8]

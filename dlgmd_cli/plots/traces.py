@@ -22,7 +22,6 @@ from dlgmd_cli.plots.curves import (
     span_db,
     traces_of,
 )
-from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
     BLACK,
     ORANGE,
@@ -35,7 +34,7 @@ from dlgmd_cli.plots.style import (
     plain,
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
-from dlgmd_cli.results.annotations import NONE, Annotations
+from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each.
