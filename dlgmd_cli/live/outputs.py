@@ -41,7 +41,7 @@ _SYSTEM = 1
 _INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
 
-class Output:
+class Receiver:
     """Delivers answers to a receiver in a thread of its own, so that it never delays a frame.
 
     A failure is logged once for each reason; the next answer is delivered all the same. If the
@@ -112,7 +112,7 @@ class Output:
             _log.warning("%s: %s", self._name, why)
 
 
-def finish(outputs: Sequence[Output]) -> None:
+def finish(outputs: Sequence[Receiver]) -> None:
     """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C."""
     for output in outputs:
         output.close()

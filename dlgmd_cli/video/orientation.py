@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import cv2
 
-from dlgmd_cli.video.luma import Image
+from dlgmd_cli.frame import Image
 
 # A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
 # and mirrors.

@@ -682,7 +682,7 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
         release.wait(SOON_S)
         got.append(one.frame.index)
 
-    output = outputs.Output("--udp", deliver)
+    output = outputs.Receiver("--udp", deliver)
     for number in range(500):
         output.put(answer(index=number))
     assert got == []  # no `put` has waited for the receiver
@@ -704,7 +704,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
         got.append(one.frame.index)
         raise OSError("the cable is out")
 
-    output = outputs.Output("--mavlink", deliver)
+    output = outputs.Receiver("--mavlink", deliver)
     for number in range(5):
         output.put(answer(index=number))
     until(lambda: len(got) == 5)
@@ -714,7 +714,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
 
 def test_only_events():
     got = []
-    output = outputs.Output("--exec", got.append, only_events=True)
+    output = outputs.Receiver("--exec", got.append, only_events=True)
     for event in ("", "begin", "", "end"):
         output.put(answer(event=event))
     until(lambda: len(got) == 2)
