@@ -131,9 +131,9 @@ def evaluate(
     results: Path | None,
     rules: dict[str, Any],
     answer: dict[str, Any],
-    baselines: bool,
     jobs: int | None,
     output: Output,
+    **asked: Any,
 ) -> None:
     """Score how well alarms announce labelled collisions.
 
@@ -171,16 +171,8 @@ def evaluate(
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
-    found = task.evaluate(
-        labels_path,
-        results=results,
-        **rules,
-        **answer,
-        baselines=baselines,
-        progress=progress,
-        **output.files,
-        **of_models,
-    )
+    asked |= {"results": results, **rules, **answer, **of_models}
+    found = task.evaluate(labels_path, progress=progress, **asked, **output.files)
     show(found, as_json=output.as_json)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
-from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.csv import Table, table_of, write_values

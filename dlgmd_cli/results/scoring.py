@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Flags, Series
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
 from dlgmd_cli.results.intervals import CONFIDENCE, binomial_interval, poisson_interval
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3

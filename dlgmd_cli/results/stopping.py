@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.scoring import (
     EARLY,
