@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dlgmd_cli.models.detection import ROUNDING_S, Series
+from dlgmd_cli.frame import Series
+from dlgmd_cli.models.detection import ROUNDING_S
 from dlgmd_cli.results.scoring import Signal
 
 # The columns of ttc.csv: of the frames at which this time was left to the first collision of a
