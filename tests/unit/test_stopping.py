@@ -13,6 +13,8 @@ from dlgmd_cli.results.scoring import Signal
 from dlgmd_cli.results.stopping import Stops, score_stops, stop_cells, stop_curve, tally_stops
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
 
+pytestmark = pytest.mark.usefixtures("here")
+
 TIME_S = np.arange(90) / 30.0
 
 

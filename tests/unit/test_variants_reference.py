@@ -18,8 +18,6 @@ from dlgmd_cli.parameters.presets import (
     parameters_of,
 )
 
-pytestmark = pytest.mark.usefixtures("each_engine")
-
 CLIPS = {
     "drifting 9x12": clips.drifting(9, 12, 8, seed=1),
     "looming 10x13": clips.looming(10, 13, 8, seed=2),
