@@ -101,7 +101,7 @@ def test_cells_of_an_alarm_and_of_a_missed_collision():
 @pytest.fixture
 def flights(runs, monkeypatch):
     """Two flights at a wall, one of which ends early, and their labels."""
-    scene = FlightScene("wall", "", FlightOptions(shape=(90, 160)), stage_of)
+    scene = FlightScene("wall", "", FlightOptions(shape=(54, 96)), stage_of)
     monkeypatch.setitem(SCENES, "wall", scene)
     runs("synth", "wall", "--count", 2, "--jobs", 1, "--out", "f")
     return Path("f")

@@ -103,10 +103,11 @@ QUIET = [
 ]
 
 
-@pytest.mark.parametrize("times", [None, UNEVEN_S], ids=["no times", "uneven times"])
-@pytest.mark.parametrize("changes", QUIET, ids=str)
+@pytest.mark.parametrize(
+    ("changes", "times"), [*((one, UNEVEN_S) for one in QUIET), (QUIET[-1], None)], ids=str
+)
 def test_what_keeps_contrast_quiet_agrees_with_its_equations(changes, times):
-    for frames in (*CLIPS.values(), TURNING):
+    for frames in (CLIPS["looming 10x13"], CLIPS["one cell"], TURNING):
         answers = check_contrast(frames, times=times and times[: len(frames)], **changes)
     if "shift" in changes:
         assert len({one.shift for one in answers}) > 3
