@@ -11,6 +11,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+# Pictures, (H, W) or (H, W, 3): of any levels; as they are stored and shown; and between 0 and 1.
+Image = npt.NDArray[Any]
+GreyImage = npt.NDArray[np.uint8]
+BgrImage = npt.NDArray[np.uint8]
+FloatImage = npt.NDArray[np.float32]
+# A number, or whether something holds, for each frame, cell or point.
+Series = npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
 # A gap exceeds this many median intervals; the median counts as MIN_USUAL_S at least.
 GAP_INTERVALS, MIN_USUAL_S = 3.5, 1.0 / 30.0
 # An interval is long, or short, where it differs by so much of the usual one.

@@ -82,7 +82,6 @@ def model_setups(
 @jobs_option
 @click.option(
     "--timeout",
-    "timeout_s",
     type=numeric(low_open=True),
     metavar="S",
     help="Give up on a video after S seconds.  [default: no limit]",
@@ -97,19 +96,9 @@ def batch(
     folders: tuple[str, ...],
     setups: "list[Setup]",
     given: dict[str, Any],
-    out: str,
-    formats: tuple[str, ...],
-    dpi: int,
     no_plots: bool,
-    clips: Path | None,
-    overwrite: bool,
-    force: bool,
-    exclude: tuple[str, ...],
-    dry_run: bool,
-    jobs: int | None,
-    timeout_s: float | None,
-    scheduler: str | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Run models over every video in folders.
 
@@ -127,21 +116,6 @@ def batch(
     """
     from dlgmd_cli.tasks import batch as task
 
-    found = task.batch(
-        folders,
-        setups,
-        out=out,
-        formats=() if no_plots else formats,
-        dpi=dpi,
-        overwrite=overwrite,
-        force=force,
-        clips=clips,
-        exclude=exclude,
-        dry_run=dry_run,
-        jobs=jobs,
-        timeout=timeout_s,
-        scheduler=scheduler,
-        progress=progress,
-        **given,
-    )
-    show(found, as_json=as_json)
+    if no_plots:
+        asked["formats"] = ()
+    show(task.batch(folders, setups, progress=progress, **asked, **given), as_json=as_json)

@@ -1,6 +1,7 @@
 """`dlgmd bench`: the computing times of the paper's Table IV, measured on this machine."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -37,7 +38,6 @@ from dlgmd_cli.commands.show import show
 )
 @click.option(
     "--frames",
-    "n_frames",
     type=numeric(int, 12, 100_000),
     default=120,
     show_default=True,
@@ -57,25 +57,13 @@ from dlgmd_cli.commands.show import show
 @decoder_option
 @click.option(
     "--csv",
-    "csv_path",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Also write the table to a CSV file.",
 )
 @overwrite_option
 @json_option
-def bench(
-    input_path: str | None,
-    radii: tuple[int, ...],
-    scales: tuple[float, ...],
-    n_frames: int,
-    repeats: int,
-    engine: str | None,
-    decoder: str | None,
-    csv_path: Path | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def bench(input_path: str | None, as_json: bool, **asked: Any) -> None:
     """Measure how long the model takes, as in the paper's Table IV.
 
     Runs set 7 with each radius at each scale over INPUT, or over a rendered 1080p clip of a panning
@@ -84,16 +72,4 @@ def bench(
     """
     from dlgmd_cli.tasks import bench as task
 
-    found = task.bench(
-        input_path,
-        radii=radii,
-        scales=scales,
-        frames=n_frames,
-        repeats=repeats,
-        engine=engine,
-        decoder=decoder,
-        csv=csv_path,
-        overwrite=overwrite,
-        progress=progress,
-    )
-    show(found, as_json=as_json)
+    show(task.bench(input_path, progress=progress, **asked), as_json=as_json)

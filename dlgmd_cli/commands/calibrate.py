@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--search",
-    "searched",
     multiple=True,
     metavar="KEY=LOW:HIGH",
     shell_complete=complete_key,
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--trials",
-    "n_trials",
     type=int,
     default=50,
     show_default=True,
@@ -72,14 +70,8 @@ def calibrate(
     setup: "Setup",
     given: dict[str, Any],
     rules: dict[str, Any],
-    folds: int,
-    searched: tuple[str, ...],
-    n_trials: int,
-    name: str,
-    jobs: int | None,
-    out: str,
-    overwrite: bool,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Find the thresholds that announce labelled collisions best.
 
@@ -100,19 +92,5 @@ def calibrate(
     """
     from dlgmd_cli.tasks import calibrate as task
 
-    found = task.calibrate(
-        labels_path,
-        model=setup,
-        **rules,
-        folds=folds,
-        search=searched,
-        trials=n_trials,
-        name=name,
-        jobs=jobs,
-        out=out,
-        formats=("png",),
-        overwrite=overwrite,
-        progress=progress,
-        **given,
-    )
-    show(found, as_json=as_json)
+    asked |= {"model": setup, "formats": ("png",), **rules}
+    show(task.calibrate(labels_path, progress=progress, **asked, **given), as_json=as_json)

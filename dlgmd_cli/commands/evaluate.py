@@ -131,9 +131,9 @@ def evaluate(
     results: Path | None,
     rules: dict[str, Any],
     answer: dict[str, Any],
-    baselines: bool,
     jobs: int | None,
     output: Output,
+    **asked: Any,
 ) -> None:
     """Score how well alarms announce labelled collisions.
 
@@ -156,8 +156,8 @@ def evaluate(
     In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: at the first
     alarm that is within --horizon before the collision or justified, the pilot reacts and the drone
     brakes, straight on. It is saved if it stops before it touches anything. A stop is justified if
-    the drone would have hit something within 1.5 s, flying straight on; other alarms ask for an
-    unneeded stop, and the flight goes on.
+    the drone would have hit something within 1.5 s, flying straight on, and its alarm is not false.
+    Other alarms ask for an unneeded stop, and the flight goes on.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
@@ -171,16 +171,8 @@ def evaluate(
     if results is not None:
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
-    found = task.evaluate(
-        labels_path,
-        results=results,
-        **rules,
-        **answer,
-        baselines=baselines,
-        progress=progress,
-        **output.files,
-        **of_models,
-    )
+    asked |= {"results": results, **rules, **answer, **of_models}
+    found = task.evaluate(labels_path, progress=progress, **asked, **output.files)
     show(found, as_json=output.as_json)
 
 

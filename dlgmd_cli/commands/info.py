@@ -1,6 +1,6 @@
 """`dlgmd info`: describe videos, and suggest options for a run."""
 
-from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -38,7 +38,6 @@ from dlgmd_cli.commands.show import show
 )
 @click.option(
     "--write-mask",
-    "mask_path",
     type=file_ending("mask.png"),
     metavar="FILE.png",
     help="Write a mask for --mask: black where pixels never change, such as an on-screen display.",
@@ -47,14 +46,7 @@ from dlgmd_cli.commands.show import show
 @input_fps_option
 @decoder_option
 @json_option
-def info(
-    input_paths: tuple[str, ...],
-    mask_path: Path | None,
-    overwrite: bool,
-    input_fps: float | None,
-    decoder: str | None,
-    as_json: bool,
-) -> None:
+def info(input_paths: tuple[str, ...], as_json: bool, **asked: Any) -> None:
     """Describe videos: size, codec, frame rate, repeated frames, damage.
 
     INPUT is as in 'dlgmd run', and is read to the end. Below the facts, the command suggests
@@ -70,15 +62,7 @@ def info(
         return
     from dlgmd_cli.tasks import info as task
 
-    found = task.info(
-        input_paths,
-        input_fps=input_fps,
-        decoder=decoder,
-        write_mask=mask_path,
-        overwrite=overwrite,
-        progress=progress,
-    )
-    show(found, as_json=as_json)
+    show(task.info(input_paths, progress=progress, **asked), as_json=as_json)
 
 
 def _show_settings(*, as_json: bool) -> None:

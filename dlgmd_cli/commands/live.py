@@ -37,7 +37,7 @@ from dlgmd_cli.video.base import PIXEL_FORMATS
 from dlgmd_cli.video.names import without_password
 
 if TYPE_CHECKING:
-    from dlgmd_cli.live.outputs import Output
+    from dlgmd_cli.live.outputs import Receiver
     from dlgmd_cli.live.recording import Recording
     from dlgmd_cli.live.serve import PageServer
     from dlgmd_cli.live.watch import Statistics
@@ -252,7 +252,7 @@ def _source(
     )
 
 
-def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Output]":
+def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Receiver]":
     """The receivers that were asked for, except the page and the recording."""
     from dlgmd_cli.live import outputs
 
@@ -264,7 +264,7 @@ def _outputs(asked: dict[str, Any], frames: "LiveSource") -> "list[Output]":
     }
     only_events = {"jsonl": asked["events"], "udp": asked["events"], "exec": True}
     return [
-        outputs.Output(f"--{name}", make(), only_events=only_events.get(name, False))
+        outputs.Receiver(f"--{name}", make(), only_events=only_events.get(name, False))
         for name, make in makers.items()
         if asked[name] not in (None, False)
     ]

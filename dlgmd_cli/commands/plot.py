@@ -25,8 +25,7 @@ from dlgmd_cli.commands.options import (
 )
 from dlgmd_cli.commands.show import show
 from dlgmd_cli.errors import ParameterError, printable
-from dlgmd_cli.plots.kinds import KINDS
-from dlgmd_cli.results.annotations import Annotations
+from dlgmd_cli.results.annotations import KINDS, Annotations
 from dlgmd_cli.video.base import INPUT_SPECS
 
 # Greatest number of characters of a wrong value that an error quotes.

@@ -82,14 +82,11 @@ def _asked(pairs: tuple[str, ...], set_name: str | None, **named: Any) -> dict[s
 @report_options
 def sweep(
     input_path: str | None,
-    x: str,
-    y: str,
     shape: dict[str, Any],
-    false_positive_frame: int | None,
     asked: dict[str, Any],
     given: dict[str, Any],
-    jobs: int | None,
     output: Output,
+    **grid: Any,
 ) -> None:
     """Run a model over a grid of values of two parameters.
 
@@ -105,16 +102,6 @@ def sweep(
     """
     from dlgmd_cli.tasks import sweep as task
 
-    found = task.sweep(
-        input_path,
-        x=x,
-        y=y,
-        **shape,
-        false_positive_frame=false_positive_frame,
-        **asked,
-        jobs=jobs,
-        progress=progress,
-        **output.files,
-        **given,
-    )
+    files = output.files
+    found = task.sweep(input_path, progress=progress, **grid, **shape, **asked, **files, **given)
     show(found, as_json=output.as_json)

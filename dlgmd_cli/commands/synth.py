@@ -161,21 +161,7 @@ def _scene_options(command: Any) -> Any:
     metavar="N",
     help="With --count: number of processes.  [default: all processors]",
 )
-def synth(
-    scene_name: str | None,
-    lists: bool,
-    out: Path,
-    name: str | None,
-    lossless: bool,
-    png: bool,
-    sheet: bool,
-    dpi: int,
-    overwrite: bool,
-    count: int | None,
-    jobs: int | None,
-    avoid: str | None,
-    **given: Any,
-) -> None:
+def synth(scene_name: str | None, lists: bool, out: Path, **given: Any) -> None:
     """Render a stimulus with its ground truth.
 
     SCENE is a flight through a rendered room, or a flat scene: a plain object on a plain
@@ -207,12 +193,7 @@ def synth(
     from dlgmd_cli.tasks import synth as task
 
     given["speed"] = tuple(chain.from_iterable(given["speed"]))
-    files = {"lossless": lossless, "png": png, "sheet": sheet, "dpi": dpi, "overwrite": overwrite}
-    many: dict[str, Any] = {"count": count, "jobs": jobs}
-    found = task.synth(
-        scene_name, out, name=name, avoid=avoid, progress=progress, **many, **files, **given
-    )
-    show(found)
+    show(task.synth(scene_name, out, progress=progress, **given))
 
 
 def _list() -> None:

@@ -41,7 +41,7 @@ _SYSTEM = 1
 _INTERRUPTED_S, _PATIENCE_S = 0.2, 2.0
 
 
-class Output:
+class Receiver:
     """Delivers answers to a receiver in a thread of its own, so that it never delays a frame.
 
     A failure is logged once for each reason; the next answer is delivered all the same. If the
@@ -53,7 +53,7 @@ class Output:
         Option that asked for it, for messages.
     deliver : callable
         Called with one answer after the other; may block or raise. Its method `close`, if it has
-        one, is called at the end.
+        one, is called at the end, and `beat`, if it has one, after each second without an answer.
     only_events : bool
         Deliver only answers with an event.
     """
@@ -89,14 +89,19 @@ class Output:
             self._log_once("the receiver did not take everything in time")
 
     def _work(self) -> None:
+        beat = getattr(self._deliver, "beat", None)
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_closed)
-                if not self._waiting:
+                pause_s = _HEARTBEAT_S if beat else None
+                self._changed.wait_for(lambda: self._waiting or self._is_closed, pause_s)
+                if not self._waiting and self._is_closed:
                     break
-                answer = self._waiting.popleft()
+                answer = self._waiting.popleft() if self._waiting else None
             try:
-                self._deliver(answer)
+                if answer is not None:
+                    self._deliver(answer)
+                elif beat:
+                    beat()
             except Exception as error:
                 self._log_once(str(error) or type(error).__name__)
         getattr(self._deliver, "close", lambda: None)()
@@ -107,7 +112,7 @@ class Output:
             _log.warning("%s: %s", self._name, why)
 
 
-def finish(outputs: Sequence[Output]) -> None:
+def finish(outputs: Sequence[Receiver]) -> None:
     """Deliver what waits, within 2 s at most, or 0.2 s after Ctrl-C."""
     for output in outputs:
         output.close()
@@ -239,7 +244,8 @@ class Mavlink:
 
     The threat level of a frame is HIGH while the alarm is on, LOW at a spike, else NONE; frames
     without a threat are sent only after one with it. The time to contact is the model's estimate,
-    NaN where it has none; distances are unknown, and NaN.
+    NaN where it has none; distances are unknown, and NaN. The heartbeat goes on while no frame
+    comes: its state is BOOT before the first answer, CRITICAL while the source shows nothing.
 
     Parameters
     ----------
@@ -270,7 +276,7 @@ class Mavlink:
             raise ParameterError("--mavlink", why, mend) from None
         self._mav = names.MAVLink(link, _SYSTEM, names.MAV_COMP_ID_OBSTACLE_AVOIDANCE)
         self.close = link.close
-        self._level, self._beat_s = 0, -_HEARTBEAT_S
+        self._level, self._beat_s, self._state = 0, -math.inf, names.MAV_STATE_BOOT
         self._texts = {
             BEGIN: (names.MAV_SEVERITY_CRITICAL, "collision alarm"),
             END: (names.MAV_SEVERITY_NOTICE, "collision alarm over"),
@@ -281,11 +287,9 @@ class Mavlink:
     def __call__(self, answer: Answer) -> None:
         """Send an answer."""
         names, found, send = self._names, answer.detection, self._mav
-        if (now_s := time.monotonic()) - self._beat_s >= _HEARTBEAT_S:
-            self._beat_s = now_s
-            kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
-            state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
-            send.heartbeat_send(kind, pilot, 0, 0, state)
+        self._state = names.MAV_STATE_CRITICAL if answer.reason else names.MAV_STATE_ACTIVE
+        if time.monotonic() - self._beat_s >= _HEARTBEAT_S:
+            self.beat()
         before, self._level = self._level, names.MAV_COLLISION_THREAT_LEVEL_NONE
         if found.alarm:
             self._level = names.MAV_COLLISION_THREAT_LEVEL_HIGH
@@ -306,6 +310,12 @@ class Mavlink:
             if answer.event == BEGIN and answer.span is not None and answer.span.side:
                 detail = f", {answer.span.side}"
             send.statustext_send(severity, f"dlgmd: {text}{detail}".encode())
+
+    def beat(self) -> None:
+        """Send a heartbeat."""
+        names, self._beat_s = self._names, time.monotonic()
+        kind, pilot = names.MAV_TYPE_ONBOARD_CONTROLLER, names.MAV_AUTOPILOT_INVALID
+        self._mav.heartbeat_send(kind, pilot, 0, 0, self._state)
 
 
 class _Socket:

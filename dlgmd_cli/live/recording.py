@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import OutputError
+from dlgmd_cli.frame import BgrImage
 from dlgmd_cli.live.watch import BLIND, END, SEES, Answer, Sight
 from dlgmd_cli.models.detection import Alarm
 from dlgmd_cli.results import csv, store
@@ -27,7 +26,6 @@ from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.video.writer import playable_fps
 
-BgrImage = npt.NDArray[np.uint8]
 _log = logging.getLogger(__name__)
 
 VIDEO = "video.mkv"
@@ -193,12 +191,12 @@ class Recording:
                     cells[place] = csv.cell(value)
                     after.write(",".join(cells) + "\n")
 
-        store.Claim(self._folder).write({"mp.csv": write})
+        store.ClaimedFolder(self._folder).write({"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:
         record = {**self._record(), "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
-        store.Claim(self._folder).write({store.RUN: store.file_of(text)})
+        store.ClaimedFolder(self._folder).write({store.RUN: store.file_of(text)})
 
     def _record(self) -> dict[str, Any]:
         """What run.yaml says about the input, the model and the warnings so far."""

@@ -13,17 +13,15 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import Frame, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Alarm, AlarmSpan, Detection
 from dlgmd_cli.models.health import BLIND_S, SOUND_S
 from dlgmd_cli.video.live import LiveSource, started_thread
 from dlgmd_cli.video.prefetch import opencv_threads
 
-Image = npt.NDArray[Any]
 _log = logging.getLogger(__name__)
 
 BEGIN, END, BLIND, SEES = "begin", "end", "blind", "sees"

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, FrameError, ModelError, ParameterError
+from dlgmd_cli.frame import Flags as Flags
+from dlgmd_cli.frame import FloatImage as FloatImage
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, ParametersT, untrusted
 
-FloatImage = npt.NDArray[np.float32]
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
-Flags = npt.NDArray[np.bool_]
 
 CACHE_LINE = 64
 AUTO = "auto"

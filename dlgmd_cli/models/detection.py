@@ -15,9 +15,11 @@ from dlgmd_cli.frame import (
     RATE_TOLERANCE,
     UNEVEN_S,
     CaptureClock,
+    Flags,
     Frame,
     GapDetector,
     RepeatDetector,
+    Series,
     resized,
     steady_step,
 )
@@ -36,8 +38,6 @@ from dlgmd_cli.parameters.presets import (
 
 _log = logging.getLogger(__name__)
 
-Series = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Potential = TypeVar("Potential", float, Series)
 
 # K of a single cell for a change of one grey level, in luminance². A lower peak is due to rounding;

@@ -32,7 +32,7 @@ _THUMBNAIL_PX = 192
 
 
 @dataclass(frozen=True)
-class Film:
+class PageFilm:
     """A film with one picture for every row of a result.
 
     Attributes
@@ -63,7 +63,7 @@ def render(
     width_px: int,
     thumbnail_row: int,
     on_frame: OnFrame,
-) -> Film:
+) -> PageFilm:
     """Run a result's model over its input again, and make a film of the input with G on top.
 
     Parameters
@@ -119,7 +119,7 @@ def render(
                 write(picture)
                 cancel.check()
         data = file.read_bytes()
-    return Film(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
+    return PageFilm(data, float(encoded_rate(fps)), size_wh, thumbnail, is_as_stored)
 
 
 def _pictures(

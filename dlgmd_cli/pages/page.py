@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import MissingExtraError, printable
-from dlgmd_cli.pages.film import Film
+from dlgmd_cli.pages.film import PageFilm
 from dlgmd_cli.pages.gather import Gathered, Input
 from dlgmd_cli.plots.curves import LOOKS, stretches
 from dlgmd_cli.plots.overlay import TINT
@@ -48,7 +48,7 @@ class Part:
 
     label: str
     result: Result
-    film: Film | None = None
+    film: PageFilm | None = None
     no_film: str = ""
 
 

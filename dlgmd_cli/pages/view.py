@@ -56,37 +56,14 @@ def view(
 ) -> Written:
     """Make a web page of results, as `dlgmd view` does: a page, or an index with a page an input.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Folders of results, or trees of them.
-    out : Path
-        Folder for ``view-NAME.html``, or a file that ends in ``.html``.
-    frames : sequence of int
-        Frames of collisions, if the results are of one input.
-    labels : Path, optional
-        Table of the videos' collisions.
-    input_path : str, optional
-        Where the one input is now.
-    film_width_px : int
-        Greatest width of the films.
-    models : iterable of str
-        Models of one's own, as ``module:Class``, that may be imported for the films.
-    film : bool
-        Whether the pages have films.
-    overwrite : bool
-        Whether earlier pages may be replaced.
-    progress
-        As in `batch`.
+    `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
+    a file that ends in ``.html``. `frames` of collisions and the present `input_path` are for
+    results of one input, and `labels` is a table of the collisions of many. `models` of one's own,
+    as ``module:Class``, may be imported for the films.
 
-    Raises
-    ------
-    ParameterError
-        If `frames` or `input_path` are given for several inputs, or there is no such model.
-    ResultError
-        If there is no result, or one of its files is damaged.
-    OutputError, OutputExistsError
-        If a page cannot be written, or may not be replaced.
+    Raises ParameterError for what is for one input if there are several, ResultError for a result
+    that is missing or damaged, and OutputError or OutputExistsError for a page that cannot be
+    written.
     """
     require_packages()
     for model in models:
@@ -136,7 +113,7 @@ def _link(name: str) -> str:
 
 
 def _write_index(
-    claim: store.Claim, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
+    claim: store.ClaimedFolder, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
 ) -> None:
     """Write a page for each input into a folder beside the index, then the index."""
     folder = out.with_name(f"{out.stem}-pages")
@@ -157,7 +134,7 @@ def _write_index(
 
 
 def _write_page(
-    claim: store.Claim,
+    claim: store.ClaimedFolder,
     name: str,
     one: Input,
     request: _Request,

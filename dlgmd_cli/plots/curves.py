@@ -73,7 +73,7 @@ class Trace:
     n_points: int = MAX_POINTS
 
 
-class Scale(NamedTuple):
+class AxisScale(NamedTuple):
     """The vertical axis of a panel: its height in inches, and what is drawn.
 
     `column` is that of the potential. `limits` are those of the values, None to fit them.
@@ -141,7 +141,7 @@ def _draw_line(axes: Axes, trace: Trace, values: Series) -> Entries:
     return [(line, trace.label)] if known.any() or not trace.alone else []
 
 
-def _draw_level(axes: Axes, traces: list[Trace], scale: Scale) -> Entries:
+def _draw_level(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
     """Draw the normalised potential, a shared threshold, and the events of a single result."""
     results, column = [trace.result for trace in traces], scale.column
     by_sequence = {r.by_sequence if column == "level" else column == "mp_seq" for r in results}
@@ -194,7 +194,7 @@ def silence(trace: Trace) -> tuple[Flags, Series]:
     return silent, np.where(silent, np.nan, trace.result.attenuation_db)
 
 
-def _draw_attenuation(axes: Axes, traces: list[Trace], scale: Scale) -> Entries:
+def _draw_attenuation(axes: Axes, traces: list[Trace], scale: AxisScale) -> Entries:
     """Draw attenuation in dB; where nothing passes, marks below a break, in a row per result."""
     entries: Entries = []
     silences, shown = zip(*(silence(trace) for trace in traces), strict=True)
@@ -260,7 +260,7 @@ def span_db(shown: Sequence[Series]) -> tuple[float, float]:
     return low - missing - margin, high + missing + margin
 
 
-def _draw_raster(axes: Axes, traces: list[Trace], _: Scale) -> Entries:
+def _draw_raster(axes: Axes, traces: list[Trace], _: AxisScale) -> Entries:
     """Draw a row of spikes and a row of alarms; with several results, a row with both for each."""
     axes.tick_params(axis="y", length=0)
     if traces[0].alone:
@@ -308,7 +308,7 @@ def _note(axes: Axes, traces: list[Trace], unchanged: str) -> None:
 
 
 # A function that draws results in a panel: axes, results, vertical axis.
-Draw = Callable[[Axes, list[Trace], Scale], Entries]
+Draw = Callable[[Axes, list[Trace], AxisScale], Entries]
 # By the names of the panels in `KINDS`.
 DRAWS: dict[str, Draw] = {
     "level": _draw_level,

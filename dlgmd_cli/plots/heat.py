@@ -6,14 +6,13 @@ from typing import Any
 import cv2
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 
-FloatImage = npt.NDArray[np.float32]
-BgrImage = npt.NDArray[np.uint8]
+from dlgmd_cli.frame import BgrImage as BgrImage
+from dlgmd_cli.frame import FloatImage as FloatImage
 
 # From black through red to yellow. Its brightness grows with the value, so it survives grey print.
 _UNSIGNED = "inferno"

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
-from dlgmd_cli.plots.curves import DRAWS, Scale, traces_of
-from dlgmd_cli.plots.kinds import KINDS
+from dlgmd_cli.plots.curves import DRAWS, AxisScale, traces_of
 from dlgmd_cli.plots.style import (
     DPI,
     PNG_OPTIONS,
@@ -36,6 +35,7 @@ from dlgmd_cli.plots.traces import (
     fix_margins,
     heights_alone,
 )
+from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.result import Result
 
 Picture = npt.NDArray[np.uint8]
@@ -83,7 +83,7 @@ class _Drawing:
                 legend.remove()
             traces = traces_of({result.name: result})
             _, of_level, of_attenuation = (
-                DRAWS[name](axes, traces, Scale(height_in))
+                DRAWS[name](axes, traces, AxisScale(height_in))
                 for name, axes, height_in in zip(
                     _NAMES, self._panels, self._heights_in, strict=True
                 )

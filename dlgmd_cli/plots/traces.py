@@ -15,14 +15,13 @@ from dlgmd_cli.plots.curves import (
     EITHER,
     LOOKS,
     MAX_POINTS,
+    AxisScale,
     Draw,
-    Scale,
     Trace,
     silence,
     span_db,
     traces_of,
 )
-from dlgmd_cli.plots.kinds import KINDS
 from dlgmd_cli.plots.style import (
     BLACK,
     ORANGE,
@@ -35,7 +34,7 @@ from dlgmd_cli.plots.style import (
     plain,
 )
 from dlgmd_cli.plots.timeline import ROW_IN, Timeline, draw_annotations
-from dlgmd_cli.results.annotations import NONE, Annotations
+from dlgmd_cli.results.annotations import KINDS, NONE, Annotations
 from dlgmd_cli.results.result import Result
 
 # More results than this have a row of panels each.
@@ -258,14 +257,14 @@ def _rows(
 
 def _scaled(
     panels: list[_Panel], column: str, ylim: tuple[float, float] | None
-) -> list[tuple[_Panel, Scale]]:
+) -> list[tuple[_Panel, AxisScale]]:
     """Every panel with its vertical axis; those of one result each share the one of their kind."""
     limits, n_silent = ylim, None
     alone = [one.traces[0] for one in panels if one.draw is DRAWS["attenuation"]]
     if len(alone) > 1:
         silences, shown = zip(*(silence(one) for one in alone), strict=True)
         limits, n_silent = limits or span_db(shown), int(np.any([s.any() for s in silences]))
-    scale = Scale(0.0, column)
+    scale = AxisScale(0.0, column)
     return [
         (
             one,

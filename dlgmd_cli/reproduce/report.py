@@ -25,7 +25,7 @@ from dlgmd_cli.reproduce.clips import VERSIONS, model
 from dlgmd_cli.reproduce.plan import ANY, Evidence, Plan
 from dlgmd_cli.results.provenance import provenance
 from dlgmd_cli.results.record import versions
-from dlgmd_cli.results.store import Claim
+from dlgmd_cli.results.store import ClaimedFolder
 
 REPORT, TABLE = "report.html", "claims.csv"
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
@@ -149,7 +149,7 @@ class Report:
         Raises OutputError.
         """
         paths = [folder / REPORT, folder / TABLE]
-        with Claim(folder, REPORT).staged() as stage:
+        with ClaimedFolder(folder, REPORT).staged() as stage:
             for number, section in enumerate(self.sections, start=1):
                 for stem, (_, draw) in section.figures.items():
                     figure = draw()

@@ -34,32 +34,13 @@ def reproduce(
 ) -> Written:
     """Regenerate the evidence of the paper, and judge its claims, as `dlgmd reproduce` does.
 
-    Parameters
-    ----------
-    out : Path
-        Folder for ``report.html``, ``claims.csv`` and the figures. What an interrupted report has
-        finished is kept there, and not computed again.
-    only : sequence of str
-        Figures, tables or claims, with commas between several; all unless given.
-    quick : bool
-        Six seeds instead of 20, and nothing at 1920x1080.
-    reference : Path, optional
-        Folder of the authors' frames.
-    jobs : int, optional
-        Number of processes, all processors unless given.
-    dpi, overwrite, progress
-        As in `batch`.
+    `out` is the folder for the report; what an interrupted one has finished is kept there, and not
+    computed again. `only` names figures, tables or claims, with commas between several. `quick` is
+    six seeds instead of 20, and nothing at 1920x1080. `reference` is a folder of the authors'
+    frames.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such figure, table or claim, or the frames are not there.
-    MissingExtraError
-        If Jinja2 is not installed.
-    OutputError, OutputExistsError
-        If the report cannot be written, or may not be replaced.
-    Interrupted
-        If the user asked to stop.
+    Raises ParameterError if one of these is not there, MissingExtraError without Jinja2, and
+    OutputError or OutputExistsError if the report cannot be written.
     """
     specs, remarks = load_claims()
     specs = select(specs, [name for text in only for name in text.split(",")])

@@ -1,4 +1,4 @@
-"""Annotations of frames, as data for the figures."""
+"""What figures over time show, as data: their kinds, and annotations of frames."""
 
 from dataclasses import dataclass
 
@@ -47,3 +47,11 @@ class Annotations:
 
 
 NONE = Annotations()
+
+# Kinds of figures over time, and the panels of each from the top down.
+KINDS: dict[str, tuple[str, ...]] = {
+    "mp": ("level",),
+    "attenuation": ("attenuation",),
+    "spikes": ("level", "raster"),
+    "overview": ("level", "attenuation", "raster"),
+}

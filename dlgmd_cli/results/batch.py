@@ -71,7 +71,7 @@ class Summary:
             return
         rows = [row_values(name, self.rows[name]) for name in sorted(self.rows)]
         write = partial(csv.write_values, header=COLUMNS, rows=rows)
-        store.Claim(self.path.parent).commit({store.SUMMARY: write})
+        store.ClaimedFolder(self.path.parent).commit({store.SUMMARY: write})
         ended = time.monotonic()
         self._next_write_s = ended + (ended - began) / _SHARE_OF_TIME
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from dlgmd_cli import __version__
 from dlgmd_cli.errors import DlgmdError, counted, printable
-from dlgmd_cli.models.detection import Flags, absolute
+from dlgmd_cli.frame import Flags
+from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import strength_at

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ResultError, SourceError
-from dlgmd_cli.models.detection import Series, absolute
+from dlgmd_cli.frame import Series
+from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results.labels import Case
 from dlgmd_cli.results.result import Result

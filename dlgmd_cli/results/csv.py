@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ResultError, printable
+from dlgmd_cli.frame import Series
 from dlgmd_cli.machine.files import open_regular
 
-Series = npt.NDArray[np.float64]
 # A table with named columns.
 Table = npt.NDArray[np.void]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, counted
-from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.results import store
 from dlgmd_cli.results.candidates import Candidate, Candidates
 from dlgmd_cli.results.csv import Table, table_of, write_values
@@ -400,7 +400,8 @@ def evaluated(
     """Score every candidate on its videos, of which there is at least one.
 
     The allowed rate of false alarms is that on all videos, or on those of one kind; raises
-    ParameterError if there are none.
+    ParameterError if there are none. In the flights that `stops` has, alarms that are justified are
+    not false.
     """
     horizon_s = rules["horizon_s"]
     rows: list[Row] = []
@@ -408,6 +409,8 @@ def evaluated(
     leads_s: dict[str, Series] = {}
     stop_curves: dict[str, tuple[Series, Series]] = {}
     stops, cases = stops or {}, candidates.cases
+    for candidate in candidates.by_label.values():
+        candidate.signals |= {name: one.on(candidate.signals[name]) for name, one in stops.items()}
     members, counted = groups(cases, stops), of_kind(candidates.cases, rules["max_false_kind"])
     for label, candidate in candidates.by_label.items():
         signals, n_sp = candidates.signals(label), candidate.n_sp

@@ -1,6 +1,7 @@
 """Exact intervals of shares and of rates."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,19 +25,9 @@ def binomial_interval(count: int, n: int) -> tuple[float, float]:
         every = np.exp(ways + k * math.log(share) + (n - k) * math.log1p(-share))
         return float(every[: most + 1].sum())
 
-    def share_of(most: int, probability: float) -> float:
-        """The share at which `at_most` falls to a probability."""
-        low, high = 0.0, 1.0
-        for _ in range(_N_HALVINGS):
-            middle = (low + high) / 2.0
-            if not low < middle < high:
-                break
-            low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
-        return (low + high) / 2.0
-
     tail = (1.0 - CONFIDENCE) / 2.0
-    low = share_of(count - 1, 1.0 - tail) if count else 0.0
-    return low, share_of(count, tail) if count < n else 1.0
+    low = _where(at_most, count - 1, 1.0 - tail, 1.0) if count else 0.0
+    return low, _where(at_most, count, tail, 1.0) if count < n else 1.0
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
@@ -52,13 +43,20 @@ def poisson_interval(count: int) -> tuple[float, float]:
         k = np.arange(most + 1)
         return float(np.exp(k * math.log(mean) - mean - factorials[: most + 1]).sum())
 
-    def mean_of(most: int, probability: float) -> float:
-        """The mean at which `at_most` falls to a probability."""
-        low, high = 0.0, 2.0 * count + 20.0
-        for _ in range(_N_HALVINGS):
-            middle = (low + high) / 2.0
-            low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
-        return (low + high) / 2.0
-
     tail = (1.0 - CONFIDENCE) / 2.0
-    return (mean_of(count - 1, 1.0 - tail) if count else 0.0), mean_of(count, tail)
+    most = 2.0 * count + 20.0
+    low = _where(at_most, count - 1, 1.0 - tail, most) if count else 0.0
+    return low, _where(at_most, count, tail, most)
+
+
+def _where(
+    at_most: Callable[[int, float], float], most: int, probability: float, high: float
+) -> float:
+    """The share or mean, up to `high`, at which `at_most` falls to a probability."""
+    low = 0.0
+    for _ in range(_N_HALVINGS):
+        middle = (low + high) / 2.0
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if at_most(most, middle) > probability else (low, middle)
+    return (low + high) / 2.0

@@ -11,7 +11,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, ResultError, printable
-from dlgmd_cli.models.detection import Flags
+from dlgmd_cli.frame import Flags
 from dlgmd_cli.parameters.checks import shown
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.foreign import read_table

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.models.base import FloatImage
+from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import Table, table_of
 from dlgmd_cli.results.outcome import Outcome, Shown

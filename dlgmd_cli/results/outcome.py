@@ -149,7 +149,7 @@ class Outcome:
         files = drawn_by("style.figure_files")(figures, formats, dpi or _DPI)
         return files
 
-    def write(self, claim: store.Claim, *args: Any, **how: Any) -> None:
+    def write(self, claim: store.ClaimedFolder, *args: Any, **how: Any) -> None:
         """Write the files, see `files`, into a folder that is claimed."""
         written = claim.write(self.files(*args, **how))
         # A result is known by its folder; everything else by its files.

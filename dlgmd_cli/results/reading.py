@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError, ResultError
+from dlgmd_cli.frame import Series
 from dlgmd_cli.parameters.presets import stored_parameters
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.record import read_record, require, unpacked_flags
-from dlgmd_cli.results.result import Result, Series
+from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 
 

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
+from dlgmd_cli.frame import Flags as Flags
+from dlgmd_cli.frame import Series as Series
 from dlgmd_cli.models.detection import LEAST_PEAK, AlarmSpan, absolute, detect, sequence, spans
 from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import csv, store
@@ -25,8 +27,6 @@ from dlgmd_cli.results.rows import ROW, Rows
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Series = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 # Distinguishability averages this many frames on either side of a peak or a false positive.
 NEAR_FRAMES = 5

@@ -6,7 +6,9 @@ An alarm counts at its onset, the n_sp-th spike. Its kind depends on the time of
   time left. Of several hits, the first counts;
 - from the collision to 3 frames after it: *at contact*, neither a hit nor false;
 - after that, up to the horizon before the video's next collision: *ignored*;
-- at any other time: *false*. Within 2 s before the first collision, it is also *early*.
+- at any other time: *false*. Within 2 s before the first collision, it is also *early*. In a
+  rendered flight, it is *justified* instead, and neither a hit nor false, if the drone would have
+  hit something soon, flying straight on.
 
 The minutes end at the first collision, or with the video: after a collision no alarm is false.
 """
@@ -17,13 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S, Flags, Series
+from dlgmd_cli.frame import Flags, Series
+from dlgmd_cli.models.detection import MERGE_S, ROUNDING_S
 from dlgmd_cli.results.intervals import CONFIDENCE, binomial_interval, poisson_interval
 
 HORIZON_S, EARLY_S, CONTACT_FRAMES = 1.0, 2.0, 3
 
-FALSE, EARLY, HIT, AT_CONTACT, IGNORED = range(5)
-KINDS = ("false", "early", "hit", "contact", "ignored")
+FALSE, EARLY, HIT, AT_CONTACT, IGNORED, JUSTIFIED = range(6)
+KINDS = ("false", "early", "hit", "contact", "ignored", "justified")
 # Bootstrap resamples of the videos.
 N_RESAMPLES = 1000
 # Maximum number of thresholds of a curve. Half of them are the highest ones, without gaps: there
@@ -54,6 +57,8 @@ class Signal:
         Frames that repeat the one before. They have its strength, but are not counted as spikes.
     frame : int ndarray, shape (n,), optional
         Frame numbers in the video; 0 to n - 1 unless given.
+    justified : ndarray, shape (n,), bool, optional
+        Frames of a rendered flight at which an alarm is justified, whatever happens then.
     """
 
     time_s: Series
@@ -62,6 +67,7 @@ class Signal:
     frame_s: float
     repeated: Flags | None = None
     frame: npt.NDArray[np.int64] | None = None
+    justified: Flags | None = None
 
     def sustained(self, n_sp: int) -> Series:
         """The least strength of the last n_sp frames, shape (n,); -inf if there are fewer.
@@ -143,7 +149,7 @@ def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.N
     Returns
     -------
     kind : int ndarray, shape (n,)
-        `FALSE`, `EARLY`, `HIT`, `AT_CONTACT` or `IGNORED`.
+        `FALSE`, `EARLY`, `HIT`, `AT_CONTACT`, `IGNORED` or `JUSTIFIED`.
     collision : int ndarray, shape (n,)
         Number of the collision for hits and alarms at contact; otherwise -1.
     """
@@ -162,6 +168,8 @@ def kinds(signal: Signal, horizon_s: float) -> tuple[npt.NDArray[np.int8], npt.N
         kind[is_hit], kind[is_at_contact] = HIT, AT_CONTACT
         collision[is_hit | is_at_contact] = number
         over_s = grace_s
+    if signal.justified is not None:
+        kind[signal.justified & ((kind == FALSE) | (kind == EARLY))] = JUSTIFIED
     return kind, collision
 
 

@@ -3,7 +3,7 @@
 An alarm counts at the frame that raises it, as in `scoring`:
 
 - it is needed within the horizon before a collision, or *justified* if the drone would have hit
-  something within 1.5 s, flying straight on;
+  something within 1.5 s, flying straight on. Then it is not false, either;
 - at the first alarm that is needed or justified the drone stops. It is *saved* if it does so before
   it touches anything;
 - any other alarm before the collision asks for an *unneeded* stop, and the flight goes on.
@@ -13,16 +13,24 @@ No stop saves a drone that hovers from what comes at it: such collisions are lef
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import counted
-from dlgmd_cli.models.detection import Flags, Series
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.results.labels import Case
-from dlgmd_cli.results.scoring import EARLY, FALSE, HIT, Signal, kinds, onset_thresholds
+from dlgmd_cli.results.scoring import (
+    EARLY,
+    FALSE,
+    HIT,
+    JUSTIFIED,
+    Signal,
+    kinds,
+    onset_thresholds,
+)
 
 STOP_MEASURES = (
     *("drones", "saved", "impact_m_s", "stopped_m"),
@@ -58,6 +66,11 @@ class Stops:
         """The row of the frame at a time."""
         return int(np.abs(self.time_s - time_s).argmin())
 
+    def on(self, signal: Signal) -> Signal:
+        """A signal of the flight, with the frames at which an alarm is justified."""
+        rows = [self.row(time_s) for time_s in signal.time_s]
+        return replace(signal, justified=self.justified[rows])
+
 
 @dataclass(frozen=True)
 class StopTally:
@@ -89,13 +102,13 @@ def tally_stops(
     signal: Signal, stops: Stops, n_sp: int, thresholds: npt.ArrayLike, horizon_s: float
 ) -> StopTally:
     """Judge the alarms of a flight, at one threshold or at T."""
+    signal = stops.on(signal)
     at = np.atleast_1d(np.asarray(thresholds, np.float64))
     low, high = onset_thresholds(signal, n_sp)
     kind, _ = kinds(signal, horizon_s)
     begins = (low[:, None] < at) & (at <= high[:, None])
     rows = np.array([stops.row(time_s) for time_s in signal.time_s])
-    other = (kind == FALSE) | (kind == EARLY)
-    justified = stops.justified[rows] & other
+    justified = kind == JUSTIFIED
     saved, impact, left = (
         np.zeros(len(at), np.bool_),
         np.full(len(at), math.nan),
@@ -108,7 +121,7 @@ def tally_stops(
             here = begins[row]
             saved[here] = stops.saved[rows[row]]
             impact[here], left[here] = stops.impact_m_s[rows[row]], stops.stopped_m[rows[row]]
-    n_unneeded = begins[other & ~justified].sum(axis=0)
+    n_unneeded = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0)
     counts = n_unneeded, begins[justified].sum(axis=0)
     return StopTally(stops, saved, impact, left, *counts, signal.minutes, bool(signal.contacts_s))
 

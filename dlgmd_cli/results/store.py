@@ -238,7 +238,7 @@ def locked(folder: "Path | UPath") -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimedFolder:
     """A folder that is checked and locked for what one task writes; see `claimed`.
 
     `is_new_input` says that the files of other commands belong to another input.
@@ -290,7 +290,7 @@ def claimed(
     overwrite: bool = False,
     option: str = "--out",
     locks: bool = True,
-) -> Iterator[Claim]:
+) -> Iterator[ClaimedFolder]:
     """Check that files may be written into a folder, and lock it; for every command and function.
 
     Parameters
@@ -323,7 +323,7 @@ def claimed(
     for name in names:
         refuse_existing(Path(folder / name), overwrite=overwrite, option=option)
     with locked(folder) if locks else nullcontext():
-        yield Claim(folder, record, is_new, option)
+        yield ClaimedFolder(folder, record, is_new, option)
 
 
 def write_files(

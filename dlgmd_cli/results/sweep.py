@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import Flags, Series
 from dlgmd_cli.machine.files import open_regular
-from dlgmd_cli.models.detection import Flags, Series
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.results import store

@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.base import create_model
 from dlgmd_cli.parameters.presets import DlgmdParameters, load_set
 from dlgmd_cli.results import store
 from dlgmd_cli.results.bench import Bench
-from dlgmd_cli.scenes.stimuli.base import GreyImage
 from dlgmd_cli.tasks.call import Progress, no_progress
 from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.setup import Asked, Setup

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, ResultError, counted, printable
+from dlgmd_cli.frame import Flags
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.detection import Flags
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.results import store
 from dlgmd_cli.results.calibration import (

@@ -72,7 +72,7 @@ def opened(
     out: str | os.PathLike[str] | None,
     *,
     overwrite: bool,
-) -> Iterator[tuple[Video, store.Claim | None]]:
+) -> Iterator[tuple[Video, store.ClaimedFolder | None]]:
     """The open input, and the folder of its result below `out`, claimed; None without `out`.
 
     Raises what `Asked.open` and `store.claimed` raise.

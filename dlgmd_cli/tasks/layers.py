@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import FloatImage, Frame
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.models.base import FloatImage, Response, create_model
+from dlgmd_cli.models.base import Response, create_model
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import first_collision
 from dlgmd_cli.results.layers import LayerResult, LayerSheet

@@ -44,31 +44,15 @@ def plot(
 ) -> Written:
     """Draw stored results, as `dlgmd plot` does.
 
-    Parameters
-    ----------
-    kind : "mp", "attenuation", "spikes" or "overview"
-        What to draw, see `plots.traces.plot`, which also explains the arguments that are not below.
-    paths : sequence of Path
-        Folders of results, or trees of them, or a ``compare.csv``.
-    out : Path
-        Folder for ``KIND-NAME`` in the `formats`, or a file that ends in one of them.
-    labels : sequence of str
-        Names of the results in the legend; those of their folders unless given.
-    collisions : Path, optional
-        Table of labels; the collisions of each result are drawn, and what follows the last one is
-        left out.
-    normalise : "absolute" or "sequence", optional
-        Which normalised potential to draw; the one that the spikes follow unless given.
+    `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
+    ``KIND-NAME`` in the `formats`, or a file that ends in one of them. The results are called by
+    their folders unless there are `labels`. Of each, the collisions in a table are drawn, and what
+    follows the last one is left out. `normalise` is "absolute" or "sequence". `plots.traces.plot`
+    explains the other arguments.
 
-    Raises
-    ------
-    ParameterError
-        If there is not one label a result, no result is called as `emphasise` says, or `xlim` shows
-        no frame.
-    ResultError
-        If there is no result, or one of its files is damaged.
-    OutputError, OutputExistsError
-        If the figure cannot be written, or may not be replaced.
+    Raises ParameterError for labels or limits that do not fit the results, ResultError for a result
+    that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be
+    written.
     """
     found = _read(store.with_results(paths))
     require_one_each(labels, len(found), "result")

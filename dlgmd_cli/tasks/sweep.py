@@ -67,7 +67,7 @@ _FOUND = ("input", "processed", "warnings", "complete", "summary")
 Point = tuple[int, Parameters]
 Values = list[tuple[float, ...]]
 # A temporary file of frames, and the data type of one frame.
-Clip = tuple[Path, np.dtype[np.void]]
+KeptFrames = tuple[Path, np.dtype[np.void]]
 AxisText = str | tuple[str, Iterable[Any]]
 
 
@@ -229,7 +229,7 @@ def _compute(swept: "Sweep", n_jobs: int, progress: Progress) -> None:
         _log.warning("%s: %s", swept.subject.given, warning)
 
 
-def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> Clip:
+def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent) -> KeptFrames:
     """Write frames of one size and type, at least one, into a file for memory mapping.
 
     Repeats are left out.
@@ -248,12 +248,12 @@ def keep_frames(path: Path, frames: Iterable[Frame], on_frame: OnFrame = silent)
     return path, kind
 
 
-def _mapped(clip: Clip) -> npt.NDArray[np.void]:
+def _mapped(clip: KeptFrames) -> npt.NDArray[np.void]:
     """The memory-mapped frames of a clip: number, time, gap flag and picture of each."""
     return np.asarray(np.memmap(clip[0], clip[1], mode="r"))
 
 
-def _frames(clip: Clip) -> Iterator[Frame]:
+def _frames(clip: KeptFrames) -> Iterator[Frame]:
     for one in _mapped(clip):
         is_gap = bool(one["after_gap"])
         yield Frame(int(one["frame"]), float(one["time_s"]), one["grey"], after_gap=is_gap)
@@ -293,7 +293,7 @@ def video_input(
 class _Probe:
     """Computes points of a sweep; picklable."""
 
-    clips: list[Clip]
+    clips: list[KeptFrames]
     engine: str
     columns: tuple[str, ...]
     options: Mapping[str, Any]
@@ -436,7 +436,7 @@ class Sweep:
         with store.writing(self.folder), staging(self.folder) as stage:
             clips = self._keep_frames(stage, progress)
             stale = () if done else SweepResult.own_files(store.PLOT_FORMATS)
-            store.Claim(self.folder, RECORD).commit(self.result.so_far(), stale=stale)
+            store.ClaimedFolder(self.folder, RECORD).commit(self.result.so_far(), stale=stale)
             probe = _Probe(
                 clips,
                 self.engine,
@@ -456,7 +456,7 @@ class Sweep:
                     file.flush()
                     on_point(len(done))
 
-    def _keep_frames(self, folder: Path, progress: Progress) -> list[Clip]:
+    def _keep_frames(self, folder: Path, progress: Progress) -> list[KeptFrames]:
         """Write the frames of all clips into `folder`; raises if no point has enough of them."""
         subject, video, clips = self.subject, self.subject.video, []
         total = None if video is None else subject.options.n_expected(video.info)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from dlgmd_cli.errors import SourceError
+from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import StreamInfo, Unreadable
-from dlgmd_cli.video.luma import Image
 
 NAME, SUFFIX = "array", ".npy"
 _KINDS = "uint8, uint16, or float from 0 to 1, of shape (H, W) or (H, W, 3) in BGR"

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.errors import SourceError, counted
+from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.video.base import MAX_SIDE, TOO_LARGE, StreamInfo, Unreadable
-from dlgmd_cli.video.luma import Image
 from dlgmd_cli.video.names import PRINTF, is_pattern, is_video
 
 SUFFIXES = (

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError
-from dlgmd_cli.frame import UNEVEN_S, Frame
+from dlgmd_cli.frame import UNEVEN_S, Frame, Image
 from dlgmd_cli.video.base import PIXEL_FORMATS, Unreadable
 from dlgmd_cli.video.clock import Pace, StreamClock
-from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
 from dlgmd_cli.video.names import without_password
 from dlgmd_cli.video.opencv import guarded
 from dlgmd_cli.video.opening import processed_size

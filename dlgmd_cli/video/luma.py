@@ -3,15 +3,12 @@
 import re
 import sys
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from dlgmd_cli.frame import resized
+from dlgmd_cli.frame import Image, resized
 
-Image = npt.NDArray[Any]
 # The levels of black and white; None for the full range of the data type.
 Levels = tuple[int, int] | None
 

@@ -1,7 +1,10 @@
-"""What a file is that is no video: a text, a pointer, sound, an archive."""
+"""What a file is that is no video: a text, a pointer, sound, an archive, a part of a recording."""
 
+import mmap
 import re
 from pathlib import Path
+
+from dlgmd_cli.video.orientation import boxes
 
 _N_BYTES = 1 << 18  # of each end of the file; MP4 may describe its streams in either
 _LFS = b"version https://git-lfs.github.com/"
@@ -28,7 +31,17 @@ def mistaken(path: Path) -> tuple[str, str]:
         return "has sound, but no picture", "Give the video that it belongs to."
     if _is_text(head):
         return "is a text file, not a video", "Give the video."
+    if head[4:8] == b"ftyp" and not _is_closed(path):
+        why = "was not closed: the recording or the copy was cut off before its index (moov)"
+        return why, "Copy it again; some cameras complete such a file when they start."
     return "no frame could be decoded, damaged file or missing codec", RE_ENCODE
+
+
+def _is_closed(path: Path) -> bool:
+    """Whether an MP4 or QuickTime file has its index."""
+    with path.open("rb") as file:
+        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    return any(True for _ in boxes([whole], b"moov"))
 
 
 def _is_text(head: bytes) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import (
     FALLBACK_FPS,
     FFMPEG_OPTIONS,
@@ -23,7 +24,6 @@ from dlgmd_cli.video.base import (
     plausible_fps,
     require_memory,
 )
-from dlgmd_cli.video.luma import Image
 from dlgmd_cli.video.orientation import of_mp4
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
 

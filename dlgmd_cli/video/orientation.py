@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import cv2
 
-from dlgmd_cli.video.luma import Image
+from dlgmd_cli.frame import Image
 
 # A matrix is followed if it differs by less than 6 degrees from one that only turns by right angles
 # and mirrors.
@@ -62,7 +62,7 @@ class Orientation(NamedTuple):
 UPRIGHT = Orientation()
 
 
-def _inside(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
+def boxes(boxes: Iterable[memoryview], kind: bytes) -> Iterator[memoryview]:
     """The content of the boxes of one kind inside others."""
     for data in boxes:
         at = 0
@@ -83,8 +83,8 @@ def of_mp4(path: Path) -> Orientation:
     """The orientation that an MP4 or QuickTime file states for its first video; else upright."""
     with suppress(OSError, ValueError, IndexError, struct.error), path.open("rb") as file:
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        for track in _inside(_inside([whole], b"moov"), b"trak"):
-            for header in _inside([track], b"tkhd"):
+        for track in boxes(boxes([whole], b"moov"), b"trak"):
+            for header in boxes([track], b"tkhd"):
                 # The times before the matrix have 8 bytes each in version 1, else 4.
                 at = 52 if header[0] == 1 else 40
                 a, b, _, c, d, _, _, _, _, width, height = struct.unpack_from(">11i", header, at)

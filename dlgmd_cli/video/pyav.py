@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
+from dlgmd_cli.frame import Image
 from dlgmd_cli.video.base import (
     FFMPEG_OPTIONS,
     MAX_SIDE,
@@ -21,7 +22,7 @@ from dlgmd_cli.video.base import (
     plausible_fps,
     require_memory,
 )
-from dlgmd_cli.video.luma import Image, Levels, luma_plane
+from dlgmd_cli.video.luma import Levels, luma_plane
 from dlgmd_cli.video.orientation import UPRIGHT, Orientation
 from dlgmd_cli.video.timestamps import N_FIRST_STAMPS, steady_fps
 

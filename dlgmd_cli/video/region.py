@@ -2,18 +2,13 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import resized
+from dlgmd_cli.frame import Flags, Image, resized
 from dlgmd_cli.video.base import Crop, Unreadable
 from dlgmd_cli.video.images import read_image
-
-Image = npt.NDArray[Any]
-Flags = npt.NDArray[np.bool_]
 
 # Mean of a cell (0 to 255) without any black pixel of the mask, with a margin for rounding.
 _WHOLE = 254.95

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.frame import Frame, GapDetector, RepeatDetector
+from dlgmd_cli.frame import Frame, GapDetector, Image, RepeatDetector
 from dlgmd_cli.video.base import StreamInfo, Unreadable
 from dlgmd_cli.video.blindness import BlindSpans
-from dlgmd_cli.video.luma import Image, Levels, to_bgr, to_grey
+from dlgmd_cli.video.luma import Levels, to_bgr, to_grey
 from dlgmd_cli.video.pyav import import_av
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.timestamps import FrameClock, FrameRates, frame_rates, missing_frames
@@ -91,7 +91,7 @@ class Picture:
 
 
 @dataclass
-class Progress:
+class Reading:
     """How far an input has been read, and what went wrong.
 
     `n_new` counts the new pictures that were yielded. `n_repeats` counts all repeats of a previous
@@ -183,7 +183,7 @@ class Video:
         Width and height of the crop, or of the whole picture, in px.
     stream_info : StreamInfo
         Properties that the input itself states.
-    progress : Progress
+    progress : Reading
         Number of frames decoded so far, time of the last one, and warnings.
     """
 
@@ -203,7 +203,7 @@ class Video:
         self._selection, self._skips_repeats = selection, skips_repeats
         self._region, self.source_wh = region, region.size_wh
         self.info, self.size_wh, self.rate_fps = info, size_wh, rate_fps
-        self.stream_info, self.progress = decoder.stream_info, Progress()
+        self.stream_info, self.progress = decoder.stream_info, Reading()
 
     def pictures(self) -> Iterator[Picture]:
         """The chosen pictures as decoded; each is valid until the next one.

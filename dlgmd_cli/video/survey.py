@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from dlgmd_cli.frame import Flags, Image
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.video.arrays import NAME
 from dlgmd_cli.video.base import DEFAULT_DECODER, Crop, openable
@@ -19,9 +19,6 @@ from dlgmd_cli.video.prefetch import opencv_threads
 from dlgmd_cli.video.pyav import details_of
 from dlgmd_cli.video.region import Region
 from dlgmd_cli.video.source import Picture
-
-Image = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
 
 # Grey levels (of 255). After compression, black bars are not quite black and a still display still
 # changes a little.

@@ -9,16 +9,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from dlgmd_cli.errors import MissingExtraError, OutputError
+from dlgmd_cli.frame import Image
 from dlgmd_cli.machine.files import staging
 from dlgmd_cli.video.base import openable
 from dlgmd_cli.video.opencv import count_frames
 from dlgmd_cli.video.pyav import import_av
 
-Image = npt.NDArray[np.uint8]
-Write = Callable[[Image], Any]
+WriteFrame = Callable[[Image], Any]
 
 _FOURCC = {"mpeg4": "mp4v", "ffv1": "FFV1"}
 # Greatest number of clock ticks per second in MPEG-4.
@@ -67,7 +66,7 @@ def video_writer(
     target: Path | None = None,
     option: str = "--out",
     x264: Mapping[str, str] | None = None,
-) -> Iterator[Write]:
+) -> Iterator[WriteFrame]:
     """A context that yields a function to write each frame; leaving it completes the file.
 
     The file is written under a temporary name in the same folder and renamed when complete. After
@@ -136,7 +135,7 @@ def write_video(
 @contextmanager
 def _by_opencv(
     fourcc: str, name: str, shape: tuple[int, int], fps: float, is_colour: bool
-) -> Iterator[Write]:
+) -> Iterator[WriteFrame]:
     """OpenCV's encoder, which keeps three decimals of a frame rate: 30000/1001 becomes 29.97."""
     if fourcc == _FOURCC["mpeg4"] and fps * 1000 > MAX_TICKS_PER_S:
         fps = round(fps, 2)
@@ -155,7 +154,7 @@ def _by_opencv(
 @contextmanager
 def _by_pyav(
     x264: Mapping[str, str] | None, name: str, shape: tuple[int, int], fps: float, is_colour: bool
-) -> Iterator[Write]:
+) -> Iterator[WriteFrame]:
     """H.264 with the colour space of HD video, and the index first so that browsers can stream."""
     import av
     from av.video.reformatter import ColorRange, Colorspace

@@ -1,12 +1,14 @@
-"""Alarms on disturbed flights: recall and false alarms, for light, screens, and links that stall.
+"""Alarms on disturbed flights: for light, screens, propellers, and links that stall.
 
 Not part of the test run. From the repository, for flights of `dlgmd synth random --count 60`:
 
     python tests/benchmarks/bench_field.py FOLDER [CASE ...]
 
 Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
-labels.csv, and counts what `Alarm` makes of them. The case `osd-masked` hides what
-`osd` paints.
+labels.csv, and counts what `Alarm` makes of them, by the rules of `dlgmd evaluate`: an alarm up to
+1 s before the collision is a hit, one that is justified (flying straight on, the drone would have
+hit something within 1.5 s) is neither a hit nor false. A drone is saved if a stop at the first
+alarm of either kind ends before the collision. The case `osd-masked` hides what `osd` paints.
 """
 
 import csv
@@ -21,8 +23,10 @@ import numpy as np
 from dlgmd_cli import Alarm, load_config, open_video
 from dlgmd_cli.frame import resized
 from dlgmd_cli.models.detection import spans
+from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
+from dlgmd_cli.scenes.flights.scenes import recorded_stage
 
-FPS, WIDTH_PX, HORIZON_S, CONTACT_FRAMES = 30.0, 240, 1.0, 3
+FPS, WIDTH_PX, HORIZON_S, REACT_S = 30.0, 240, 1.0, 0.1
 # A rolling shutter that takes 20 ms for its rows sees two bands of a light at 100 Hz.
 MAINS_HZ, READOUT_S = 100.0, 0.02
 
@@ -63,9 +67,9 @@ def osd_mask(shape):
     return cv2.dilate(np.any(painted, axis=0).astype(np.uint8), np.ones((5, 5))) > 0
 
 
-def dark(picture, number, rng):
-    """Night: a sixth of the light, and noise of 4 levels in each pixel."""
-    return picture / 6.0 + rng.standard_normal(picture.shape, np.float32) * 4.0
+def dark(part, levels, picture, number, rng):
+    """Night: a part of the light, and noise of some levels in each pixel."""
+    return picture / part + rng.standard_normal(picture.shape, np.float32) * levels
 
 
 def exposure(picture, number, rng):
@@ -95,7 +99,8 @@ PICTURES = {
     "flicker-12": partial(flicker, 0.12),
     "osd": osd,
     "osd-masked": osd,
-    "dark": dark,
+    "dark": partial(dark, 6.0, 4.0),
+    "darker": partial(dark, 10.0, 8.0),
     "exposure": exposure,
     "propellers": propellers,
     "upside-down": upside_down,
@@ -133,23 +138,28 @@ def _reduced(grey):
 
 
 def scored(task):
-    """Whether a flight's collision was announced (None without), its false alarms, and minutes."""
+    """Of a flight: announced and saved (None without a collision), false alarms, and minutes."""
     path, contact, case, config = task
     times_s, on = alarms_of(path, case, config)
     starts = [int(first) for first, _ in spans(on, times_s)]
+    flight = Stoppable(recorded_stage(path))
+    justified = {first for first in starts if flight.is_justified(times_s[first])}
     if contact is None:
-        return None, len(starts), times_s[-1] / 60.0
+        return None, None, len(starts) - len(justified), times_s[-1] / 60.0
     end_s = times_s[min(contact, len(times_s) - 1)]
-    before = [first for first in starts if first <= contact]
-    hits = [first for first in before if end_s - times_s[first] <= HORIZON_S]
-    return bool(hits), len(before) - len(hits), end_s / 60.0
+    before = {first for first in starts if first <= contact}
+    hits = {first for first in before if end_s - times_s[first] <= HORIZON_S}
+    needed, saved = sorted(hits | (justified & before)), None
+    if flight.can_stop:
+        saved = bool(needed) and flight.stop(times_s[needed[0]], Brakes(REACT_S)).saved
+    return bool(hits), saved, len(before - hits - justified), end_s / 60.0
 
 
 def main(folder, *cases, config="flight"):
     folder = Path(folder)
     with (folder / "labels.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    print(f"{'case':12} recall  false/min   ({len(rows)} flights, {config})")
+    print(f"{'case':12} recall  saved  false/min   ({len(rows)} flights, {config})")
     with ProcessPoolExecutor() as pool:
         for case in cases or [*PICTURES, *STALLS]:
             tasks = [
@@ -158,11 +168,10 @@ def main(folder, *cases, config="flight"):
             ]
             tasks = [(path, None if at < 0 else at, *more) for path, at, *more in tasks]
             found = list(pool.map(scored, tasks))
-            hits = [hit for hit, _, _ in found if hit is not None]
-            n_false, minutes = sum(n for _, n, _ in found), sum(m for _, _, m in found)
-            print(
-                f"{case:12} {np.mean(hits):.2f}    {n_false / minutes:.2f} ({n_false})", flush=True
-            )
+            hits, saved = ([one[i] for one in found if one[i] is not None] for i in (0, 1))
+            n_false, minutes = sum(one[2] for one in found), sum(one[3] for one in found)
+            shares = f"{np.mean(hits):.2f}    {np.mean(saved):.2f} "
+            print(f"{case:12} {shares}  {n_false / minutes:.2f} ({n_false})", flush=True)
 
 
 if __name__ == "__main__":

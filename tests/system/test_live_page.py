@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from browsing import Reader
 from conftest import read_video, write_video
@@ -189,3 +190,17 @@ def test_a_lost_source_is_told(browser, watch):
     reader.until("find('message').textContent.includes('the source is lost')")
     text = reader.page.text_content("body main")
     assert "Blind" in text and "secret" not in text
+
+
+def test_blindness_is_no_all_clear(browser, watch, tmp_path):
+    """The picture stays as it is: black is not grey."""
+    covered = [np.full((90, 160, 3), 1, np.uint8)] * 900
+    path = write_video(tmp_path / "covered.avi", covered, fps=30.0)
+    _, url = watch("0", path, "--realtime")
+    reader = Watcher(browser, url, **PHONE)
+    reader.until("find('state').className === 'blind'")
+    page = reader.page
+    assert page.text_content("#state") == "Blind"
+    message = page.text_content("#message")
+    assert message == "Blind: its pictures are black. No alarm is no all-clear."
+    assert page.evaluate("getComputedStyle(picture).opacity") == "1"

@@ -30,13 +30,13 @@ from dlgmd_cli.tasks.run import run_models
 from dlgmd_cli.tasks.setup import Asked, Setup
 from dlgmd_cli.video.options import InputOptions
 from dlgmd_cli.frame import Frame
-from dlgmd_cli.video.source import Progress, SourceInfo
+from dlgmd_cli.video.source import Reading, SourceInfo
 
 N_FRAMES, WIDTH, HEIGHT = int(sys.argv[1]), 38, 22
 
 class Endless:
     size_wh = source_wh = (WIDTH, HEIGHT)
-    progress = Progress()
+    progress = Reading()
     info = SourceInfo("/x.avi", "x", WIDTH, HEIGHT, 30.0, None, "opencv")
     greys = np.random.default_rng(5).integers(100, 200, (40, HEIGHT, WIDTH), dtype=np.uint8)
 

@@ -116,7 +116,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
     place = store.place(f"{bucket.url}/out/v")
     written = {"run.yaml": "a: 1\n", "mp.csv": "x\n", "mp.svg": "<svg/>"}
     files = {name: lambda path, text=text: path.write_text(text) for name, text in written.items()}
-    store.Claim(place, store.RUN).commit(files)
+    store.ClaimedFolder(place, store.RUN).commit(files)
     bucket.put("out/v/compare.csv", b"of another command")
     old = ("compare.csv", "mp.csv", "mp.svg", "run.yaml")
     assert bucket.names() == [f"out/v/{name}" for name in old]
@@ -128,7 +128,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
         put_file(local, remote)
 
     monkeypatch.setattr(place.fs, "put_file", watched)
-    store.Claim(place, store.RUN).commit(files)
+    store.ClaimedFolder(place, store.RUN).commit(files)
     assert order == [("mp.csv", False), ("run.yaml", False)]
     assert bucket.names() == [f"out/v/{name}" for name in ("compare.csv", "mp.csv", "run.yaml")]
 
@@ -139,7 +139,7 @@ def test_a_result_is_replaced_run_yaml_first_and_last(bucket, scratch, monkeypat
 
     monkeypatch.setattr(place.fs, "put_file", broken)
     with pytest.raises(OutputError, match=r"out/v: cannot be written \(the line is dead\)"):
-        store.Claim(place, store.RUN).commit(files)
+        store.ClaimedFolder(place, store.RUN).commit(files)
     assert bucket.names() == ["out/v/compare.csv", "out/v/mp.csv"]
     assert store.check(place, store.RUN, {}, overwrite=False) is False
 

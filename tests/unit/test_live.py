@@ -682,7 +682,7 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
         release.wait(SOON_S)
         got.append(one.frame.index)
 
-    output = outputs.Output("--udp", deliver)
+    output = outputs.Receiver("--udp", deliver)
     for number in range(500):
         output.put(answer(index=number))
     assert got == []  # no `put` has waited for the receiver
@@ -704,7 +704,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
         got.append(one.frame.index)
         raise OSError("the cable is out")
 
-    output = outputs.Output("--mavlink", deliver)
+    output = outputs.Receiver("--mavlink", deliver)
     for number in range(5):
         output.put(answer(index=number))
     until(lambda: len(got) == 5)
@@ -714,7 +714,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
 
 def test_only_events():
     got = []
-    output = outputs.Output("--exec", got.append, only_events=True)
+    output = outputs.Receiver("--exec", got.append, only_events=True)
     for event in ("", "begin", "", "end"):
         output.put(answer(event=event))
     until(lambda: len(got) == 2)
@@ -843,6 +843,30 @@ def test_mavlink_arrives_at_a_receiver():
     assert found[0].get_srcComponent() == 196  # obstacle avoidance
     receiver.close()
     send.close()
+
+
+def test_the_heartbeat_goes_on_without_frames(monkeypatch):
+    """BOOT before the first frame, CRITICAL after `blind`, each second."""
+    mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
+    monkeypatch.setattr(outputs, "_HEARTBEAT_S", 0.05)
+    receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
+    send = outputs.Mavlink(f"udp://127.0.0.1:{receiver.port.getsockname()[1]}")
+    output = outputs.Output("--mavlink", send)
+
+    def state():
+        message = receiver.recv_match(type="HEARTBEAT", blocking=True, timeout=SOON_S)
+        assert message is not None
+        return message.system_status
+
+    boot, active, critical = 1, 4, 5
+    assert [state(), state()] == [boot, boot]
+    output.put(answer(event="blind", reason="lost"))
+    until(lambda: state() == critical)
+    assert state() == critical
+    output.put(answer(event="sees"))
+    until(lambda: state() == active)
+    output.close()
+    receiver.close()
 
 
 def test_mavlink_addresses():

@@ -205,9 +205,9 @@ def test_a_commit_replaces_what_its_command_wrote_and_nothing_else(tmp_path):
     for name in ("mp.pdf", "compare.csv", "compare.yaml", "notes.txt", ".dlgmd-mp.csv"):
         (tmp_path / name).write_text("old")
     files = make_result([1.0, 2.0]).files()
-    store.Claim(tmp_path, store.RUN).commit(files)
+    store.ClaimedFolder(tmp_path, store.RUN).commit(files)
     assert set(os.listdir(tmp_path)) == {*files, "compare.csv", "compare.yaml", "notes.txt"}
-    store.Claim(tmp_path, store.RUN, is_new_input=True).commit(files)
+    store.ClaimedFolder(tmp_path, store.RUN, is_new_input=True).commit(files)
     assert set(os.listdir(tmp_path)) == {*files, "notes.txt"}
 
 

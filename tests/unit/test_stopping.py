@@ -9,7 +9,7 @@ import pytest
 from conftest import csv_rows, yaml_of
 from test_avoid import CONTACT_S, stage_of
 
-from dlgmd_cli.results.scoring import Signal
+from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Signal, alarms, tally
 from dlgmd_cli.results.stopping import Stops, score_stops, stop_cells, stop_curve, tally_stops
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
 
@@ -61,6 +61,14 @@ def test_the_first_alarm_that_is_needed_decides():
     lost = judged(signal_of(), stops)
     assert lost.impact_m_s[0] == 2.0 and math.isnan(lost.stopped_m[0])
     assert judged(signal_of(1.75), stops).impact_m_s[0] == 1.2
+
+
+def test_an_alarm_that_is_justified_is_not_false():
+    """Those from 1 s on are, those from 1.5 s on announce the collision."""
+    plain = signal_of(0.3, 1.2, 1.8)
+    signal = stops_of().on(plain)
+    assert alarms(signal, 1, 0.5, 0.5) == [(9, EARLY), (36, JUSTIFIED), (54, HIT)]
+    assert (tally(plain, 1, 0.5, 0.5).n_false, tally(signal, 1, 0.5, 0.5).n_false) == (2, 1)
 
 
 def test_scores_count_drones_that_a_stop_can_save_and_all_minutes():
@@ -133,6 +141,9 @@ def test_evaluate_closes_the_loop(runs, flights):
     assert of_drone and {row["saved"] for row in of_drone} == {"1"}
     assert all(float(row["stopped_m"]) > 0.1 for row in of_drone)
     assert "1" in {row["justified"] for row in of_drone}
+    runs(*common, "--horizon", 0.1, "--out", "ev")
+    kinds = {(r["kind"], r["justified"]) for r in csv_rows("ev/alarms.csv")}
+    assert ("justified", "1") in kinds and not {("false", "1"), ("early", "1")} & kinds
     assert csv_rows("ev/curves.csv")[0].keys() >= {"saved", "unneeded_per_min"}
 
 

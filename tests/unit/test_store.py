@@ -52,7 +52,7 @@ def test_an_error_leaves_the_earlier_result_whole(tmp_path, error, name):
 
     files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
     with pytest.raises((OutputError, RuntimeError)):
-        store.Claim(tmp_path, store.RUN).commit(files)
+        store.ClaimedFolder(tmp_path, store.RUN).commit(files)
     assert contents(tmp_path) == before and hidden(tmp_path) == []
 
 
@@ -62,7 +62,7 @@ def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):
     code = (
         "import os, sys; from dlgmd_cli.results import store\n"
         "files = {'mp.csv': store.file_of('new'), 'run.yaml': lambda path: os._exit(9)}\n"
-        "store.Claim(store.place(sys.argv[1]), 'run.yaml').commit(files)"
+        "store.ClaimedFolder(store.place(sys.argv[1]), 'run.yaml').commit(files)"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(store.__file__).parents[2])}
     done = subprocess.run([sys.executable, "-c", code, tmp_path], env=environment)

@@ -165,7 +165,7 @@ def done(folder, what, **options):
     one = sweep(folder, what, **options)
     one.resume()
     one.compute()
-    one.result.write(store.Claim(folder, one.result.RECORD))
+    one.result.write(store.ClaimedFolder(folder, one.result.RECORD))
     return one
 
 

@@ -396,10 +396,24 @@ def test_any_file_name_works(tmp_path, monkeypatch, clips, name, decoder):
         (b"ID3\x04" + bytes(99), "has sound, but no picture"),
         (b"RIFF\x24\x00\x00\x00WAVEfmt " + bytes(99), "has sound, but no picture"),
         (b"\0\0\0\x10ftypisom\0\0\0\0\0\0\0\x20hdlr" + bytes(8) + b"soun", "has sound, but no"),
+        (b"\0\0\0\x18ftypisom" + bytes(12) + b"\x99mdat" + bytes(99), "was not closed"),
         (bytes(range(256)) * 40, "no frame could be decoded"),
         (b"RIFF\x00\x01\x00\x00AVI LIST", "no frame could be decoded"),
     ],
-    ids=["empty", "text", "umlauts", "lfs", "page", "zip", "mp3", "wav", "m4a", "noise", "header"],
+    ids=[
+        "empty",
+        "text",
+        "umlauts",
+        "lfs",
+        "page",
+        "zip",
+        "mp3",
+        "wav",
+        "m4a",
+        "cut",
+        "noise",
+        "header",
+    ],
 )
 def test_what_is_no_video(tmp_path, content, why, decoder):
     (tmp_path / "x.avi").write_bytes(content)

@@ -9,7 +9,7 @@ import math
 import cv2
 import numpy as np
 
-from dlgmd_cli.scenes.flights.camera import FloatImage
+from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.scenes.flights.drone import PHASES, fly
 from dlgmd_cli.scenes.flights.path import REACH_M, Stage
 from dlgmd_cli.scenes.flights.rooms import walls

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dlgmd_cli.scenes.flights.camera import FloatArray
+from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, JERK_M_S3, MAX_LEAN
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, State, Stretch
 from dlgmd_cli.scenes.flights.truth import Nearest, contact_after, surroundings

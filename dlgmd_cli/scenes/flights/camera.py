@@ -10,11 +10,8 @@ from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-FloatImage = npt.NDArray[np.float32]
-GreyImage = npt.NDArray[np.uint8]
+from dlgmd_cli.frame import FloatArray, FloatImage, GreyImage
 
 # From body axes (forward, left, up) to camera axes (right, down, forward).
 _CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

@@ -11,7 +11,7 @@ from dlgmd_cli.machine.files import remove_leftovers
 from dlgmd_cli.machine.pool import results_of
 from dlgmd_cli.results.labels import LABELS, Label, read_labels, write_labels
 from dlgmd_cli.results.record import differences, read_record
-from dlgmd_cli.results.store import Claim, refuse_existing
+from dlgmd_cli.results.store import ClaimedFolder, refuse_existing
 from dlgmd_cli.scenes.stimuli.clip import Rendering, check_codec, n_digits
 
 # The kind of footage in the labels.
@@ -83,7 +83,9 @@ class FlightSet:
     def _render(self, number: int, *, overwrite: bool) -> None:
         self.clip(number).write(overwrite=overwrite)
 
-    def write_labels(self, claim: Claim, labels: dict[int, Label], *, overwrite: bool) -> None:
+    def write_labels(
+        self, claim: ClaimedFolder, labels: dict[int, Label], *, overwrite: bool
+    ) -> None:
         """Write the labels; raises OutputExistsError if the file lists other videos."""
         self._check_labels(overwrite=overwrite)
         listed = [labels[number] for number in sorted(labels)]

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.scenes.flights.camera import FloatArray
+from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights.path import Path, Stretch
 
 # Time until the propellers carry the weight.

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights import textures
-from dlgmd_cli.scenes.flights.camera import FloatArray, rotation
+from dlgmd_cli.scenes.flights.camera import rotation
 from dlgmd_cli.scenes.flights.solids import Body, Capsule, Face, Motion, Solid, Texture, quad
 from dlgmd_cli.scenes.flights.textures import Rng
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dlgmd_cli.frame import FloatArray, GreyImage
 from dlgmd_cli.scenes.flights.braking import Brakes, Stop, Stoppable
-from dlgmd_cli.scenes.flights.camera import FloatArray
 from dlgmd_cli.scenes.flights.drone import GRAVITY_M_S2, RESTITUTION
 from dlgmd_cli.scenes.flights.path import Path, Stage, Stretch
 from dlgmd_cli.scenes.flights.scenes import FilmCamera, FlightOptions, FlightScene
-from dlgmd_cli.scenes.stimuli.base import GreyImage
 
 # Time filmed after the stop, and after a contact; step of the path.
 _STANDS_S, _AFTER_S, _STEP_S = 1.0, 0.5, 0.005

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dlgmd_cli.scenes.flights.camera import Camera, FloatArray, FloatImage, Pose
+from dlgmd_cli.frame import FloatArray, FloatImage
+from dlgmd_cli.scenes.flights.camera import Camera, Pose
 from dlgmd_cli.scenes.flights.solids import IntArray, Outline, Shade, Surfaces, Window, World
 from dlgmd_cli.scenes.flights.visibility import PaintOrder, visible_outlines
 

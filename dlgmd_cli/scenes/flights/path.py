@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dlgmd_cli.scenes.flights.camera import FloatArray, Pose, rotation
+from dlgmd_cli.frame import FloatArray
+from dlgmd_cli.scenes.flights.camera import Pose, rotation
 from dlgmd_cli.scenes.flights.solids import Solid, World
 
 # Distance from the camera to the drone's hull: contact is at this distance.

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from dlgmd_cli.frame import FloatArray, FloatImage
 from dlgmd_cli.scenes.flights import textures
-from dlgmd_cli.scenes.flights.camera import FloatArray, FloatImage
 from dlgmd_cli.scenes.flights.furniture import catalogue, furniture, placement
 from dlgmd_cli.scenes.flights.solids import Body, Face, Shade, Solid, Texture, World, quad
 from dlgmd_cli.scenes.flights.textures import Rng, reflectance

@@ -12,17 +12,18 @@ import numpy as np
 import yaml
 
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import FloatImage, GreyImage
 from dlgmd_cli.parameters.checks import nearest
 from dlgmd_cli.results.record import read_record
 from dlgmd_cli.scenes.flights.ball import ball_and_capsules
-from dlgmd_cli.scenes.flights.camera import Camera, FloatImage, Sensor
+from dlgmd_cli.scenes.flights.camera import Camera, Sensor
 from dlgmd_cli.scenes.flights.painter import Renderer
 from dlgmd_cli.scenes.flights.path import Path as FlightPath
 from dlgmd_cli.scenes.flights.path import Stage
 from dlgmd_cli.scenes.flights.random_flights import manners, random_flight
 from dlgmd_cli.scenes.flights.stages import named_flight
 from dlgmd_cli.scenes.flights.truth import FlightTruth, ImageSpeed, truth_rows
-from dlgmd_cli.scenes.stimuli.base import MAX_FRAMES, ClipOptions, GreyImage, Scene, invalid, option
+from dlgmd_cli.scenes.stimuli.base import MAX_FRAMES, ClipOptions, Scene, invalid, option
 from dlgmd_cli.scenes.stimuli.flat import Approach, ApproachOptions, Translation, TranslationOptions
 from dlgmd_cli.video.base import parse_size
 from dlgmd_cli.video.opening import open_video

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.scenes.flights.camera import FloatArray, FloatImage
+from dlgmd_cli.frame import FloatArray, FloatImage
 
 IntArray = npt.NDArray[np.intp]
 # Displacement of a body, (3,) in m, at a time in s.

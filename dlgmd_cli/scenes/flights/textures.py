@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.scenes.flights.camera import FloatImage
+from dlgmd_cli.frame import FloatImage
 from dlgmd_cli.scenes.flights.solids import Shade
 
 Rng = np.random.Generator

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.scenes.flights.camera import Camera, FloatArray, Pose
+from dlgmd_cli.frame import FloatArray
+from dlgmd_cli.scenes.flights.camera import Camera, Pose
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage, State
 from dlgmd_cli.scenes.flights.solids import Body, Face, IntArray, Surfaces, World
 from dlgmd_cli.scenes.flights.visibility import is_outside

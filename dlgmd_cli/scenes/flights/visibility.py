@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.scenes.flights.camera import Camera, FloatArray, Pose
+from dlgmd_cli.frame import FloatArray
+from dlgmd_cli.scenes.flights.camera import Camera, Pose
 from dlgmd_cli.scenes.flights.solids import Body, Capsule, IntArray, Outline, Surfaces, box_of
 
 # Near plane; a lens could not focus at this distance either.

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from dlgmd_cli.frame import FloatArray
 from dlgmd_cli.scenes.flights import textures
-from dlgmd_cli.scenes.flights.camera import FloatArray
 from dlgmd_cli.scenes.flights.drone import RESTITUTION
 from dlgmd_cli.scenes.flights.furniture import furniture, placement
 from dlgmd_cli.scenes.flights.path import REACH_M, Path, Stage

@@ -6,15 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
 from dlgmd_cli.errors import ParameterError
+from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.parameters.checks import Spec
-
-GreyImage = npt.NDArray[np.uint8]
-FloatImage = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
 
 # The largest even side that MPEG-4 takes.
 MAX_SIDE_PX = 8190

@@ -15,11 +15,12 @@ from typing import Any
 import cv2
 
 from dlgmd_cli.errors import OutputExistsError
+from dlgmd_cli.frame import GreyImage
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.results.csv import write_values
 from dlgmd_cli.results.record import versions, yaml_text
-from dlgmd_cli.results.store import Claim, refuse_existing
-from dlgmd_cli.scenes.stimuli.base import ClipOptions, GreyImage, Scene, invalid
+from dlgmd_cli.results.store import ClaimedFolder, refuse_existing
+from dlgmd_cli.scenes.stimuli.base import ClipOptions, Scene, invalid
 from dlgmd_cli.video.writer import MAX_TICKS_PER_S, best_codec, encoded_rate, write_video
 
 N_STILLS = 12
@@ -178,7 +179,7 @@ class Rendering:
         chosen = chosen_frames(n_frames, facts.get("collision_frame"))
         stills: dict[int, Any] = dict.fromkeys(chosen)
         record = paths[2].name if scene.is_flight else ""
-        with Claim(self.folder, record).staged(what=paths[0]) as stage:
+        with ClaimedFolder(self.folder, record).staged(what=paths[0]) as stage:
             temporary = [stage / path.name for path in paths]
             images = _watched(scene.frames(options), stills, on_frame)
             if self.codec == "png":

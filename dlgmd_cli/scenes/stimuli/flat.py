@@ -7,14 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dlgmd_cli.frame import Frame
+from dlgmd_cli.frame import FloatArray, FloatImage, Frame, GreyImage
 from dlgmd_cli.scenes.stimuli.base import (
     MAX_FRAMES,
     MAX_SIDE_PX,
     ClipOptions,
-    FloatArray,
-    FloatImage,
-    GreyImage,
     Scene,
     invalid,
     option,
