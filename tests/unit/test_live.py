@@ -851,7 +851,7 @@ def test_the_heartbeat_goes_on_without_frames(monkeypatch):
     monkeypatch.setattr(outputs, "_HEARTBEAT_S", 0.05)
     receiver = mavutil.mavlink_connection("udpin:127.0.0.1:0")
     send = outputs.Mavlink(f"udp://127.0.0.1:{receiver.port.getsockname()[1]}")
-    output = outputs.Output("--mavlink", send)
+    output = outputs.Receiver("--mavlink", send)
 
     def state():
         message = receiver.recv_match(type="HEARTBEAT", blocking=True, timeout=SOON_S)
