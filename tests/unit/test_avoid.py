@@ -97,8 +97,11 @@ def test_the_loop_of_a_reader(scene):
     assert flight.braked.alarm_s == 0.0
 
 
+SMALL = ("--size", "96x54")
+
+
 def test_the_film_and_its_table(dlgmd, runs, scene):
-    result = runs("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
+    result = runs("synth", "wall", "--avoid", "flight", *SMALL, "--out", "a", "--name", "one")
     assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
     assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
     rows = csv_rows(Path("a/one-avoid.csv"))
