@@ -15,6 +15,8 @@ from dlgmd_cli.results.evaluation import groups
 from dlgmd_cli.results.labels import Case, of_kind, read_cases
 from dlgmd_cli.results.scoring import alarms
 
+pytestmark = pytest.mark.usefixtures("here")
+
 NAN = float("nan")
 STILL = [looming_frames(1)[0]] * 12
 
