@@ -15,6 +15,7 @@ import yaml
 from click.testing import CliRunner
 
 from dlgmd_cli.machine import cancel
+from dlgmd_cli.machine.pool import DONE, FAILED, Ended
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
@@ -196,6 +197,23 @@ def stop(monkeypatch):
     """Set the stop flag, as a first Ctrl-C does: `stop()`; it is cleared after the test."""
     monkeypatch.setattr(cancel, "_requested", False)
     return lambda: monkeypatch.setattr(cancel, "_requested", True)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Tasks are done in this process, which is quicker than to start others."""
+
+    def run_tasks(function, tasks, jobs, *, timeout_s=None):
+        for task in tasks:
+            cancel.check()
+            try:
+                outcome = Ended(DONE, function(task))
+            except Exception as error:
+                outcome = Ended(FAILED, error=error)
+            yield task, outcome
+
+    for module in ("machine.pool", "tasks.sweep"):
+        monkeypatch.setattr(f"dlgmd_cli.{module}.run_tasks", run_tasks)
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Scenes for the engines, and whether both give the same answers."""
 
+import math
+
 import numpy as np
 import pytest
 from reference import slow
@@ -60,3 +62,14 @@ def assert_engines_agree(frames, name="dlgmd", **changes):
             assert apart.sum() <= 2 and np.all(np.minimum(a.layers.g, b.layers.g)[apart] == 0.0)
     # Late kernels may let nothing pass.
     assert changes or max(a.mp for a in one if a.is_valid) > 0.0 or min(frames[0].shape) == 1
+
+
+def check_what_is_no_number(engine, name):
+    """NaN is in the sums as long as it is in the history, and no longer."""
+    frames = scene(20, 30, n_frames=10, dtype=np.float32)
+    frames[0][5, 5] = frames[5][5, 5] = np.nan
+    model = create(engine, name)
+    responses = [model.step(frame) for frame in frames]
+    assert math.isnan(responses[5].s_sum)
+    for t in (4, 9):  # it has left the history
+        assert math.isfinite(responses[t].s_sum) and math.isfinite(responses[t].t_de)

@@ -10,18 +10,15 @@ from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     clips_option,
     complete_file,
-    dpi_option,
     engine_option,
-    format_option,
     formulation_option,
     input_options,
     jobs_option,
     json_option,
-    no_plots_option,
     numeric,
     of_files,
-    out_option,
     param_option,
+    place_options,
     setup_options,
 )
 from dlgmd_cli.commands.progress import progress
@@ -65,10 +62,7 @@ def model_setups(
 )
 @setup_options(model_setups, param_option, formulation_option, engine_option)
 @input_options
-@out_option
-@format_option
-@dpi_option
-@no_plots_option
+@place_options
 @clips_option
 @click.option("--overwrite", is_flag=True, help="Replace results of other parameters or inputs.")
 @click.option("--force", is_flag=True, help="Also process videos that were done before.")
@@ -96,7 +90,7 @@ def batch(
     folders: tuple[str, ...],
     setups: "list[Setup]",
     given: dict[str, Any],
-    no_plots: bool,
+    output: dict[str, Any],
     as_json: bool,
     **asked: Any,
 ) -> None:
@@ -116,6 +110,5 @@ def batch(
     """
     from dlgmd_cli.tasks import batch as task
 
-    if no_plots:
-        asked["formats"] = ()
-    show(task.batch(folders, setups, progress=progress, **asked, **given), as_json=as_json)
+    asked |= {**output, **given}
+    show(task.batch(folders, setups, progress=progress, **asked), as_json=as_json)

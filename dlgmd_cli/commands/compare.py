@@ -9,13 +9,13 @@ import click
 
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
-    Output,
     Parsed,
     collisions_option,
     distinct,
     engine_option,
     input_argument,
     input_options,
+    json_option,
     of_files,
     report_options,
     setup_options,
@@ -184,13 +184,15 @@ label_option = click.option(
 @annotation_options
 @collisions_option
 @report_options
+@json_option
 def compare(
     input_path: str,
     setups: "list[Setup]",
     given: dict[str, Any],
     annotations: "Annotations",
     labels_path: Path | None,
-    output: Output,
+    output: dict[str, Any],
+    as_json: bool,
 ) -> None:
     """Run several models over one video.
 
@@ -206,6 +208,6 @@ def compare(
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import run as task
 
-    files, notes = output.files, {**vars(annotations), "collisions": labels_path}
+    files, notes = output, {**vars(annotations), "collisions": labels_path}
     found = task.compare(input_path, setups, **notes, progress=progress, **files, **given)
-    show(found, as_json=output.as_json)
+    show(found, as_json=as_json)

@@ -9,11 +9,11 @@ from dlgmd_cli.commands.batch import model_setups
 from dlgmd_cli.commands.compare import label_option, labelled, variant_option, variants_of
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
-    Output,
     engine_option,
     formulation_option,
     input_options,
     jobs_option,
+    json_option,
     option_group,
     param_option,
     report_options,
@@ -124,6 +124,7 @@ def _setups(
 )
 @jobs_option
 @report_options
+@json_option
 def evaluate(
     labels_path: Path,
     setups: "list[Setup]",
@@ -132,7 +133,8 @@ def evaluate(
     rules: dict[str, Any],
     answer: dict[str, Any],
     jobs: int | None,
-    output: Output,
+    output: dict[str, Any],
+    as_json: bool,
     **asked: Any,
 ) -> None:
     """Score how well alarms announce labelled collisions.
@@ -162,8 +164,8 @@ def evaluate(
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
     videos and for each kind), alarms.csv (every alarm and every missed collision of all videos; not
-    the columns of 'dlgmd run'), figures of the trade-off, of the leads and of the stops, and
-    evaluate.yaml.
+    the columns of 'dlgmd run'), ttc.csv (how good the estimated times to contact are), figures of
+    the trade-off, of the leads, of the stops and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks import evaluate as task
 
@@ -172,8 +174,8 @@ def evaluate(
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
     asked |= {"results": results, **rules, **answer, **of_models}
-    found = task.evaluate(labels_path, progress=progress, **asked, **output.files)
-    show(found, as_json=output.as_json)
+    found = task.evaluate(labels_path, progress=progress, **asked, **output)
+    show(found, as_json=as_json)
 
 
 def _refuse(names: set[str]) -> None:

@@ -1,11 +1,11 @@
 """`dlgmd kernels`: draw the model's kernels, and write them as CSV."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from dlgmd_cli.commands.console import Command
-from dlgmd_cli.commands.options import Output, output_options, parameter_options
+from dlgmd_cli.commands.options import output_options, parameter_options
 from dlgmd_cli.commands.show import show
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 )
 @parameter_options
 @output_options
-def kernels(setup: "Setup", output: Output) -> None:
+def kernels(setup: "Setup", output: dict[str, Any]) -> None:
     """Show the kernels of a D-LGMD: excitation, inhibition and latency.
 
     Writes OUT/kernels-NAME.csv and a figure. The CSV has one row per connection: its offset in px,
@@ -27,4 +27,4 @@ def kernels(setup: "Setup", output: Output) -> None:
     """
     from dlgmd_cli.tasks import kernels as task
 
-    show(task.kernels(model=setup, **output.files))
+    show(task.kernels(model=setup, **output))

@@ -9,7 +9,6 @@ import click
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     FRAME,
-    Output,
     collisions_option,
     file_ending,
     input_argument,
@@ -78,7 +77,7 @@ def layers(
     film_path: Path | None,
     setup: "Setup",
     given: dict[str, Any],
-    output: Output,
+    output: dict[str, Any],
     **asked: Any,
 ) -> None:
     """Show the layers of a model: photoreceptors P, summation S and grouping G.
@@ -101,6 +100,6 @@ def layers(
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import layers as task
 
-    asked |= {"collisions": labels_path, "film": film_path, **output.files}
+    asked |= {"collisions": labels_path, "film": film_path, **output}
     found = task.layers(input_path, wanted, model=setup, progress=progress, **asked, **given)
     show(found)

@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -459,30 +458,9 @@ input_options = option_group(
 # Output.
 
 
-@dataclass(frozen=True)
-class Output:
-    """The folder of the results; the formats (none: no plots), resolution and width of the plots.
-
-    `as_json` says whether a JSON object is printed instead of tables.
-    """
-
-    out: Path
-    formats: tuple[str, ...]
-    dpi: int
-    overwrite: bool
-    as_json: bool = False
-    width: Any = None
-
-    @property
-    def files(self) -> dict[str, Any]:
-        """The arguments of a task."""
-        width = {} if self.width is None else {"width": self.width}
-        named = {"out": self.out, "formats": self.formats, "dpi": self.dpi, **width}
-        return {**named, "overwrite": self.overwrite}
-
-
-def _output(out: str, formats: tuple[str, ...], no_plots: bool, **more: Any) -> Output:
-    return Output(Path(out), () if no_plots else tuple(dict.fromkeys(formats)), **more)
+def _output(formats: tuple[str, ...], no_plots: bool, **more: Any) -> dict[str, Any]:
+    """Where the results go, and their figures, by the arguments of a task."""
+    return {"formats": () if no_plots else formats, **more}
 
 
 out_option = click.option(
@@ -541,7 +519,7 @@ width_option = click.option(
     show_default=True,
     help="Width of the figures, in columns of a paper.",
 )
-_OUTPUT = (out_option, format_option, dpi_option, no_plots_option, overwrite_option)
-output_options = option_group("output", _output, *_OUTPUT)
-run_output_options = option_group("output", _output, *_OUTPUT, json_option)
-report_options = option_group("output", _output, *_OUTPUT, json_option, width_option)
+_OUTPUT = (out_option, format_option, dpi_option, no_plots_option)
+place_options = option_group("output", _output, *_OUTPUT)
+output_options = option_group("output", _output, *_OUTPUT, overwrite_option)
+report_options = option_group("output", _output, *_OUTPUT, overwrite_option, width_option)

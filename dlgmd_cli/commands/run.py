@@ -7,12 +7,12 @@ import click
 
 from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
-    Output,
     clips_option,
     input_argument,
     input_options,
+    json_option,
     model_options,
-    run_output_options,
+    output_options,
 )
 from dlgmd_cli.commands.progress import progress
 from dlgmd_cli.commands.show import show
@@ -28,14 +28,16 @@ if TYPE_CHECKING:
 @input_argument
 @model_options
 @input_options
-@run_output_options
+@output_options
+@json_option
 @clips_option
 @click.option("--hash", "hashed", is_flag=True, help="Record the SHA-256 of the input, too.")
 def run(
     input_path: str,
     setup: "Setup",
     given: dict[str, Any],
-    output: Output,
+    output: dict[str, Any],
+    as_json: bool,
     clips: Path | None,
     hashed: bool,
 ) -> None:
@@ -53,6 +55,6 @@ def run(
     """
     from dlgmd_cli.tasks import run as task
 
-    kept = {"clips": clips, "hashed": hashed, **output.files}
+    kept = {"clips": clips, "hashed": hashed, **output}
     result = task.run(input_path, model=setup, progress=progress, **kept, **given)
-    show(result, as_json=output.as_json)
+    show(result, as_json=as_json)

@@ -8,11 +8,11 @@ from dlgmd_cli.commands.console import Command
 from dlgmd_cli.commands.options import (
     FRAME,
     ONE_MODEL,
-    Output,
     complete_key,
     engine_option,
     input_options,
     jobs_option,
+    json_option,
     option_group,
     optional_input_argument,
     report_options,
@@ -80,12 +80,14 @@ def _asked(pairs: tuple[str, ...], set_name: str | None, **named: Any) -> dict[s
 @input_options
 @jobs_option
 @report_options
+@json_option
 def sweep(
     input_path: str | None,
     shape: dict[str, Any],
     asked: dict[str, Any],
     given: dict[str, Any],
-    output: Output,
+    output: dict[str, Any],
+    as_json: bool,
     **grid: Any,
 ) -> None:
     """Run a model over a grid of values of two parameters.
@@ -102,6 +104,6 @@ def sweep(
     """
     from dlgmd_cli.tasks import sweep as task
 
-    files = output.files
-    found = task.sweep(input_path, progress=progress, **grid, **shape, **asked, **files, **given)
-    show(found, as_json=output.as_json)
+    asked |= {**grid, **shape, **output, **given}
+    found = task.sweep(input_path, progress=progress, **asked)
+    show(found, as_json=as_json)

@@ -7,6 +7,7 @@ class, and a YAML file in `configs/`. Models of one's own need none of that, see
 
 import math
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -38,7 +39,7 @@ FORMULATIONS: dict[str, dict[str, Any]] = {
 }
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
-PRESETS = ("flight", "flight-small")
+PRESETS = ("flight", "flight-early", "road", "flight-small")
 # Up to this width, frames are for the last one.
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
@@ -386,12 +387,23 @@ def load_preset(name: str | int) -> Config:
         if near := nearest(str(name)[:100], PRESETS):
             mend = f"Did you mean --config {near}? {mend}"
         raise ParameterError("", why, mend)
-    return load_config(presets_dir() / f"set{number}.yaml")
+    return _shipped(f"set{number}")
 
 
 def load_model_preset(model: str) -> Config:
     """The published values of a model other than the D-LGMD."""
-    return load_config(presets_dir() / f"{model}.yaml")
+    return _shipped(model)
+
+
+def _shipped(stem: str) -> Config:
+    """A preset of this package; each file is parsed once."""
+    return deepcopy(_parsed(stem))
+
+
+@cache
+def _parsed(stem: str) -> Config:
+    """The configuration in a file of this package."""
+    return load_config(presets_dir() / f"{stem}.yaml")
 
 
 def load_set(name: str | int, **overrides: Any) -> DlgmdParameters:
@@ -424,7 +436,7 @@ def load_config(path: str | Path) -> Config:
     """
     name, path = str(path), Path(path)
     if name in PRESETS:
-        return replace(load_config(presets_dir() / f"{name}.yaml"), named={"preset": name})
+        return replace(_shipped(name), named={"preset": name})
     if not path.exists() and (near := nearest(name[:100], PRESETS)):
         raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
     document = parse(name, read(path))

@@ -65,7 +65,7 @@ def avoid(
         )
         threshold = float(alarms[0].params.t_mp)
         film = AvoidanceFilm(both, threshold, preset)
-        last = facts["collision_frame"]
+        last, end = facts["collision_frame"], film.n_frames - 1
         codec, fps = best_codec(), playable_fps(options.fps)
         look: Any = {"codec": codec, "is_colour": True, "target": paths[0]}
         with claim.staged(what=paths[0]) as stage:
@@ -74,7 +74,7 @@ def avoid(
                 for index in range(film.n_frames):
                     cancel.check()
                     write(film.picture(index))
-            still = film.picture(film.n_frames - 1 if last is None else last)
+            still = film.picture(end if last is None else min(end, last))
             temporary[1].write_bytes(cv2.imencode(".png", still)[1].tobytes())
             rows = [["without", *row] for row in without[1]] + [["with", *row] for row in loop[1]]
             write_values(temporary[2], COLUMNS, rows)

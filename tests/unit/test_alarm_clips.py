@@ -74,7 +74,7 @@ def test_only_clips_of_the_same_name_are_replaced(clips, tmp_path):
 ALARMED = ("--set", 9, "--normalise", "sequence", "--param", "n_sp=1", "--no-plots")
 
 
-def test_run_and_batch_write_clips(dlgmd, runs, tmp_path):
+def test_run_and_batch_write_clips(dlgmd, runs, tmp_path, here):
     (tmp_path / "in/day1").mkdir(parents=True)
     write_video(tmp_path / "in/day1/loom.avi", looming_frames())
     for n in range(2):

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from conftest import csv_rows
 
+from dlgmd_cli.errors import OutputError, OutputExistsError
+from dlgmd_cli.results.store import claimed
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.loop import FlightInLoop
 from dlgmd_cli.scenes.flights.path import REACH_M, Stage, Stretch
@@ -95,8 +97,11 @@ def test_the_loop_of_a_reader(scene):
     assert flight.braked.alarm_s == 0.0
 
 
+SMALL = ("--size", "96x54")
+
+
 def test_the_film_and_its_table(dlgmd, runs, scene):
-    result = runs("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
+    result = runs("synth", "wall", "--avoid", "flight", *SMALL, "--out", "a", "--name", "one")
     assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
     assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
     rows = csv_rows(Path("a/one-avoid.csv"))
@@ -107,6 +112,26 @@ def test_the_film_and_its_table(dlgmd, runs, scene):
     assert float(by_flight["without"][30]["distance_m"]) == pytest.approx(3.0)
     again = dlgmd("synth", "wall", "--avoid", "flight", "--out", "a", "--name", "one")
     assert again.exit_code == 2 and "already exists" in again.stderr
+
+
+def test_earlier_files_stay_until_all_of_the_new_ones_are_whole(scene, tmp_path, monkeypatch):
+    options = {"avoid": "set9", "size": "64x36", "frames": 10}
+    for path in synth("wall", tmp_path, **options).paths:
+        path.write_text("earlier")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dlgmd_cli.tasks.avoid.write_values", full)
+    with pytest.raises(OutputError, match="No space left"):
+        synth("wall", tmp_path, overwrite=True, **options)
+    texts = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
+    assert texts == [b"earlier"] * 3
+
+
+def test_the_films_folder_is_locked_while_it_is_flown(scene, tmp_path):
+    with claimed(tmp_path), pytest.raises(OutputExistsError, match="is writing here"):
+        synth("wall", tmp_path, avoid="set9", size="64x36", frames=10)
 
 
 def test_what_the_function_tells(scene, tmp_path):

@@ -12,27 +12,10 @@ import pytest
 from conftest import looming_frames, write_video, yaml_of
 
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.machine.pool import DONE, FAILED, Ended
 from dlgmd_cli.results import store
 from dlgmd_cli.results.batch import COLUMNS
 
 QUICK = ("--no-plots", "--jobs", 2)
-
-
-@pytest.fixture
-def here(monkeypatch):
-    """Tasks are done in this process, which is quicker than to start others."""
-
-    def run_tasks(function, tasks, jobs, *, timeout_s=None):
-        for task in tasks:
-            cancel.check()
-            try:
-                outcome = Ended(DONE, function(task))
-            except Exception as error:
-                outcome = Ended(FAILED, error=error)
-            yield task, outcome
-
-    monkeypatch.setattr("dlgmd_cli.machine.pool.run_tasks", run_tasks)
 
 
 @pytest.fixture
@@ -331,7 +314,7 @@ def test_a_dry_run_writes_nothing(dlgmd, runs, flights, here):
     assert {path: mtime(path) for path in Path("dlgmd-out").rglob("*")} == made
 
 
-def test_warnings_and_a_folder_of_pictures(runs, clips, pictures, tmp_path):
+def test_warnings_and_a_folder_of_pictures(runs, clips, pictures, tmp_path, here):
     folder = tmp_path / "mixed"
     shutil.copytree(pictures, folder / "frames")
     whole = (clips / "loom.avi").read_bytes()
@@ -427,13 +410,13 @@ def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
     assert "summary.csv: cannot be written (No space left on device)" in result.stderr
 
 
-def test_frames_are_counted_as_by_run(dlgmd, clips):
+def test_frames_are_counted_as_by_run(dlgmd, clips, here):
     alone = dlgmd("run", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "a")
     many = dlgmd("batch", clips / "loom.avi", "--fps", 10, "--no-plots", "--out", "b")
     assert "7 of 20 at 32x24" in alone.stdout and "done     7 of 20 " in many.stdout
 
 
-def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path):
+def test_a_warning_about_several_videos_is_told_once(dlgmd, tmp_path, here):
     (tmp_path / "slow").mkdir()
     for name in "abc":
         write_video(tmp_path / f"slow/{name}.avi", looming_frames(), fps=12)

@@ -162,7 +162,7 @@ def test_a_recorded_run_is_repeated_whatever_the_defaults_are(runs, own, clips):
     assert record["processed"]["width"] == 16 and record["input"]["decoder"] == "opencv"
 
 
-def test_a_batch_follows_them_and_knows_what_is_done(dlgmd, runs, own, clips):
+def test_a_batch_follows_them_and_knows_what_is_done(dlgmd, runs, own, clips, here):
     own("size: 16x12\nout: results\n")
     batch = ["batch", clips, "--exclude", "short*", "--no-plots", "--jobs", 1]
     runs(*batch)

@@ -10,8 +10,6 @@ from reference import clips, slow
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.parameters.presets import DlgmdParameters
 
-pytestmark = pytest.mark.usefixtures("each_engine")
-
 SETS = sorted(slow.TABLE_2)
 CLIPS = {
     "drifting 9x12": clips.drifting(9, 12, 6, seed=1),

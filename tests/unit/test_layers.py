@@ -46,8 +46,7 @@ ONLY_IN = {
 }
 
 
-def modules():
-    return sorted(PACKAGE.rglob("*.py"))
+MODULES = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def relative(path):
@@ -56,7 +55,7 @@ def relative(path):
 
 def imports(path):
     """Every module that `path` imports, with those for type checking only."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(MODULES[path])):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -72,30 +71,32 @@ def home(parts):
     return parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", modules(), ids=relative)
-def test_imports_point_left(path):
-    folder = home(path.relative_to(PACKAGE).parts)
-    for name in imports(path):
-        parts = name.split(".")
+@pytest.fixture(scope="module")
+def imported():
+    """What each module imports."""
+    return {path: [*imports(path)] for path in MODULES}
+
+
+def test_imports_point_left(imported):
+    for path, name in ((path, name) for path, names in imported.items() for name in names):
+        folder, parts = home(path.relative_to(PACKAGE).parts), name.split(".")
         if parts[0] != "dlgmd_cli":
             assert folder in ONLY_IN.get(parts[0], {folder}), f"{name} in {path}"
-            continue
-        if folder == "__init__" or len(parts) == 1:
-            continue
-        other = home(parts[1:])
-        assert other == folder or STEP[other] < STEP[folder], f"{path} imports {name}"
+        elif folder != "__init__" and len(parts) > 1:
+            other = home(parts[1:])
+            assert other == folder or STEP[other] < STEP[folder], f"{path} imports {name}"
 
 
 def test_every_folder_has_its_step():
-    found = {home(path.relative_to(PACKAGE).parts) for path in modules()}
+    found = {home(path.relative_to(PACKAGE).parts) for path in MODULES}
     assert found == set(STEP) | {"__init__"}
 
 
-def test_there_are_no_circles():
+def test_there_are_no_circles(imported):
     graph = {}
-    for path in modules():
+    for path, names in imported.items():
         name = ".".join(["dlgmd_cli", *path.relative_to(PACKAGE).with_suffix("").parts])
-        graph[name.removesuffix(".__init__")] = {*imports(path)}
+        graph[name.removesuffix(".__init__")] = set(names)
     del graph["dlgmd_cli"]  # it only hands names on, and they are imported when they are used
     tuple(TopologicalSorter(graph).static_order())  # raises CycleError
 
@@ -110,13 +111,12 @@ def test_an_outcome_is_drawn_by_what_there_is():
 
 
 def test_pyplot_and_capture_stay_in_their_places():
-    for path in modules():
-        text = path.read_text(encoding="utf-8")
+    for path, text in MODULES.items():
         assert "pyplot" not in text, path
         is_capture = relative(path) in ("video/opencv.py", "video/live.py")
         assert "VideoCapture" not in text or is_capture, path
 
 
 def test_modules_are_short():
-    for path in modules():
-        assert path.read_text(encoding="utf-8").count("\n") <= 600, path
+    for path, text in MODULES.items():
+        assert text.count("\n") <= 600, path

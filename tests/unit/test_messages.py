@@ -78,7 +78,7 @@ def test_a_log_has_everything_with_times(dlgmd, clips):
     assert not logging.getLogger("dlgmd_cli").handlers[1:]
 
 
-def test_details_of_a_batch_and_of_live(dlgmd, clips):
+def test_details_of_a_batch_and_of_live(dlgmd, clips, here):
     common = ["--no-plots", "--jobs", 1, "-v"]
     done = dlgmd("batch", clips / "loom.avi", "--set", 9, "--model", "lgmd", *common)
     for label in ("set9", "lgmd"):
@@ -95,7 +95,7 @@ def test_a_log_that_cannot_be_written(dlgmd, clips):
     )
 
 
-def test_sweep_json(dlgmd):
+def test_sweep_json(dlgmd, here):
     axes = ["--x", "sigma_e=1,2", "--y", "sigma_i=2,5"]
     result = dlgmd("sweep", *axes, "--frames", 10, "--speed", 2, "--no-plots", "--json")
     facts = json.loads(result.stdout)

@@ -15,7 +15,6 @@ FOLDER = Path(__file__).parents[1] / "own_flight"
 FRAMES = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(FOLDER.glob("*.png"))]
 
 
-@pytest.mark.usefixtures("each_engine")
 @pytest.mark.parametrize("number", range(1, 10))
 def test_every_row_of_the_released_code_is_met(number):
     model = DLGMD(load_set(number, formulation="released"))

@@ -123,7 +123,7 @@ def test_runs_and_its_record_repeats_the_run(runs, clips, own, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["run", "layers", "batch", "sweep"])
-def test_a_state_may_be_set_in_reset_alone(runs, clips, own, command, tmp_path):
+def test_a_state_may_be_set_in_reset_alone(runs, clips, own, command, tmp_path, here):
     axes = ["--x", "n_sp=1,2", "--y", "t_mp=0.1:0.3:0.1"] if command == "sweep" else []
     film = ["--video", "film.mp4"] if command == "layers" else []
     runs(command, clips / "loom.avi", "--model", "mymodel:Adapting", *axes, *film)
@@ -189,7 +189,7 @@ def videos(tmp_path):
     (tmp_path / "videos").mkdir()
 
 
-def test_is_evaluated_and_calibrated(runs, clips, own, tmp_path):
+def test_is_evaluated_and_calibrated(runs, clips, own, tmp_path, here):
     for name in "ab":
         write_video(tmp_path / f"videos/{name}.avi", looming_frames())
     labels = tmp_path / "videos/labels.csv"
@@ -281,7 +281,7 @@ def test_what_goes_wrong_is_one_line(dlgmd, clips, own, words, code, line):
     assert result.exit_code == code and line in result.stderr.splitlines()[-1]
 
 
-def test_a_failure_in_a_batch_is_a_row(dlgmd, own, tmp_path):
+def test_a_failure_in_a_batch_is_a_row(dlgmd, own, tmp_path, here):
     write_video(tmp_path / "videos/a.avi", looming_frames())
     result = dlgmd("batch", "videos", "--model", "mymodel:Raises", "--jobs", 1)
     assert result.exit_code == 1 and "the model fails with IndexError" in result.stderr

@@ -146,7 +146,7 @@ def test_every_command_takes_them(runs, folder, tmp_path):
             assert (layers[name][:, hidden] == 0.0).all() and layers[name].any()
 
 
-def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path):
+def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, here):
     mask = tmp_path / "mask.png"
     (tmp_path / "in").mkdir()
     clip = write_video(tmp_path / "in" / "a.avi", looming_frames())

@@ -13,18 +13,12 @@ from flightscenes import Quick
 from dlgmd_cli import read_result
 from dlgmd_cli.errors import OutputError, ResultError
 from dlgmd_cli.machine.files import LOCK, PREFIX, open_regular, staging
-from dlgmd_cli.machine.pool import DONE, Ended
 from dlgmd_cli.results import store
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.results.record import differences, read_record, yaml_text
 from dlgmd_cli.scenes.flights.scenes import SCENES
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no such files or locks there")
-
-
-def in_this_process(function, tasks, jobs, *, timeout_s=None):
-    for task in tasks:
-        yield task, Ended(DONE, function(task))
 
 
 def contents(folder):
@@ -133,11 +127,9 @@ COMMANDS = {
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_figure_that_cannot_be_drawn_costs_no_numbers(
-    dlgmd, clips, tmp_path, undrawable, monkeypatch, name
+    dlgmd, clips, tmp_path, undrawable, here, name
 ):
     (tmp_path / "labels.csv").write_text(f"video,collision_frame\n{clips / 'loom.avi'},19\n")
-    if name == "batch":  # in this process, where figures fail
-        monkeypatch.setattr("dlgmd_cli.machine.pool.run_tasks", in_this_process)
     arguments, record = COMMANDS[name]
     words = {"clip": clips / "loom.avi", "labels": "labels.csv"}
     given = [str(one).format(**words) for one in arguments]

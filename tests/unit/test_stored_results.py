@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, write_video
 
+pytestmark = pytest.mark.usefixtures("here")
+
 LOOM = looming_frames(30, 64, 48)
 STILL = [np.full((48, 64), 100, np.uint8)] * 30
 QUIET = ("--no-plots", "--no-baselines", "--out", "ev", "--overwrite")

@@ -63,6 +63,16 @@ def theirs(made, tmp_path):
     return Path(shutil.copytree(made, tmp_path / "theirs"))
 
 
+@pytest.fixture
+def within(dlgmd, theirs, monkeypatch):
+    """Call the command in that folder, from which Python would import the module."""
+    monkeypatch.chdir(theirs)
+    monkeypatch.syspath_prepend(theirs)
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    yield dlgmd
+    assert "stranger" not in sys.modules and not Path("ran").exists()
+
+
 RESULT, RECORD = "dlgmd-out/loom", "dlgmd-out/loom/run.yaml"
 
 
@@ -77,10 +87,10 @@ RESULT, RECORD = "dlgmd-out/loom", "dlgmd-out/loom/run.yaml"
         "evaluate labels.csv --results dlgmd-out --no-baselines --no-plots --out e",
     ],
 )
-def test_reading_imports_no_model(theirs, words):
-    (theirs / "dlgmd-out/summary.csv").touch()
-    done = call(theirs, *words.split())
-    assert done.returncode == 0 and not (theirs / "ran").exists(), done.stderr
+def test_reading_imports_no_model(within, words):
+    Path("dlgmd-out/summary.csv").touch()
+    done = within(*words.split())
+    assert done.exit_code == 0, done.output
 
 
 @pytest.mark.parametrize(
@@ -98,13 +108,12 @@ def test_reading_imports_no_model(theirs, words):
         "kernels",
     ],
 )
-def test_a_file_names_no_module_to_import(theirs, command):
-    done = call(theirs, *command.split(), "--config", RECORD)
+def test_a_file_names_no_module_to_import(within, command):
+    done = within(*command.split(), "--config", RECORD)
     line = f"Error: {RECORD}: its model stranger:M is Python code, which no file may start."
-    assert done.returncode == 2 and done.stderr.splitlines()[-1] == (
+    assert done.exit_code == 2 and done.stderr.splitlines()[-1] == (
         f"{line} If you trust that module, add --model stranger:M."
     )
-    assert not (theirs / "ran").exists()
 
 
 def test_whoever_names_the_module_repeats_the_run(theirs):

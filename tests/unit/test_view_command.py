@@ -144,7 +144,7 @@ def rows_of(index: Path) -> dict:
     return {row["name"]: row for row in rows}
 
 
-def test_index_of_a_batch(dlgmd, runs, clips, tmp_path):
+def test_index_of_a_batch(dlgmd, runs, clips, tmp_path, here):
     (tmp_path / "in").mkdir()
     for name in ("a.avi", "b%20#.avi"):
         (tmp_path / "in" / name).write_bytes((clips / "loom.avi").read_bytes())
