@@ -56,6 +56,7 @@ FILES = (
     ("summary.csv", "batch", "results.batch", "COLUMNS"),
     ("curves.csv", "evaluate", "results.evaluation", "CURVE_COLUMNS"),
     ("alarms.csv", "evaluate", "results.evaluation", "ALARM_COLUMNS"),
+    ("ttc.csv", "evaluate", "results.timing", "TTC_COLUMNS"),
     ("claims.csv", "reproduce", "reproduce.claims", "COLUMNS"),
 )
 

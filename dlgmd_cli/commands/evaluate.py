@@ -164,8 +164,8 @@ def evaluate(
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all
     videos and for each kind), alarms.csv (every alarm and every missed collision of all videos; not
-    the columns of 'dlgmd run'), figures of the trade-off, of the leads and of the stops, and
-    evaluate.yaml.
+    the columns of 'dlgmd run'), ttc.csv (how good the estimated times to contact are), figures of
+    the trade-off, of the leads, of the stops and of the times to contact, and evaluate.yaml.
     """
     from dlgmd_cli.tasks import evaluate as task
 

@@ -97,7 +97,8 @@ def _paper_set(name: str) -> Config:
 def show(name: str) -> None:
     """Print the parameters of NAME as YAML, for use with --config.
 
-    NAME is a set (1 to 9), the preset flight, or a model such as lgmd or package.module:Class.
+    NAME is a set (1 to 9), a preset such as flight, or a model such as lgmd or
+    package.module:Class.
     """
     config, origin = _named(name)
     params = parameters_of(config)
@@ -115,7 +116,8 @@ def show(name: str) -> None:
 def _named(name: str) -> tuple[Config, str]:
     """The parameters of that name, and where they are from; raises ParameterError."""
     if name in PRESETS:
-        return load_config(name), f"The preset {name}, the default."
+        is_default = name == PRESETS[0]
+        return load_config(name), f"The preset {name}{', the default' * is_default}."
     if name in MODELS and name != DlgmdParameters.model:
         return load_model_preset(name), f"{MODELS[name].source}, and defaults."
     if ":" in name or name in installed_models():

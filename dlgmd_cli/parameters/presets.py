@@ -39,7 +39,7 @@ FORMULATIONS: dict[str, dict[str, Any]] = {
 }
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
-PRESETS = ("flight", "flight-small")
+PRESETS = ("flight", "flight-early", "road", "flight-small")
 # Up to this width, frames are for the last one.
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.

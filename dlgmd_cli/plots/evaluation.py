@@ -1,4 +1,4 @@
-"""Figures of an evaluation: recall against false alarms, and leads."""
+"""Figures of an evaluation: recall against false alarms, leads, stops, and times to contact."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -131,6 +131,33 @@ def leads(leads_s: Mapping[str, Series], horizon_s: float, width: Width = "one")
         )
         for line in drawn.values():
             line.axes.set_xlim(horizon_s, 0.0)
+        add_legend(figure, entries)
+    return figure
+
+
+def times_to_contact(errors: Mapping[str, Series], width: Width = "one") -> Figure:
+    """By how much the estimated time to contact is wrong, over the time that is left.
+
+    `errors` has for each label the time left in seconds, and the median and the 90th percentile of
+    |ln(estimate / time left)|, shape (3, n); NaN where there is no estimate.
+    """
+    with house_style():
+        figure = new_figure(_HEIGHT_IN, width)
+        axes: Any = figure.subplots()
+        entries: Entries = []
+        for place, (label, (left_s, middle, most)) in enumerate(errors.items()):
+            color, _ = LOOKS[place % len(LOOKS)]
+            (line,) = axes.plot(left_s, middle, color=color, marker="o", markersize=3)
+            axes.plot(left_s, most, color=color, marker="o", markersize=3, linestyle=":")
+            entries.append((line, label))
+        entries.append((Line2D([], [], color=GREY), "median"))
+        entries.append((Line2D([], [], color=GREY, linestyle=":"), "90 %"))
+        axes.set_xlim(left=0.0)
+        axes.invert_xaxis()
+        axes.set_ylim(bottom=0.0)
+        axes.spines["top"].set_visible(False)
+        axes.set_xlabel("Time to contact (s)")
+        axes.set_ylabel("|ln(estimate / truth)|")
         add_legend(figure, entries)
     return figure
 

@@ -1,6 +1,6 @@
 """The models and baselines that are scored, with the signal of each labelled video."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -92,9 +92,12 @@ def signal_of(result: Result, case: Case, strength: Series | None = None) -> Sig
         float(np.interp(one, frame, time_s)) + max(one - int(frame[-1]), 0) * frame_s
         for one in case.collisions
     ]
+    ttc_s = None
     if strength is None:
-        strength = result.mp_seq if result.by_sequence else result.mp / result.n_cells
-    return Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
+        strength, ttc_s = result.mp / result.n_cells, result.ttc_s
+        strength = result.mp_seq if result.by_sequence else strength
+    signal = Signal(time_s, strength, tuple(contacts_s), frame_s, result.is_repeat, frame)
+    return replace(signal, ttc_s=ttc_s)
 
 
 class Candidates:

@@ -41,6 +41,7 @@ from dlgmd_cli.results.stopping import (
     stop_curve,
     tally_flights,
 )
+from dlgmd_cli.results.timing import TTC_COLUMNS, ttc_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,12 +91,13 @@ class Evaluation(Outcome):
     """
 
     RECORD = "evaluate.yaml"
-    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv")
+    TABLES = ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv")
     STEM = "evaluate-{}"
     FIGURES = {  # noqa: RUF012
         "trade-off": "evaluation.trade_off",
         "leads": "evaluation.leads",
         "stops": "evaluation.stops",
+        "ttc": "evaluation.times_to_contact",
     }
 
     candidates: Candidates
@@ -132,6 +134,11 @@ class Evaluation(Outcome):
         return table_of(ALARM_COLUMNS, self._alarm_rows())
 
     @property
+    def ttc_table(self) -> Table:
+        """The rows of ttc.csv: how good the estimated times to contact are."""
+        return table_of(TTC_COLUMNS, self._ttc_rows())
+
+    @property
     def failed(self) -> dict[str, str]:
         """Why videos are left out, by name."""
         return self.candidates.failed
@@ -142,13 +149,15 @@ class Evaluation(Outcome):
         return left_out(self.failed, len(self.candidates.cases))
 
     def plot(self, kind: str | None = None, width: Literal["one", "two"] = "one") -> "Figure":  # type: ignore[override]
-        """A figure: `trade-off` of recall and false alarms, `leads`, or `stops`.
+        """A figure: `trade-off` of recall and false alarms, `leads`, `stops`, or `ttc`.
 
         `width` is in columns. Raises ParameterError if there is no such figure; `stops` are those
-        of rendered flights.
+        of rendered flights, and `ttc` needs estimates of the time to contact before a collision.
         """
         if kind == "stops" and not self.has_drones:
             raise ParameterError("", "no video is a rendered flight with a collision to stop for")
+        if kind == "ttc" and not self._ttc_rows():
+            raise ParameterError("", "no model estimates the time to contact before a collision")
         return super().plot(kind, width=width)
 
     @property
@@ -159,10 +168,11 @@ class Evaluation(Outcome):
     def figure_files(
         self, formats: tuple[str, ...], dpi: int | None, **look: Any
     ) -> dict[str, store.Write]:
-        """File name -> function that draws the figure; without rendered flights, no `stops`."""
+        """File name -> function that draws the figure; no `stops` or `ttc` of nothing."""
         files = super().figure_files(formats, dpi, **look)
-        stem = self.STEM.format("stops")
-        return {k: v for k, v in files.items() if self.has_drones or Path(k).stem != stem}
+        has = {"stops": self.has_drones, "ttc": bool(self._ttc_rows())}
+        without = {self.STEM.format(kind) for kind, known in has.items() if not known}
+        return {k: v for k, v in files.items() if Path(k).stem not in without}
 
     def drawn(self, kind: str) -> tuple[Any, ...]:
         """The leads and the horizon, or the curves, their points, and the allowed rate."""
@@ -174,6 +184,11 @@ class Evaluation(Outcome):
             rows = {label: self.row(label, DEFAULT) for label in self.stop_curves}
             at = {k: (r["unneeded_per_min"], r["saved"]) for k, r in rows.items() if r is not None}
             return self.stop_curves, at
+        if kind == "ttc":
+            errors: dict[str, list[list[float]]] = {}
+            for label, low, high, *_, middle, most in self._ttc_rows():
+                errors.setdefault(label, []).append([(low + high) / 2, middle, most])
+            return ({label: np.array(rows).T for label, rows in errors.items()},)
         curves, points = {}, {}
         for label, own in self.curves.items():
             for name, one in own.items():
@@ -231,7 +246,13 @@ class Evaluation(Outcome):
             "evaluate.csv": partial(write_values, header=list(self.rows[0]), rows=rows),
             "curves.csv": partial(write_values, header=CURVE_COLUMNS, rows=self._curve_rows()),
             "alarms.csv": partial(write_values, header=ALARM_COLUMNS, rows=self._alarm_rows()),
+            "ttc.csv": partial(write_values, header=TTC_COLUMNS, rows=self._ttc_rows()),
         }
+
+    def _ttc_rows(self) -> list[list[Any]]:
+        """The rows of ttc.csv."""
+        labels = self.candidates.by_label
+        return list(ttc_rows({label: self.candidates.signals(label) for label in labels}))
 
     def _curve_rows(self) -> Iterator[list[Any]]:
         """The rows of curves.csv: the points of every curve at which a measure changes."""

@@ -59,6 +59,8 @@ class Signal:
         Frame numbers in the video; 0 to n - 1 unless given.
     justified : ndarray, shape (n,), bool, optional
         Frames of a rendered flight at which an alarm is justified, whatever happens then.
+    ttc_s : ndarray, shape (n,), optional
+        Estimated time to contact, in seconds; NaN where there is none.
     """
 
     time_s: Series
@@ -68,6 +70,7 @@ class Signal:
     repeated: Flags | None = None
     frame: npt.NDArray[np.int64] | None = None
     justified: Flags | None = None
+    ttc_s: Series | None = None
 
     def sustained(self, n_sp: int) -> Series:
         """The least strength of the last n_sp frames, shape (n,); -inf if there are fewer.

@@ -95,8 +95,8 @@ def evaluate(
     Returns
     -------
     Evaluation
-        `table`, `curve_table` and `alarm_table` are structured arrays with the columns of the
-        files; `plot` draws, and `save` writes them. `failed` says why videos are left out.
+        `table`, `curve_table`, `alarm_table` and `ttc_table` are structured arrays with the columns
+        of the files; `plot` draws, and `save` writes them. `failed` says why videos are left out.
 
     Raises
     ------

@@ -79,6 +79,7 @@ def test_evaluate(runs, footage):
     assert_same(report.table, "dlgmd-out/evaluate.csv")
     assert_same(report.curve_table, "dlgmd-out/curves.csv")
     assert_same(report.alarm_table, "dlgmd-out/alarms.csv")
+    assert_same(report.ttc_table, "dlgmd-out/ttc.csv")
     assert repr(report).startswith(
         "<Evaluation on 3 videos, 2 collisions: set3 kappa=0.0001 recall"
     )
@@ -96,7 +97,7 @@ def test_evaluate_writes_what_the_command_writes(runs, footage):
     command = ("evaluate", labels, "--results", "dlgmd-out", "--out", "its", "--format", "svg")
     runs(*command)
     assert {p.name for p in Path("mine").iterdir()} == {p.name for p in Path("its").iterdir()}
-    for name in ("evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"):
+    for name in ("evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"):
         assert Path("mine", name).read_text() == Path("its", name).read_text()
     with pytest.raises(errors.OutputExistsError):
         dlgmd_cli.evaluate(labels, results="dlgmd-out", out="mine")

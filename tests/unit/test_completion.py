@@ -29,7 +29,7 @@ def test_commands_and_options():
     [
         ("run --set ", [*"123456789"]),
         ("batch x --set 7", ["7"]),
-        ("run --config fl", ["flight", "flight-small"]),
+        ("run --config fl", ["flight", "flight-early", "flight-small"]),
         ("run --model l", ["lgmd"]),
         ("run --param sigma_", ["sigma_e=", "sigma_i=", "sigma_c="]),
         ("run --model lgmd --param ", [f"{key}=" for key in MODELS["lgmd"].specs()]),

@@ -49,8 +49,9 @@ def test_files_and_tables(dlgmd, runs, footage, tmp_path):
     command = ("evaluate", footage / "labels.csv", *SETS, *NAMES, "--out", "ev", "--format", "svg")
     result = runs(*command, plots=True)
     figures = {"evaluate-trade-off.svg", "evaluate-leads.svg"}
-    tables = {"evaluate.csv", "curves.csv", "alarms.csv", "evaluate.yaml"}
+    tables = {"evaluate.csv", "curves.csv", "alarms.csv", "ttc.csv", "evaluate.yaml"}
     assert {path.name for path in (tmp_path / "ev").iterdir()} == tables | figures
+    assert csv_rows("ev/ttc.csv") == []  # sets estimate no time to contact
     assert "set9" in result.stdout and "3 videos, 2 collisions" in result.stdout
     rows = csv_rows("ev/evaluate.csv")
     assert {row["kind"] for row in rows} == {"all"} == {row["manner"] for row in rows}

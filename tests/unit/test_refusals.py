@@ -91,7 +91,10 @@ WRONG_USAGE = [
     ("info loom.avi short.avi --write-mask mask.png", "one INPUT"),
     ("info loom.avi --write-mask mask.jpg", "does not end in .png"),
     ("completion", "Missing argument 'bash|zsh|fish'. Choose from: bash, zsh, fish"),
-    ("sets show 10", "there is no set 10. Choose 1 to 9, flight, flight-small, dlgmd, "),
+    (
+        "sets show 10",
+        "there is no set 10. Choose 1 to 9, flight, flight-early, road, ",
+    ),
     ("sets show flght", "there is no set flght. Did you mean 'flight'? Choose 1 to 9, flight"),
     ("synth looming-cube --name x.mp4", "'x.mp4' is not a name. Write loom-2, without folder"),
     ("synth looming-cube --name ../x", "'../x' is not a name."),

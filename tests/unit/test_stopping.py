@@ -11,6 +11,7 @@ from test_avoid import CONTACT_S, stage_of
 
 from dlgmd_cli.results.scoring import EARLY, HIT, JUSTIFIED, Signal, alarms, tally
 from dlgmd_cli.results.stopping import Stops, score_stops, stop_cells, stop_curve, tally_stops
+from dlgmd_cli.results.timing import ttc_rows
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightOptions, FlightScene, recorded_stage
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -69,6 +70,22 @@ def test_an_alarm_that_is_justified_is_not_false():
     signal = stops_of().on(plain)
     assert alarms(signal, 1, 0.5, 0.5) == [(9, EARLY), (36, JUSTIFIED), (54, HIT)]
     assert (tally(plain, 1, 0.5, 0.5).n_false, tally(signal, 1, 0.5, 0.5).n_false) == (2, 1)
+
+
+def test_estimates_of_the_time_to_contact_are_compared_with_the_time_left():
+    """They are right from 1 s to contact on, twice as long before, and missing before 1.5 s."""
+    left_s = 2.0 - TIME_S
+    ttc_s = np.where(left_s < 0.99, left_s, np.where(left_s < 1.49, 2.0 * left_s, math.nan))
+    signal = replace(signal_of(), ttc_s=ttc_s)
+    rows = list(ttc_rows({"flight": [signal, signal_of()], "set9": [signal_of()]}))
+    assert [row[:4] for row in rows[-3:]] == [
+        ["flight", 0.7, 1.0, 9],
+        ["flight", 1.0, 1.5, 15],
+        ["flight", 1.5, 2.0, 15],
+    ]
+    assert rows[3][4:] == pytest.approx([1.0, 25.0 / 30.0, 0.0, 0.0], abs=0.02)
+    assert rows[4][4:] == pytest.approx([1.0, 2.0 * 37.0 / 30.0, math.log(2), math.log(2)], abs=0.1)
+    assert rows[5][4] == 0.0 and np.isnan(rows[5][5:]).all()
 
 
 def test_scores_count_drones_that_a_stop_can_save_and_all_minutes():
@@ -144,6 +161,13 @@ def test_evaluate_closes_the_loop(runs, flights):
     runs(*common, "--horizon", 0.1, "--out", "ev")
     kinds = {(r["kind"], r["justified"]) for r in csv_rows("ev/alarms.csv")}
     assert ("justified", "1") in kinds and not {("false", "1"), ("early", "1")} & kinds
+    estimates = [row for row in csv_rows("ev/ttc.csv") if row["ttc_s"]]
+    assert {row["model"] for row in estimates} == {"flight"} and Path(
+        "ev/evaluate-ttc.png"
+    ).exists()
+    near = estimates[0]
+    assert (near["left_from_s"], near["left_to_s"], near["frames"]) == ("0.2", "0.3", "3")
+    assert 0.1 < float(near["ttc_s"]) < 0.6 and near["estimated"] == "1"
     assert csv_rows("ev/curves.csv")[0].keys() >= {"saved", "unneeded_per_min"}
 
 

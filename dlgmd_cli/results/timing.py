@@ -1,0 +1,52 @@
+"""How good the estimated time to contact is, against the time that was left to collisions."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dlgmd_cli.frame import Series
+from dlgmd_cli.models.detection import ROUNDING_S
+from dlgmd_cli.results.scoring import Signal
+
+# The columns of ttc.csv: of the frames at which this time was left to the first collision of a
+# video, their number, the share of them that have an estimate, the median of the estimates, and
+# the median and the 90th percentile of |ln(estimate / time left)|.
+TTC_COLUMNS = (
+    *("model", "left_from_s", "left_to_s", "frames"),
+    *("estimated", "ttc_s", "log_error", "log_error_p90"),
+)
+_EDGES_S = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+
+
+def ttc_rows(signals: Mapping[str, Sequence[Signal]]) -> Iterator[list[Any]]:
+    """The rows of ttc.csv; `signals` are those of all videos, by model.
+
+    A model that estimates nothing before any collision has no rows.
+    """
+    for label, own in signals.items():
+        left_s, ttc_s = _before_contact(own)
+        if np.isnan(ttc_s).all():
+            continue
+        for low, high in pairwise(_EDGES_S):
+            here = (left_s >= low - ROUNDING_S) & (left_s < high - ROUNDING_S)
+            known = here & ~np.isnan(ttc_s)
+            measures = [np.nan] * 3
+            if known.any():
+                error = np.abs(np.log(ttc_s[known] / left_s[known]))
+                measures = [np.median(ttc_s[known]), *np.quantile(error, (0.5, 0.9))]
+            share = known.sum() / here.sum() if here.any() else np.nan
+            yield [label, low, high, int(here.sum()), *map(float, (share, *measures))]
+
+
+def _before_contact(signals: Sequence[Signal]) -> tuple[Series, Series]:
+    """Time left to the first collision, and the estimate of it, at all frames before one."""
+    left, found = [np.empty(0)], [np.empty(0)]
+    for one in signals:
+        if one.ttc_s is not None and one.contacts_s:
+            left_s = one.contacts_s[0] - one.time_s
+            is_before = (left_s >= _EDGES_S[0] - ROUNDING_S) & (left_s < _EDGES_S[-1])
+            left.append(left_s[is_before])
+            found.append(one.ttc_s[is_before])
+    return np.concatenate(left), np.concatenate(found)
