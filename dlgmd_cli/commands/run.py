@@ -56,5 +56,5 @@ def run(
     from dlgmd_cli.tasks import run as task
 
     kept = {"clips": clips, "hashed": hashed, **output}
-    result = task.run(input_path, model=setup, progress=progress, **kept, **given)
-    show(result, as_json=as_json)
+    outcome = task.run(input_path, model=setup, progress=progress, **kept, **given)
+    show(outcome, as_json=as_json)
