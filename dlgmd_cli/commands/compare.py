@@ -209,5 +209,5 @@ def compare(
     from dlgmd_cli.tasks import run as task
 
     files, notes = output, {**vars(annotations), "collisions": labels_path}
-    found = task.compare(input_path, setups, **notes, progress=progress, **files, **given)
-    show(found, as_json=as_json)
+    outcome = task.compare(input_path, setups, **notes, progress=progress, **files, **given)
+    show(outcome, as_json=as_json)

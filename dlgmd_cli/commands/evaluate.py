@@ -174,8 +174,8 @@ def evaluate(
         _refuse(_OF_MODELS | given.keys())
         of_models = {}
     asked |= {"results": results, **rules, **answer, **of_models}
-    found = task.evaluate(labels_path, progress=progress, **asked, **output)
-    show(found, as_json=as_json)
+    outcome = task.evaluate(labels_path, progress=progress, **asked, **output)
+    show(outcome, as_json=as_json)
 
 
 def _refuse(names: set[str]) -> None:

@@ -101,5 +101,5 @@ def layers(
     from dlgmd_cli.tasks import layers as task
 
     asked |= {"collisions": labels_path, "film": film_path, **output}
-    found = task.layers(input_path, wanted, model=setup, progress=progress, **asked, **given)
-    show(found)
+    outcome = task.layers(input_path, wanted, model=setup, progress=progress, **asked, **given)
+    show(outcome)

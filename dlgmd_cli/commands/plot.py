@@ -160,14 +160,14 @@ def plot(
         raise click.UsageError("Give --collisions or --collision-frame, not both.")
     from dlgmd_cli.tasks import plot as task
 
-    drawn = task.plot(
+    outcome = task.plot(
         *(kind, paths, out, annotations),
         labels=labels,
         collisions=labels_path,
         formats=_formats(out, formats),
         **look,
     )
-    show(drawn)
+    show(outcome)
 
 
 def _formats(out: Path, formats: tuple[str, ...]) -> tuple[str, ...]:

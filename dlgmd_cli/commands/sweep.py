@@ -105,5 +105,5 @@ def sweep(
     from dlgmd_cli.tasks import sweep as task
 
     asked |= {**grid, **shape, **output, **given}
-    found = task.sweep(input_path, progress=progress, **asked)
-    show(found, as_json=as_json)
+    outcome = task.sweep(input_path, progress=progress, **asked)
+    show(outcome, as_json=as_json)

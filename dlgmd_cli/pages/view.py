@@ -117,16 +117,18 @@ def _write_index(
 ) -> None:
     """Write a page for each input into a folder beside the index, then the index."""
     folder = out.with_name(f"{out.stem}-pages")
-    flat = [printable(one.name).replace("/", "-").replace("\\", "-") for one in gathered.inputs]
+    flat = [
+        printable(subject.name).replace("/", "-").replace("\\", "-") for subject in gathered.inputs
+    ]
     names = [f"{store.fitting(name)}.html" for name in numbered([one[:_MAX_NAME] for one in flat])]
     index = index_of(gathered, f"../{_link(out.name)}")
     rows = []
     with store.claimed(folder, names=names, overwrite=overwrite) as pages:
         name, text = library()  # its version is in its name
         pages.write({name: store.file_of(text)})
-        for one, name in zip(gathered.inputs, names, strict=True):
+        for subject, name in zip(gathered.inputs, names, strict=True):
             href = f"{_link(folder.name)}/{_link(name)}"
-            rows += _write_page(pages, name, one, request, index, href)
+            rows += _write_page(pages, name, subject, request, index, href)
         claim.write({out.name: store.file_of(index_page(rows, gathered.failed, index))})
     if gathered.failed:
         n_failed = counted(len(gathered.failed), "failed video")
@@ -136,30 +138,30 @@ def _write_index(
 def _write_page(
     claim: store.ClaimedFolder,
     name: str,
-    one: Input,
+    subject: Input,
     request: _Request,
     index: Index | None = None,
     href: str = "",
 ) -> list[dict[str, Any]]:
     """Write the page of an input; returns its rows of the index, which link to `href`."""
-    known = collisions_of(one, request.frames)
+    known = collisions_of(subject, request.frames)
     collisions = known or []
-    tell_outside(one.name, one.results[0].result.frame, collisions)
+    tell_outside(subject.name, subject.results[0].result.frame, collisions)
     if len(collisions) == 1:  # the recoil follows, which is no response to the obstacle
-        until = [replace(r, result=r.result.until(collisions[0])) for r in one.results]
-        one = replace(one, results=tuple(until))
+        until = [replace(r, result=r.result.until(collisions[0])) for r in subject.results]
+        subject = replace(subject, results=tuple(until))
     no_film = "" if request.film else "--no-film was given."
     if not no_film and best_codec() != "h264":
         no_film = "PyAV is not installed. Run: pip install 'dlgmd[view]'."
-        _log.warning("%s: no film: %s", one.name, no_film.rstrip("."))
-    parts = [_part(one, each, request, no_film) for each in one.results]
-    text = page(one, parts, collisions, index)
+        _log.warning("%s: no film: %s", subject.name, no_film.rstrip("."))
+    parts = [_part(subject, each, request, no_film) for each in subject.results]
+    text = page(subject, parts, collisions, index)
     if len(text) > _LARGE_BYTES:
         what, size = printable(str(claim.folder / name)), len(text) / 1e6
         _log.info("%s has %.0f MB. A smaller --film-width makes it smaller.", what, size)
     claim.write({name: store.file_of(text)})
     scores = [None if known is None else _score(part.result, known) for part in parts]
-    return index_rows(one, href, parts, known, scores)
+    return index_rows(subject, href, parts, known, scores)
 
 
 def _score(result: Result, collisions: list[int]) -> Score | None:
@@ -174,18 +176,18 @@ def _score(result: Result, collisions: list[int]) -> Score | None:
     return Score(n_hits, len(collisions) - n_hits, n_false)
 
 
-def _part(one: Input, labelled: LabelledResult, request: _Request, no_film: str) -> Part:
+def _part(subject: Input, labelled: LabelledResult, request: _Request, no_film: str) -> Part:
     """A result of an input, with its film, or the reason why it has none."""
     label, result = labelled.label, labelled.result
     if no_film:
         return Part(label, result, None, no_film)
     n_frames = result.record["input"].get("frames") or len(result)
-    path, row = request.input_path or one.path, thumbnail_row(result)
+    path, row = request.input_path or subject.path, thumbnail_row(result)
     try:
-        with request.progress(f"{one.name} · {label}", 2 * n_frames, "frame") as on_frame:
+        with request.progress(f"{subject.name} · {label}", 2 * n_frames, "frame") as on_frame:
             film = render(result, labelled.peers, path, request.film_width_px, row, on_frame)
     except DlgmdError as error:
-        _log.warning("%s · %s: no film: %s", one.name, label, error.line.rstrip("."))
+        _log.warning("%s · %s: no film: %s", subject.name, label, error.line.rstrip("."))
         # Pages are shared: they do not name the folder of the file.
         why = f"{PurePath(error.what).name}: {error.why}." if error.what else error.line
         return Part(label, result, None, why)

@@ -5,7 +5,7 @@ of excitation and the radial latency; here each is replaced while nothing else c
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -192,23 +192,12 @@ def ablation(plan: Plan) -> Steps:
         "ablation-spread": _of(gain, (WHOLE, RADIAL), (CELL, RADIAL)),
         "ablation-grouping": {reading: grouping(reading) for reading in READINGS},
     }
-    db = {
-        (number, reading, cell): np.array(
-            [
-                pooled_db(data[cubes[speed]].results[label_of(number, reading, *cell)])
-                for speed in SPEEDS_PX
-            ]
-        )
-        for number in SETS
-        for reading in READINGS
-        for cell in CELLS
-    }
     tables = {
         "DA on group 1, median over seeds (95 % interval), and the peak of K": (
             _da_rows(das, flown)
         ),
         "What Figs. 6 and 12 become, radial minus or by constant latency": _figure_rows(
-            db, data[balls].results
+            [data[cube] for cube in cubes.values()], data[balls].results
         ),
         "Shares of the claims of Fig. 11 that hold, over five σ_E and four σ_I": (
             _fig_11_rows(data)
@@ -280,19 +269,21 @@ def _da_rows(das: Callable[..., Series], flown: list[ClipResults]) -> list[tuple
     return rows
 
 
-def _figure_rows(
-    db: Mapping[tuple[int, str, tuple[str, str]], Series], ball: Mapping[str, Result]
-) -> list[tuple[Any, ...]]:
+def _figure_rows(cubes: Sequence[ClipResults], ball: Mapping[str, Result]) -> list[tuple[Any, ...]]:
     """What radial latency changes at the slowest and the fastest speed, and in sharpness."""
+
+    def shown_db(label: str) -> Series:
+        """The attenuation at each speed, as far as figures show it."""
+        return np.maximum([pooled_db(cube.results[label]) for cube in cubes], FLOOR_DB)
+
     header = ("reading", "set", "excitation", "1 px/frame, dB", "4 px/frame, dB")
     rows: list[tuple[Any, ...]] = [(*header, "breadth on the ball, ratio")]
     for reading in READINGS:
         for number in SETS:
             for excitation in EXCITATIONS:
-                cells = [(excitation, delays) for delays in LATENCIES]
-                each = [np.maximum(db[number, reading, cell], FLOOR_DB) for cell in cells]
-                breadths = [ball[label_of(number, reading, *cell)].sharpness for cell in cells]
-                change = each[0] - each[1]
+                labels = [label_of(number, reading, excitation, delays) for delays in LATENCIES]
+                radial, constant = map(shown_db, labels)
+                change, breadths = radial - constant, [ball[label].sharpness for label in labels]
                 ratio = breadths[0] / breadths[1]
                 rows.append((reading, str(number), excitation, change[0], change[-1], ratio))
     return rows

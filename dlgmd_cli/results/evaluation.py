@@ -28,6 +28,7 @@ from dlgmd_cli.results.scoring import (
     Scores,
     alarms,
     curve,
+    differences,
     score,
     tally,
     thresholds,
@@ -225,6 +226,24 @@ class Evaluation(Outcome):
         assert found is not None
         return found
 
+    def differences(self) -> dict[str, dict[str, tuple[float, float, float]]]:
+        """Recall and false alarms a minute of each further model less those of the first one.
+
+        At the default thresholds and on the same videos, each with its interval, see
+        `scoring.differences`. Baselines, which have no default, are left out.
+        """
+        horizon_s, candidates = self.rules["horizon_s"], self.candidates
+        tallies = {
+            label: [
+                tally(signal, one.n_sp, one.threshold[1], horizon_s)
+                for signal in candidates.signals(label)
+            ]
+            for label, one in candidates.by_label.items()
+            if one.threshold is not None
+        }
+        first, *others = tallies or [""]
+        return {label: differences(tallies[label], tallies[first]) for label in others}
+
     def names(self, word: str) -> list[str]:
         """The groups by target, kind or manner but `all`, in the order of the rows."""
         return list(dict.fromkeys(row[word] for row in self.rows if row[word] != ALL))
@@ -331,6 +350,16 @@ class Evaluation(Outcome):
             f"{counted(first['videos'], 'video')}, {counted(first['collisions'], 'collision')}, "
             f"{first['minutes']:.2f} minutes before contact or the end."
         )
+        if against := self.differences():
+            yield f"Less {next(iter(self.candidates.by_label))}, on the same videos (95 %):"
+            cells = [
+                (
+                    label,
+                    *(difference_text(*one[name]) for name in ("recall", "false_alarms_per_min")),
+                )
+                for label, one in against.items()
+            ]
+            yield ("model", "recall", "false/min"), cells
         if self.has_drones:
             yield from shown_stops(self)
         for word in ("target", "manner"):
@@ -359,12 +388,18 @@ class Evaluation(Outcome):
             at = {"at": row["at"], "threshold": defined(row["threshold"]), "n_sp": row["n_sp"]}
             return at | scores_json(row)
 
-        found = {}
+        found: dict[str, dict[str, Any]] = {}
+        against = self.differences()
         for label in self.candidates.by_label:
             row, best = self.main(label), self.row(label, BEST)
             found[label] = facts(row)
             if best is not None and best is not row:
                 found[label]["best"] = facts(best)
+            if label in against:
+                found[label]["difference"] = {
+                    "to": next(iter(self.candidates.by_label)),
+                    **{name: list(map(defined, one)) for name, one in against[label].items()},
+                }
             found[label]["recall_by_target"] = {
                 target: defined(self.main(label, target=target)["recall"])
                 for target in sorted(self.names("target"))
@@ -490,6 +525,11 @@ def interval_text(scores: Scores, name: str) -> str:
     if math.isnan(value):
         return "–"
     return f"{value:.2f}" if math.isnan(low) else f"{value:.2f} ({low:.2f}–{high:.2f})"
+
+
+def difference_text(value: float, low: float, high: float) -> str:
+    """A difference with its interval, for tables."""
+    return "–" if math.isnan(value) else f"{value:+.2f} ({low:+.2f} to {high:+.2f})"
 
 
 def left_out(failed: Mapping[str, str], n_scored: int) -> DlgmdError | None:

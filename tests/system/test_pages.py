@@ -295,3 +295,60 @@ def test_hostile_names(browser, runs, tmp_path):
     page.click("text=All videos")
     assert page.text_content(".name a") == name
     assert not reader.faults
+
+
+def test_labels_are_moved_removed_and_restored(browser, index_file, runs, tmp_path):
+    """Those of a table, too: what it says besides the frame moves along."""
+    table = 'video,collision_frame,target,sure\n"./=x/a, b.mp4",70,wall,yes\nc.mp4,,,\n'
+    (tmp_path / "in/labels.csv").write_text(table)
+    made = ("view", "res", "--no-film", "--labels", "in/labels.csv", "--out", "web/all.html")
+    runs(*made, "--overwrite")
+    reader = open_index(browser, index_file)
+    page = reader.page
+    page.click("text=a, b.mp4")
+    page.wait_for_load_state()
+
+    def shown():
+        """The user's, then those of the table."""
+        lists = page.evaluate("[labels, knownLabels()]")
+        return [[[one["frame"], one["target"]] for one in found] for found in lists]
+
+    known = [[70, "wall"]]
+    assert shown() == [[], known] and page.is_disabled("#undo")
+    assert page.text_content("#known-list span") == "wall"
+    page.keyboard.press("Home")
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("l")
+    assert shown() == [[[3, ""]], known]
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("m")  # the nearest
+    assert shown() == [[[4, ""]], known]
+    page.click("#known-list >> text=Move here")  # over the other one
+    assert shown() == [[[4, "wall"]], []]
+    page.keyboard.press("Control+z")
+    assert shown() == [[[4, ""]], known]
+    page.click("#label-list >> text=Remove")
+    page.click("#known-list >> text=Remove")
+    assert shown() == [[], []]
+    page.click("#undo")
+    page.keyboard.press("End")
+    page.keyboard.press("m")
+    last = page.evaluate("result().frame[row]")
+    assert shown() == [[[last, "wall"]], []]
+    page.fill("#label-list input", "gate")
+    page.click("#undo")
+    assert shown() == [[[last, "wall"]], []]
+    page.reload()
+    assert shown() == [[[last, "wall"]], []]
+    page.click("text=All videos")
+    assert page.text_content(".yours:visible") == f"your label: frame {last}; no longer: frame 70"
+    with page.expect_download() as saved:
+        page.click("#save")
+    saved.value.save_as(tmp_path / "new.csv")
+    assert (tmp_path / "new.csv").read_text().splitlines() == [
+        "video,collision_frame,target,sure",
+        f'"./=x/a, b.mp4",{last},wall,yes',
+        "c.mp4,,,",
+    ]
+    assert not reader.faults

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import csv_rows, looming_frames, write_video, yaml_of
+from matplotlib.text import Text
 
-from dlgmd_cli.commands.compare import _setups
+import dlgmd_cli
 from dlgmd_cli.models.base import Photoreceptors
-from dlgmd_cli.plots import traces
 from dlgmd_cli.results import csv
-from dlgmd_cli.results.annotations import Annotations
 from dlgmd_cli.results.reading import read_comparison
 from dlgmd_cli.video.opencv import OpenCVDecoder
 
@@ -35,8 +34,15 @@ def record(folder):
     return yaml_of(folder / "compare.yaml")
 
 
-def labels(sets=(), configs=(), models=(), formulations=(), no_ffi_gd=False):
-    return [one.label for one in _setups(sets, configs, models, formulations, no_ffi_gd, None)]
+@pytest.fixture
+def labels(runs, clips):
+    """The labels of the models that `compare` has for options."""
+
+    def call(*options):
+        result = runs("compare", clips / "loom.avi", *options, "--json", "--overwrite")
+        return list(json.loads(result.stdout)["models"])
+
+    return call
 
 
 def test_files_and_summary(runs, clips, tmp_path):
@@ -57,10 +63,7 @@ def test_files_and_summary(runs, clips, tmp_path):
         assert "distinguishability" not in one["summary"]
 
 
-@pytest.mark.parametrize("engine", ["opencv", "numba"])
-def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
-    if engine == "numba":
-        pytest.importorskip("numba", reason="the numba engine needs numba")
+def test_numbers_are_those_of_run(runs, clips, tmp_path):
     (tmp_path / "my.yaml").write_text("sigma_e: 0.7\nr: 3\n")
     given = {
         "set2": ["--set", 2],
@@ -78,7 +81,7 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
     options = [word for label in list(given)[:5] for word in given[label]]
     runs(
         *["compare", clips / "loom.avi", *options, "--formulation", "released", "--no-ffi-gd"],
-        *["--engine", engine, "--normalise", "sequence"],
+        *["--engine", "opencv", "--normalise", "sequence"],
     )
     compared = rows(tmp_path / "dlgmd-out" / "loom")
     assert set(given) < set(compared) and len(compared) == 3 * 4 + 2
@@ -87,9 +90,8 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
     }
     for number, (label, alone) in enumerate(given.items()):
         out = f"alone-{number}"
-        engines = [] if "lgmd" in label else ["--engine", engine]
         runs(
-            *["run", clips / "loom.avi", *alone, *engines, "--out", out],
+            *["run", clips / "loom.avi", *alone, "--out", out],
             *["--normalise", "sequence"],
         )
         folder = tmp_path / out / "loom"
@@ -102,27 +104,25 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
         assert {key: summaries[label][key] for key in summary} == summary
 
 
-def test_labels(tmp_path):
-    assert labels() == ["flight", "lgmd", "emd-lgmd"]
-    assert labels(configs=(Path("flight"),), sets=("3",)) == ["set3", "flight"]
-    assert labels(sets=("3", "9", "3"), models=("lgmd", "dlgmd")) == ["set3", "set9", "lgmd"]
-    assert labels(("9",), formulations=("released", "default")) == ["set9", "set9/released"]
-    assert labels(("9",), no_ffi_gd=True) == ["set9", "set9/no-ffi-gd"]
-    assert labels(sets=("1",), formulations=("equations",), no_ffi_gd=True) == [
+def test_labels(labels, tmp_path):
+    sets = ("--set", 3, "--set", 9, "--set", 3)
+    assert labels(*sets, "--model", "lgmd", "--model", "dlgmd") == ["set3", "set9", "lgmd"]
+    both = ("--formulation", "released", "--formulation", "default")
+    assert labels("--set", 9, *both) == ["set9", "set9/released"]
+    assert labels("--set", 1, "--formulation", "equations", "--no-ffi-gd") == [
         "set1",
         "set1/equations",
         "set1/no-ffi-gd",
         "set1/equations/no-ffi-gd",
     ]
-    configs = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        configs.append(tmp_path / name / "run.yaml")
-        configs[-1].write_text("formulation: released\nffi_gd: false\n")
-    assert labels(configs=tuple(configs)) == ["a/run", "b/run"]
-    assert labels(configs=(configs[0], configs[0])) == ["run"]
+        (tmp_path / name / "run.yaml").write_text("formulation: released\nffi_gd: false\n")
+    one = ("--config", "a/run.yaml")
+    assert labels(*one, "--config", "b/run.yaml") == ["a/run", "b/run"]
+    assert labels(*one, *one) == ["run"]
     # What a file has already is not derived anew.
-    assert labels(configs=(configs[0],), formulations=("released",), no_ffi_gd=True) == ["run"]
+    assert labels(*one, "--formulation", "released", "--no-ffi-gd") == ["run"]
 
 
 def test_variants_are_the_model_with_other_parameters(runs, clips, tmp_path):
@@ -142,20 +142,20 @@ def test_variants_are_the_model_with_other_parameters(runs, clips, tmp_path):
     ]
 
 
-def test_labels_name_the_models_in_files_tables_and_figures(
-    dlgmd, runs, clips, monkeypatch, tmp_path
-):
-    shown = []
-    original = traces.plot
-    monkeypatch.setattr(traces, "plot", lambda *a, **k: shown.append([*a[1]]) or original(*a, **k))
+def test_labels_name_the_models_in_files_tables_and_figures(runs, clips, tmp_path):
     options = ["--model", "lgmd", "--set", 9, "--label", "ours", "--label", "old one"]
-    result = runs("compare", clips / "loom.avi", *options, plots=True)
+    result = runs(
+        "compare", clips / "loom.avi", *options, "--mark", "4:pitching", "--format", "svg"
+    )
     assert " old one " in result.stdout
-    assert shown == [["ours", "old one"]] * 2
     read = read_comparison("dlgmd-out/loom")
     assert [one.params.model for one in read.values()] == ["dlgmd", "lgmd"]
     assert list(read) == list(rows(tmp_path / "dlgmd-out/loom")) == ["ours", "old one"]
-    assert dlgmd("plot", "mp", "dlgmd-out/loom").exit_code == 0 and shown[-1] == ["ours", "old one"]
+    runs("plot", "mp", "dlgmd-out/loom", "--out", "again.svg")
+    for figure in ("dlgmd-out/loom/compare-mp", "dlgmd-out/loom/compare-attenuation", "again"):
+        text = Path(f"{figure}.svg").read_text(encoding="utf-8")
+        assert ">ours<" in text and ">old one<" in text
+        assert ("pitching" in text) == figure.startswith("dlgmd-out")
 
 
 @pytest.mark.parametrize(
@@ -218,9 +218,7 @@ def test_a_run_s_file_brings_its_size(runs, clips, tmp_path):
 def test_distinguishability(runs, clips, tmp_path):
     result = runs(
         *["compare", clips / "loom.avi", "--set", 1, "--set", 9, "--normalise", "absolute"],
-        *["--false-positive-frame", 5, "--collision-frame", 19, "--mark", "4:pitching"],
-        *["--span", "3-8:accelerating", "--json"],
-        plots=True,
+        *["--false-positive-frame", 5, "--collision-frame", 19, "--json"],
     )
     folder = tmp_path / "dlgmd-out" / "loom"
     summaries = json.loads(result.stdout)["models"]
@@ -267,33 +265,17 @@ def test_an_infinite_ratio_is_explained(dlgmd, runs, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "column"),
-    [
-        ([], "mp_abs"),
-        (["--normalise", "sequence"], "mp_seq"),
-        (["--normalise", "absolute"], "mp_abs"),
-    ],
+    [({}, "mp_abs"), ({"normalise": "sequence"}, "mp_seq"), ({"normalise": "absolute"}, "mp_abs")],
 )
-def test_what_the_figure_shows(runs, clips, monkeypatch, options, column):
-    shown = []
-    original = traces.plot
-
-    def plot(kind, results, annotations, **options):
-        figure = original(kind, results, annotations, **options)
-        shown.append((kind, list(results), annotations, options, figure, results))
-        return figure
-
-    monkeypatch.setattr(traces, "plot", plot)
-    marks = ["--mark", "4:pitching", "--span", "3-8:accelerating", "--collision-frame", 19]
-    models = ["--set", 1, "--model", "lgmd", "--width", "two"]
-    runs("compare", clips / "loom.avi", *models, *marks, *options, plots=True)
-    annotations = Annotations(((4, "pitching"),), ((3, 8, "accelerating"),), 19, None)
-    assert [one[:4] for one in shown] == [
-        (kind, ["set1", "lgmd"], annotations, {"width": "two"})
-        for kind in ("spikes", "attenuation")
-    ]
-    *_, figure, results = shown[0]
+def test_what_the_figure_shows(clips, options, column):
+    marks = {"marks": [(4, "pitching")], "spans": [(3, 8, "accelerating")], "collision_frame": 19}
+    found = dlgmd_cli.compare(clips / "loom.avi", [1, "lgmd"], **marks, **options)
+    figure = found.plot("mp", width="two")
+    assert figure.get_figwidth() > found.plot("mp").get_figwidth()
+    texts = [text.get_text().strip() for text in figure.findobj(Text)]
+    assert {"pitching", "accelerating", "set1", "lgmd"} <= set(texts)
     lines = [line.get_ydata() for axes in figure.axes for line in axes.lines]
-    for one in results.values():  # what decides on spikes
+    for one in found.results.values():  # what decides on spikes
         curve = getattr(one, column)
         assert any(np.array_equal(line, curve, equal_nan=True) for line in lines)
 
@@ -357,17 +339,16 @@ def test_a_label_with_odd_letters_stays_one_cell(runs, clips, tmp_path):
     assert Path("dlgmd-out/loom/compare-mp.png").stat().st_size > 1000
 
 
-def test_equal_labels_of_different_models_are_numbered(tmp_path):
+def test_equal_labels_of_different_models_are_numbered(labels, tmp_path):
     for name, width in (("set3", 0.7), ("set9", 0.9)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "released.yaml").write_text(f"sigma_e: {width}\n")
-    configs = tuple(tmp_path / name / "released.yaml" for name in ("set3", "set9"))
-    found = {
-        one.label: one.params for one in _setups(("9",), configs, (), ("released",), False, None)
-    }
-    assert list(found)[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
-    assert found["set9/released"].sigma_e == 1.5
-    assert found["set9/released (2)"].sigma_e == 0.9
+    configs = [word for name in ("set3", "set9") for word in ("--config", f"{name}/released.yaml")]
+    found = labels("--set", 9, *configs, "--formulation", "released")
+    assert found[:4] == ["set9", "set9/released", "set3/released", "set3/released/released"]
+    read = read_comparison("dlgmd-out/loom")
+    assert read["set9/released"].params.sigma_e == 1.5
+    assert read["set9/released (2)"].params.sigma_e == 0.9
 
 
 def test_what_a_run_s_file_records_besides_its_size_is_said_to_be_left_out(runs, clips):

