@@ -1,6 +1,5 @@
 """`dlgmd run`: run a model over one video."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -38,8 +37,7 @@ def run(
     given: dict[str, Any],
     output: dict[str, Any],
     as_json: bool,
-    clips: Path | None,
-    hashed: bool,
+    **asked: Any,
 ) -> None:
     """Run a model over a video.
 
@@ -55,6 +53,5 @@ def run(
     """
     from dlgmd_cli.tasks import run as task
 
-    kept = {"clips": clips, "hashed": hashed, **output}
-    outcome = task.run(input_path, model=setup, progress=progress, **kept, **given)
-    show(outcome, as_json=as_json)
+    asked |= {**output, **given}
+    show(task.run(input_path, model=setup, progress=progress, **asked), as_json=as_json)

@@ -10,7 +10,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -249,10 +249,34 @@ class ClaimedFolder:
     is_new_input: bool = False
     option: str = "--out"
 
-    def commit(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> dict[str, str]:
-        """Write files together, in place of earlier ones, the record last; see `write_files`.
+    @contextmanager
+    def staged(
+        self, *, stale: Iterable[str] = (), what: "Path | UPath | None" = None
+    ) -> Iterator[Path]:
+        """Yield an empty local folder; what it contains at the end is renamed into this one.
 
-        Others that are `stale` are removed.
+        Until then this one is unchanged, also after an exception. At the end, the earlier record
+        goes first and the new one comes last; `stale` files that are not written anew are removed.
+
+        Raises OutputError if the files cannot be written. It names `what`, the folder unless given.
+        """
+        folder, in_bucket = self.folder, is_url(str(self.folder))
+        with writing(what or folder, self.option):
+            if not in_bucket:
+                folder.mkdir(parents=True, exist_ok=True)
+            stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
+            with stage as made:
+                yield Path(made)
+                found = sorted(path.name for path in Path(made).iterdir())
+                names = sorted(found, key=lambda name: name == self.record)
+                stale = [self.record, *stale]
+                (_upload if in_bucket else _rename)(Path(made), folder, names, stale)
+
+    def commit(self, files: Mapping[str, Write], stale: Iterable[str] = ()) -> dict[str, str]:
+        """Write files together, in place of earlier ones, the record last; see `staged`.
+
+        A name that ends in .png, .pdf or .svg is a figure. Numbers do not depend on figures: if one
+        cannot be drawn, the others are written without it, unless there are only figures.
 
         Returns the figures that could not be drawn, each with the reason. Raises OutputError if a
         file cannot be written; what stood in the folder is then unchanged.
@@ -260,17 +284,22 @@ class ClaimedFolder:
         if self.record in TABLES:
             kinds = [self.record, *(TABLES if self.is_new_input else ())]
             stale = [*kinds, *(name for kind in kinds for name in files_of(kind))]
-        return write_files(self.folder, files, record=self.record, stale=stale, option=self.option)
-
-    def staged(
-        self, *, stale: Iterable[str] = (), what: "Path | UPath | None" = None
-    ) -> AbstractContextManager[Path]:
-        """A context that yields an empty folder; what it contains at the end is renamed into this.
-
-        See `replacing`.
-        """
-        how: Any = {"stale": stale, "what": what, "option": self.option}
-        return replacing(self.folder, record=self.record, **how)
+        undrawn: dict[str, str] = {}
+        are_figures = {name: name.endswith(PLOT_FORMATS) for name in files}
+        has_tables = not all(is_one or name == self.record for name, is_one in are_figures.items())
+        what = self.folder if self.record else self.folder / next(iter(files))
+        with self.staged(stale=stale, what=what) as stage:
+            for name in sorted(files, key=lambda name: name == self.record):
+                try:
+                    files[name](stage / name)
+                except (OSError, DlgmdError, cancel.Interrupted):
+                    raise
+                except Exception as error:
+                    if not (has_tables and are_figures[name]):
+                        raise
+                    undrawn[name] = failure_text(error)
+                    (stage / name).unlink(missing_ok=True)
+        return undrawn
 
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
         """As `commit`, but logs the figures that could not be drawn; returns the other files."""
@@ -324,76 +353,6 @@ def claimed(
         refuse_existing(Path(folder / name), overwrite=overwrite, option=option)
     with locked(folder) if locks else nullcontext():
         yield ClaimedFolder(folder, record, is_new, option)
-
-
-def write_files(
-    folder: "Path | UPath",
-    files: Mapping[str, Write],
-    *,
-    record: str = "",
-    stale: Iterable[str] = (),
-    option: str = "--out",
-) -> dict[str, str]:
-    """Write files together, the record last; see `replacing`.
-
-    A name that ends in .png, .pdf or .svg is a figure. Numbers do not depend on figures: if one
-    cannot be drawn, the others are written without it, unless there are only figures.
-
-    Raises OutputError if a file cannot be written.
-
-    Returns
-    -------
-    dict of str to str
-        The figures that could not be drawn, each with the reason.
-    """
-    undrawn: dict[str, str] = {}
-    are_figures = {name: name.endswith(PLOT_FORMATS) for name in files}
-    has_tables = not all(is_figure or name == record for name, is_figure in are_figures.items())
-    what = folder if record else folder / next(iter(files))
-    with replacing(folder, record=record, stale=stale, what=what, option=option) as stage:
-        for name in sorted(files, key=lambda name: name == record):
-            try:
-                files[name](stage / name)
-            except (OSError, DlgmdError, cancel.Interrupted):
-                raise
-            except Exception as error:
-                if not (has_tables and are_figures[name]):
-                    raise
-                undrawn[name] = failure_text(error)
-                (stage / name).unlink(missing_ok=True)
-    return undrawn
-
-
-@contextmanager
-def replacing(
-    folder: "Path | UPath",
-    *,
-    record: str = "",
-    stale: Iterable[str] = (),
-    what: "Path | UPath | None" = None,
-    option: str = "--out",
-) -> Iterator[Path]:
-    """Yield an empty local folder; what it contains at the end is renamed into `folder`.
-
-    Until then `folder` is unchanged, also after an exception. At the end, the earlier `record` goes
-    first and the new one comes last; `stale` files that are not written anew are removed.
-
-    Raises
-    ------
-    OutputError
-        If the files cannot be written. It names `what`, the folder unless given, and `option`, the
-        option to change.
-    """
-    in_bucket = is_url(str(folder))
-    with writing(what or folder, option):
-        if not in_bucket:
-            folder.mkdir(parents=True, exist_ok=True)
-        stage = tempfile.TemporaryDirectory() if in_bucket else staging(Path(folder))
-        with stage as made:
-            yield Path(made)
-            found = sorted(path.name for path in Path(made).iterdir())
-            names = sorted(found, key=lambda name: name == record)
-            (_upload if in_bucket else _rename)(Path(made), folder, names, [record, *stale])
 
 
 def _rename(stage: Path, folder: Path, names: list[str], stale: Iterable[str]) -> None:

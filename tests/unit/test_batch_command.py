@@ -386,20 +386,20 @@ def test_an_interrupt_keeps_what_is_done(dlgmd, flights, here, monkeypatch, kind
 
 
 def test_a_summary_that_cannot_be_written(dlgmd, flights, here, monkeypatch):
-    write_files, calls = store.write_files, []
+    commit, calls = store.ClaimedFolder.commit, []
 
     def full(path):
         raise OSError(28, "No space left on device")
 
-    def refusing(folder, files, **options):
+    def refusing(claim, files):
         if "summary.csv" in files:
-            calls.append(folder)
+            calls.append(claim.folder)
             if len(calls) in refused:
                 files = {"summary.csv": full}
-        return write_files(folder, files, **options)
+        return commit(claim, files)
 
     monkeypatch.setattr("dlgmd_cli.results.batch._SHARE_OF_TIME", math.inf)  # no write is postponed
-    monkeypatch.setattr(store, "write_files", refusing)
+    monkeypatch.setattr(store.ClaimedFolder, "commit", refusing)
     refused = {2, 3}  # in between: it is written later
     assert "Error: 2 of 4 videos failed" in dlgmd("batch", flights, *QUICK).stderr
     assert len(statuses()) == 4

@@ -277,11 +277,11 @@ def test_writing_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
     monkeypatch.setattr("dlgmd_cli.results.batch.time.monotonic", lambda: clock[0])
     summary = Summary(tmp_path)
 
-    def write_files(folder, files, **_):
+    def commit(claim, files):
         written.append(clock[0])
         clock[0] += 0.1
 
-    monkeypatch.setattr("dlgmd_cli.results.store.write_files", write_files)
+    monkeypatch.setattr("dlgmd_cli.results.store.ClaimedFolder.commit", commit)
     for second in range(20):
         clock[0] = max(clock[0], float(second))
         summary.write(at_once=False)
