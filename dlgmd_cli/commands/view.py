@@ -79,6 +79,12 @@ from dlgmd_cli.commands.show import show
     metavar="MODULE:CLASS",
     help="A model of your own in the results: its module is imported to make the film. Repeatable.",
 )
+@click.option(
+    "--zip",
+    "packed",
+    is_flag=True,
+    help="Also pack all of it into PATH.zip, to send it as one file.",
+)
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
     paths: tuple[Path, ...],

@@ -128,12 +128,27 @@ def _run_tasks(
                         "A Python script needs if __name__ == '__main__' around the call. If "
                         "memory or threads run short, end other programs or lower --jobs."
                     )
-                    raise WorkerError("", why, mend)
+                    raise _told_in_one_line(WorkerError("", why, mend))
                 _end(pool)
                 waiting = chain(running.values(), chosen, waiting)
                 pool, running = _new_pool(function, jobs), {}
     finally:
         _end(pool)
+
+
+def _told_in_one_line(error: WorkerError) -> WorkerError:
+    """An error which, where a script does not catch it, is one line instead of a traceback."""
+    before = sys.excepthook
+
+    def hook(kind: Any, found: Any, trace: Any) -> None:
+        if found is error:
+            print(f"Error: {error.line}", file=sys.stderr)
+        else:
+            before(kind, found, trace)
+
+    if not _is_starting():  # the processes themselves say nothing
+        sys.excepthook = hook
+    return error
 
 
 def results_of(
@@ -246,8 +261,13 @@ def _quiet_if_starting() -> None:
 
     Such a script lacks its main guard, and the pool says so where it runs.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
+    if _is_starting():
         sys.excepthook = lambda *_: None
+
+
+def _is_starting() -> bool:
+    """Whether this is a process of a pool that has not begun to work."""
+    return getattr(multiprocessing.current_process(), "_inheriting", False)
 
 
 _quiet_if_starting()

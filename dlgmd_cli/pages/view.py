@@ -4,9 +4,11 @@ import logging
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from dlgmd_cli.errors import DlgmdError, ParameterError, SourceError, counted, printable
 from dlgmd_cli.pages.film import render
@@ -51,6 +53,7 @@ def view(
     film_width_px: int = 480,
     models: Iterable[str] = (),
     film: bool = True,
+    packed: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Written:
@@ -59,7 +62,8 @@ def view(
     `paths` are folders of results, or trees of them. `out` is a folder for ``view-NAME.html``, or
     a file that ends in ``.html``. `frames` of collisions and the present `input_path` are for
     results of one input, and `labels` is a table of the collisions of many. `models` of one's own,
-    as ``module:Class``, may be imported for the films.
+    as ``module:Class``, may be imported for the films. With `packed`, a ZIP archive beside `out`
+    holds everything, to be sent as one file.
 
     Raises ParameterError for what is for one input if there are several, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a page that cannot be
@@ -83,12 +87,24 @@ def view(
         out = out / f"view-{_stem(name) or 'results'}.html"
     request = _Request(tuple(frames), input_path, film_width_px, film, progress)
     # Without a lock: a batch may be writing into its own folders below.
-    with store.claimed(out.parent, names=[out.name], overwrite=overwrite, locks=False) as claim:
+    made = [out, *([out.with_suffix(".zip")] if packed else ())]
+    names = [path.name for path in made]
+    with store.claimed(out.parent, names=names, overwrite=overwrite, locks=False) as claim:
+        files = [out.name]
         if is_one:
             _write_page(claim, out.name, first, request)
         else:
-            _write_index(claim, out, gathered, request, overwrite=overwrite)
-    return Written((out,))
+            files += _write_index(claim, out, gathered, request, overwrite=overwrite)
+        if packed:
+            claim.write({names[1]: partial(_pack, out.parent, files)})
+    return Written(tuple(made))
+
+
+def _pack(folder: Path, files: Iterable[str], path: Path) -> None:
+    """Write an archive of some files of a folder."""
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for name in files:
+            archive.write(folder / name, name)
 
 
 @dataclass(frozen=True)
@@ -114,8 +130,11 @@ def _link(name: str) -> str:
 
 def _write_index(
     claim: store.ClaimedFolder, out: Path, gathered: Gathered, request: _Request, *, overwrite: bool
-) -> None:
-    """Write a page for each input into a folder beside the index, then the index."""
+) -> list[str]:
+    """Write a page for each input into a folder beside the index, then the index.
+
+    Returns the files in that folder, relative to the index.
+    """
     folder = out.with_name(f"{out.stem}-pages")
     flat = [
         printable(subject.name).replace("/", "-").replace("\\", "-") for subject in gathered.inputs
@@ -124,8 +143,8 @@ def _write_index(
     index = index_of(gathered, f"../{_link(out.name)}")
     rows = []
     with store.claimed(folder, names=names, overwrite=overwrite) as pages:
-        name, text = library()  # its version is in its name
-        pages.write({name: store.file_of(text)})
+        library_name, text = library()  # its version is in its name
+        pages.write({library_name: store.file_of(text)})
         for subject, name in zip(gathered.inputs, names, strict=True):
             href = f"{_link(folder.name)}/{_link(name)}"
             rows += _write_page(pages, name, subject, request, index, href)
@@ -133,6 +152,7 @@ def _write_index(
     if gathered.failed:
         n_failed = counted(len(gathered.failed), "failed video")
         _log.info("The index lists %s at its end.", n_failed)
+    return [f"{folder.name}/{name}" for name in (*names, library_name)]
 
 
 def _write_page(

@@ -63,10 +63,7 @@ def test_files_and_summary(runs, clips, tmp_path):
         assert "distinguishability" not in one["summary"]
 
 
-@pytest.mark.parametrize("engine", ["opencv", "numba"])
-def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
-    if engine == "numba":
-        pytest.importorskip("numba", reason="the numba engine needs numba")
+def test_numbers_are_those_of_run(runs, clips, tmp_path):
     (tmp_path / "my.yaml").write_text("sigma_e: 0.7\nr: 3\n")
     given = {
         "set2": ["--set", 2],
@@ -84,7 +81,7 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
     options = [word for label in list(given)[:5] for word in given[label]]
     runs(
         *["compare", clips / "loom.avi", *options, "--formulation", "released", "--no-ffi-gd"],
-        *["--engine", engine, "--normalise", "sequence"],
+        *["--engine", "opencv", "--normalise", "sequence"],
     )
     compared = rows(tmp_path / "dlgmd-out" / "loom")
     assert set(given) < set(compared) and len(compared) == 3 * 4 + 2
@@ -93,9 +90,8 @@ def test_numbers_are_those_of_run(runs, clips, tmp_path, engine):
     }
     for number, (label, alone) in enumerate(given.items()):
         out = f"alone-{number}"
-        engines = [] if "lgmd" in label else ["--engine", engine]
         runs(
-            *["run", clips / "loom.avi", *alone, *engines, "--out", out],
+            *["run", clips / "loom.avi", *alone, "--out", out],
             *["--normalise", "sequence"],
         )
         folder = tmp_path / out / "loom"

@@ -1,8 +1,6 @@
 """Normalisation, spikes and alarms; frame by frame, and of a whole run."""
 
-import gc
 import math
-import tracemalloc
 from itertools import pairwise
 
 import cv2
@@ -225,20 +223,3 @@ def test_another_frame_rate_is_told_once(times_s, repeats, warning, caplog):
             frame = rng.integers(0, 256, (24, 32), np.uint8)
         alarm.step(frame, float(time_s))
     assert len(caplog.messages) == bool(warning) and warning in caplog.text
-
-
-def test_an_alarm_keeps_constant_memory():
-    alarm = Alarm(load_set(9, kappa=1e-4))
-    held = []
-    tracemalloc.start()
-    try:
-        for _ in range(5):
-            for frame in FRAMES * 30:
-                alarm.step(frame)
-            gc.collect()
-            held.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    # Python's own caches may grow at times. One number kept for each of these 270 frames would
-    # take twice as much every time.
-    assert min(np.diff(held)) < 4096

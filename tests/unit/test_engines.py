@@ -3,10 +3,12 @@
 import math
 import sys
 from importlib import import_module
+from pathlib import Path
 from pickle import UnpicklingError
 
 import numpy as np
 import pytest
+from conftest import csv_rows, yaml_of
 from engine_checks import (
     SUMS,
     answers,
@@ -22,7 +24,8 @@ from dlgmd_cli.models.contrast import lower_quartile
 from dlgmd_cli.models.dlgmd import DLGMD
 from dlgmd_cli.models.engines import Counting, just_below
 from dlgmd_cli.models.engines.opencv import TILE_HW, tiles
-from dlgmd_cli.parameters.presets import DlgmdParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
+from dlgmd_cli.tasks.sweep import engine_for
 
 # Engines, and types of frames that the fast tier gives them.
 FRAMES = [("opencv", np.uint8), ("opencv", np.float32), ("numba", np.uint8)]
@@ -205,6 +208,34 @@ def test_a_numba_that_cannot_be_loaded_is_not_chosen(loops, monkeypatch, caplog)
     assert "cannot be loaded (NumPy is too new); the engine is opencv" in caplog.text
     with pytest.raises(MissingExtraError, match=r"cannot be loaded \(NumPy is too new\)"):
         DLGMD(engine="numba")
+
+
+def test_the_engine_of_a_sweep_is_that_of_a_run(loops):
+    dlgmd = DlgmdParameters()
+    assert engine_for(dlgmd, "auto", (480, 270)) == "opencv"
+    assert engine_for(dlgmd, "auto", (1920, 1080)) == "numba"
+    assert engine_for(dlgmd, "numba", (48, 27)) == "numba"
+    assert engine_for(LgmdParameters(), "auto", (1920, 1080)) == "opencv"
+    with pytest.raises(ParameterError, match="the model lgmd has no engine 'numba'"):
+        engine_for(LgmdParameters(), "numba", (48, 27))
+
+
+def test_commands_take_an_engine_and_record_it(loops, runs, clips):
+    clip, mp = clips / "loom.avi", {}
+    for engine in engines.ENGINES:
+        runs("run", clip, "--out", engine, "--engine", engine)
+        record = f"{engine}/loom/run.yaml"
+        assert yaml_of(record)["engine"] == engine
+        runs("run", clip, "--config", record, "--out", "again", "--overwrite")
+        assert Path("again/loom/run.yaml").read_text() == Path(record).read_text()
+        mp[engine] = Path(engine, "loom/mp.csv").read_text()
+        assert Path("again/loom/mp.csv").read_text() == mp[engine]
+    runs("run", clip, "--config", "numba/loom/run.yaml", "--engine", "opencv", "--out", "other")
+    assert Path("other/loom/mp.csv").read_text() == mp["opencv"]
+    runs("compare", clip, "--config", "flight", "--set", 9, "--engine", "numba")
+    compared = [row for row in csv_rows("dlgmd-out/loom/compare.csv") if row["label"] == "flight"]
+    alone = csv_rows("numba/loom/mp.csv")
+    assert [row["mp"] for row in compared] == [row["mp"] for row in alone]
 
 
 def test_an_unknown_engine_is_refused():

@@ -143,23 +143,6 @@ def test_the_table_lists_five_alarms_at_most():
     assert len(listed(alarms[:5])) == 5 and listed([]) == []
 
 
-def test_engine(runs, clips):
-    pytest.importorskip("numba", reason="the numba engine needs numba")
-    mp = {}
-    for engine in ("opencv", "numba"):
-        runs("run", clips / "loom.avi", "--out", engine, "--engine", engine)
-        record = f"{engine}/loom/run.yaml"
-        assert yaml_of(record)["engine"] == engine
-        again = ["--config", record, "--out", "again", "--overwrite"]
-        runs("run", clips / "loom.avi", *again)
-        assert open_text("again/loom/run.yaml") == open_text(record)
-        mp[engine] = open_text(f"{engine}/loom/mp.csv")
-        assert open_text("again/loom/mp.csv") == mp[engine]
-    record = ["--config", "numba/loom/run.yaml", "--engine", "opencv"]
-    runs("run", clips / "loom.avi", *record, "--out", "other")
-    assert open_text("other/loom/mp.csv") == mp["opencv"]
-
-
 @pytest.mark.parametrize(
     ("option", "value", "package"),
     [("--engine", "numba", "numba"), ("--decoder", "pyav", "av")],

@@ -19,7 +19,7 @@ from dlgmd_cli.results import store
 from dlgmd_cli.results.csv import write_rows
 from dlgmd_cli.results.sweep import MAX_POINTS, MAX_VALUES, Axis, Grid, SweepResult
 from dlgmd_cli.tasks.setup import Setup
-from dlgmd_cli.tasks.sweep import Sweep, SweepInput, engine_for
+from dlgmd_cli.tasks.sweep import Sweep, SweepInput
 
 
 def axis(text, kind=DlgmdParameters):
@@ -226,14 +226,3 @@ def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", full)
     with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
         sweep(tmp_path / "s", subject([looming_frames(9)])).compute()
-
-
-def test_the_engine_is_that_of_a_run():
-    pytest.importorskip("numba", reason="the numba engine needs numba")
-    dlgmd = DlgmdParameters()
-    assert engine_for(dlgmd, "auto", (480, 270)) == "opencv"
-    assert engine_for(dlgmd, "auto", (1920, 1080)) == "numba"
-    assert engine_for(dlgmd, "numba", (48, 27)) == "numba"
-    assert engine_for(LgmdParameters(), "auto", (1920, 1080)) == "opencv"
-    with pytest.raises(ParameterError, match="the model lgmd has no engine 'numba'"):
-        engine_for(LgmdParameters(), "numba", (48, 27))

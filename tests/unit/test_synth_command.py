@@ -31,7 +31,7 @@ def test_all_options_arrive(runs):
     assert truth.read_text().splitlines()[-1].startswith("2,0.2,")
 
 
-def test_two_seeds_have_two_names(dlgmd, runs, monkeypatch):
+def test_two_seeds_have_two_names(dlgmd, runs, monkeypatch, here):
     monkeypatch.setitem(SCENES, "quick", Quick())
     for seed in (1, 2):
         arguments = ["synth", "quick", "--frames", 3, "--seed", seed, "--name", f"quick-{seed}"]

@@ -5,6 +5,7 @@ import json
 import os
 import re
 from pathlib import Path
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
@@ -257,3 +258,22 @@ def test_without_the_packages(dlgmd, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
     made = dlgmd("view", "anything")
     assert made.exit_code == 1 and "pip install 'dlgmd[view]'" in made.stderr
+
+
+def test_an_archive_holds_the_index_and_its_pages(runs, dlgmd, clips, tmp_path):
+    for name in ("a.avi", "b.avi"):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        (tmp_path / "in" / name).write_bytes((clips / "loom.avi").read_bytes())
+    runs("batch", "in", "--set", 9, "--jobs", 1, "--out", "res")
+    made = runs("view", "res", "--no-film", "--zip", "--out", "web/all.html")
+    assert made.stdout == "web/all.html\nweb/all.zip\n"
+    with ZipFile("web/all.zip") as archive:
+        archive.extractall("elsewhere")
+    files = {str(path.relative_to("web")) for path in Path("web").rglob("*") if path.is_file()}
+    sent = {str(p.relative_to("elsewhere")) for p in Path("elsewhere").rglob("*") if p.is_file()}
+    assert sent == files - {"all.zip"} and "all-pages/a.avi.html" in sent
+    again = dlgmd("view", "res", "--no-film", "--zip", "--out", "web/other.html")
+    assert again.exit_code == 0
+    Path("web/other.html").unlink()
+    refused = dlgmd("view", "res/a", "--no-film", "--zip", "--out", "web/other.html")
+    assert refused.exit_code == 2 and "other.zip: already exists" in refused.stderr
