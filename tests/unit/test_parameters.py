@@ -6,6 +6,7 @@ import decimal
 import fractions
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -242,6 +243,26 @@ def test_every_config_loads_and_islisted():
         config, kind = load_model_preset(model), MODELS[model]
         assert config.model == model == kind.model
         assert merge(kind, config, {}) == kind()
+
+
+@pytest.mark.parametrize(
+    ("name", "rate"), [("flight", 0.78), ("flight-early", 0.645), ("flight-small", 0.895)]
+)
+def test_the_presets_raise_an_alarm_at_this_expansion(name, rate):
+    """The expansion in 1/s that their files and the documents name; no cell need be active."""
+    params = parameters_of(load_config(name))
+    excitation = params.k_0 * ((rate / params.d_0) ** 2 - 1.0)
+    assert excitation / (excitation + params.kappa) == pytest.approx(params.t_mp, abs=0.002)
+    assert params.n_sp == 1
+
+
+def test_the_preset_for_roads_measures_no_expansion():
+    road = parameters_of(load_config("road"))
+    assert road.d_0 == 0.0
+    small = {key: getattr(road, key) for key in ("c_m", "n_sp", "kappa")}
+    assert small == {"c_m": 3.0, "n_sp": 3, "kappa": 0.0006}
+    unchanged = {"d_0": 0.17, "tau_d": 0.1, "k_0": 0.1, "c_m": 5.0, "n_sp": 1, "kappa": 3.0}
+    assert replace(road, **unchanged) == parameters_of(load_config("flight"))
 
 
 @pytest.fixture
