@@ -235,7 +235,7 @@ def runs(dlgmd):
 
     def call(*arguments, plots=False):
         if arguments[0] in DRAWING and not plots and "--format" not in arguments:
-            arguments += ("--no-plots",)
+            arguments = (arguments[0], "--no-plots", *arguments[1:])
         result = dlgmd(*arguments)
         assert result.exit_code == 0, result.output
         return result

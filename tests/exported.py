@@ -57,11 +57,22 @@ class FixedAnswer(ctypes.Structure):
     )
 
 
+_LIBRARIES = {}
+
+
 def compiled(export, folder):
-    """The model and its health as a library."""
+    """The model and its health as a library; what is compiled already is not compiled again."""
     texts = sources(export)
-    for name in ("dlgmd.h", "dlgmd.c", "dlgmd_health.c", "dlgmd_model.h"):
-        (folder / name).write_text(texts[name], encoding="utf-8")
+    names = ("dlgmd.h", "dlgmd.c", "dlgmd_health.c", "dlgmd_model.h")
+    key = tuple(texts[name] for name in names)
+    if key not in _LIBRARIES:
+        _LIBRARIES[key] = _compiled(dict(zip(names, key, strict=True)), folder)
+    return _LIBRARIES[key]
+
+
+def _compiled(texts, folder):
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
     library = folder / f"dlgmd-{len(list(folder.iterdir()))}.so"  # a loaded one stays loaded
     command = ["cc", "-std=c99", "-O1", *WARNINGS.split(), "-shared", "-fPIC", "-o", str(library)]
     files = [str(folder / name) for name in ("dlgmd.c", "dlgmd_health.c")]

@@ -97,11 +97,21 @@ def test_the_loop_of_a_reader(scene):
     assert flight.braked.alarm_s == 0.0
 
 
-SMALL = ("--size", "96x54")
-
-
 def test_the_film_and_its_table(dlgmd, runs, scene):
-    result = runs("synth", "wall", "--avoid", "flight", *SMALL, "--out", "a", "--name", "one")
+    result = runs(
+        "synth",
+        "wall",
+        "--avoid",
+        "flight",
+        "--size",
+        "96x54",
+        "--frames",
+        75,
+        "--out",
+        "a",
+        "--name",
+        "one",
+    )
     assert result.stdout.startswith("a/one-avoid.mp4\na/one-avoid.png\na/one-avoid.csv\nWithout: ")
     assert "hits at 2.0 m/s. With flight:" in result.stdout.replace("\n", " ")
     rows = csv_rows(Path("a/one-avoid.csv"))
@@ -135,7 +145,7 @@ def test_the_films_folder_is_locked_while_it_is_flown(scene, tmp_path):
 
 
 def test_what_the_function_tells(scene, tmp_path):
-    clip = synth("wall", tmp_path, avoid="set9", size="64x36", seed=1, frames=40)
+    clip = synth("wall", tmp_path, avoid="set9", size="64x36", seed=1, frames=15)
     assert clip.record["saved"] is None and clip.record["collision_frame"] is None
     assert {row["flight"] for row in clip.truth} == {"without", "with"}
 

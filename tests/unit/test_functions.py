@@ -89,7 +89,7 @@ def test_errors_are_the_library_s(dlgmd, tmp_path, call, error, why):
 def test_the_library_is_light_and_needs_no_click():
     program = """
 import sys, dlgmd_cli
-assert not {"numpy", "cv2", "yaml", "dlgmd_cli.api"} & set(sys.modules)
+assert not {"numpy", "cv2", "yaml", "dlgmd_cli.tasks"} & set(sys.modules)
 for name in dlgmd_cli.__all__:
     assert callable(getattr(dlgmd_cli, name)), name
 heavy = {"click", "rich", "matplotlib", "optuna", "numba", "distributed"} & set(sys.modules)

@@ -153,7 +153,7 @@ def test_python_names_a_module_too(theirs, clips, monkeypatch):
     sys.modules.pop("stranger")
 
 
-def test_a_file_is_no_optional_package(tmp_path, clips):
+def test_a_file_is_no_optional_package(tmp_path, clips, theirs):
     for name in ("numba", "jinja2", "plotly", "av"):
         (tmp_path / f"{name}.py").write_text("open('ran', 'w')")
     not_installed = """
@@ -169,8 +169,7 @@ PathFinder.find_spec = find_spec
     for words in (
         ["run", clips / "loom.avi", "--set", "9", "--engine", "numba"],
         ["run", clips / "loom.avi", "--decoder", "pyav", "--no-plots"],
-        ["run", clips / "loom.avi", "--decoder", "opencv", "--no-plots"],
-        ["view", "dlgmd-out/loom", "--out", "x.html"],
+        ["view", theirs / RESULT, "--out", "x.html"],
     ):
         call(tmp_path, *words, first=not_installed)
     assert not (tmp_path / "ran").exists()

@@ -90,9 +90,9 @@ QUIET = [
     {"balance": True},
     {"c_m": 0.7, "tau_m": 0.1},
     {"w_fps": 30.0},
-    {"shift": 16, "d_0": 0.3},
+    {"shift": 9, "d_0": 0.3},
     {
-        "shift": 16,
+        "shift": 9,
         "balance": True,
         "c_m": 0.4,
         "tau_m": 0.2,
