@@ -38,5 +38,7 @@ def test_a_script_without_its_main_guard_is_told_once(tmp_path):
     call = "from dlgmd_cli.machine.pool import run_tasks\nlist(run_tasks(len, ['ab'], 2))\n"
     script.write_text(call)
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
-    (line,) = done.stderr.splitlines()
-    assert done.returncode == 1 and "A Python script needs if __name__" in line
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    # Under load, Python's own tracker of resources may say more.
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
+    assert "A Python script needs if __name__" in line
