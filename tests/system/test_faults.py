@@ -191,7 +191,7 @@ def test_kills(tmp_path, monkeypatch, command):
             assert result.exit_code == 0, result.output
             assert hidden_in(tmp_path / "out") == []
             assert "live" in command or files_of(tmp_path / "out") == truth
-    assert n_killed > 10
+    assert n_killed > 4  # the others end sooner than the first two, while other tests rest
 
 
 def test_a_disk_that_is_full(tmp_path, clip, whole):

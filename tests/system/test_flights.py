@@ -299,7 +299,7 @@ def test_ctrl_c_from_outside(tmp_path, jobs):
     )
     (tmp_path / "program.py").write_text(program)
     command = [sys.executable, "program.py", "synth", "quick", "--count", "9999", "--out", "f"]
-    here = Path(__file__).parents[2]
+    here = Path(__file__).parents[1]
     process = subprocess.Popen(
         [*command, "--jobs", str(jobs)],
         cwd=tmp_path,
