@@ -88,7 +88,8 @@ def plot_sweep(result: SweepResult, width: Width = "one") -> Figure:
     shared = _scale_of(every, signed=True) if result.speeds_px and every.size else None
     mapped: list[QuadMesh] = []
     with house_style():
-        figure = new_figure(n_rows * 0.9 * width_in(width) / per_row + 0.35, width)
+        height_in = n_rows * 0.9 * width_in(width) / per_row + (0.55 if result.speeds_px else 0.35)
+        figure = new_figure(height_in, width)
         all_axes: Any = figure.subplots(n_rows, per_row, squeeze=False)
         for place, axes in enumerate(all_axes.flat):
             if place >= len(panels):

@@ -128,11 +128,6 @@ class Finding:
         null = self.of_null if self.claim.kind == SELECTS else None
         return EMPTY if self.holds == YES and null is not None and null.holds == YES else self.holds
 
-    @property
-    def n_met(self) -> int:
-        """Number of seeds for which it holds."""
-        return sum(self.meets(value) is True for value in self.values)
-
     def meets(self, value: float) -> bool | None:
         """Whether a value meets the criterion; None if it is undefined."""
         if math.isnan(value):
