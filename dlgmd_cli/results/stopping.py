@@ -4,10 +4,10 @@ An alarm is judged at the frame that raises it, as in `scoring`:
 
 - it is needed within the horizon before a collision, or *justified* if the drone would have hit
   something within 1.5 s, flying straight on. Then it is not false, either;
-- at the first frame at which an alarm is on, and needed or justified, the drone stops. It is *saved*
-  if it does so before it touches anything;
-- an alarm that is neither as it is raised asks for an *unneeded* stop, and the flight goes on. If it
-  is still on once a stop is needed or justified, the drone stops then.
+- at the first frame at which an alarm is on, and needed or justified, the drone stops. It is
+  *saved* if it does so before it touches anything;
+- an alarm that is neither when it is raised asks for an *unneeded* stop, and the flight goes on. If
+  it is still on once a stop is needed or justified, the drone stops then.
 
 No stop saves a drone that hovers from what comes at it: such collisions are left out.
 """
