@@ -201,13 +201,16 @@ class _Search:
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
         """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
-        paths = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
-        are_pictures = all(path.suffix.lower() in PICTURES for path in paths)
-        if len(paths) < MIN_PICTURES or not are_pictures or any(map(Path.is_dir, paths)):
+        found = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
+        paths = [path for path in found if path.suffix.lower() in PICTURES and not path.is_dir()]
+        others = sorted({path.name for path in found} - {path.name for path in paths})
+        if len(paths) < MIN_PICTURES or any(map(is_video, others)):
             return False
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
         why = ""
-        if any(_is_figure(path) for path in some):
+        if others:
+            why = f"its pictures are beside other files, such as {others[0]}"
+        elif any(_is_figure(path) for path in some):
             why = "its pictures are figures"
         else:
             sizes = set()

@@ -107,6 +107,8 @@ def test_arrays_and_files_give_the_same_result(runs, tmp_path):
         ([np.full((4, 4), 200.0)], "numbers from 200 to 200"),
         ([np.full((4, 4), np.nan)], "numbers from nan to nan"),
         ([7], "frame 0 is int64 of shape ()"),
+        (np.zeros((24, 32, 3), np.uint8), "its array has the shape (24, 32, 3)"),
+        (np.zeros((24, 32), np.uint8), "its array has the shape (24, 32)"),
     ],
 )
 def test_what_is_no_picture_is_refused(images, why):
