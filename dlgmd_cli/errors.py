@@ -3,9 +3,6 @@
 import logging
 import re
 
-# Programs that do not configure logging see nothing of ours.
-logging.getLogger("dlgmd_cli").addHandler(logging.NullHandler())
-
 
 def printable(text: str) -> str:
     """`text` on one line, with control characters escaped."""
@@ -37,6 +34,24 @@ def as_arguments(text: str) -> str:
         return (f"{name}=True" if name in _SWITCHES else name) + quote * (not found[2])
 
     return _OPTION.sub(argument, text)
+
+
+class _ForPrograms(logging.NullHandler):
+    """Names arguments, not options, in messages on their way from here to a program's handlers.
+
+    While a command runs, messages go no further than to the command's own handlers. Programs that
+    do not configure logging see nothing.
+    """
+
+    def handle(self, record: logging.LogRecord) -> bool:
+        """Rewrite a message in place."""
+        if _LOG.propagate:
+            record.msg, record.args = as_arguments(record.getMessage()), ()
+        return True
+
+
+_LOG = logging.getLogger("dlgmd_cli")
+_LOG.addHandler(_ForPrograms())
 
 
 class DlgmdError(Exception):

@@ -155,11 +155,12 @@ def evaluate(
     of recall, precision and false alarms are widened to the exact ones (Clopper-Pearson and
     Poisson), which 0 of 13 has, too. A best threshold of "none": none announces anything.
 
-    In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: at the first
-    alarm that is within --horizon before the collision or justified, the pilot reacts and the drone
+    In flights of 'dlgmd synth', whose record is beside the video, the loop is closed: once an alarm
+    is on within --horizon before the collision, or justified, the pilot reacts and the drone
     brakes, straight on. It is saved if it stops before it touches anything. A stop is justified if
     the drone would have hit something within 1.5 s, flying straight on, and its alarm is not false.
-    Other alarms ask for an unneeded stop, and the flight goes on.
+    An alarm that is neither when it is raised asks for an unneeded stop, and the flight goes on; if
+    it is still on later, the drone brakes then.
 
     Writes into OUT evaluate.csv (one row per model and threshold for all videos, and for each
     target, kind, manner and speed), curves.csv (recall and false alarms at every threshold, for all

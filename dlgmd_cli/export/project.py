@@ -183,12 +183,14 @@ class Export:
 
     @property
     def _reduced_bytes(self) -> int:
-        """Of the pictures whose expansion is measured, and where their columns have moved to."""
+        """Of what the expansion is measured with: a window, or the change of the whole picture."""
         if not self.expands:
             return 0
-        factor = factor_of(self.width)
+        factor, number = factor_of(self.width), 2 if self.is_fixed else 4
         width, height = self.width // factor, self.height // factor
-        return _whole(2 * width * height, 4) + 16 * width
+        window = (min(width, height) // 2 + 1) // 2 * 2 + 1
+        fit = 6 * window + 2 + number * (window**2 + width) + (window + 2) ** 2 + 2 * width
+        return _whole(max(fit, width * (height + 1)), 4)
 
     @property
     def costs(self) -> dict[str, int]:

@@ -71,7 +71,7 @@ class Spec:
         """The value that `text` states; raises what `check` raises."""
         value: Any = text.strip()
         if self.kind is bool:
-            value = {"true": True, "false": False}.get(value, value)
+            value = {"true": True, "false": False}.get(value.lower(), value)
         elif self.kind is not str and value not in self.choices:
             for kind in (int, float):
                 try:

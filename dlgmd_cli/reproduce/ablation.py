@@ -65,7 +65,7 @@ class Ablated(DLGMD):
     def __init__(self, params: AblatedParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
         self.connections = connections_of(self.params)
-        delay = max(self.connections.max_delay_frames, self._least_delay)
+        delay = max(self.connections.max_delay_frames, self.least_delay)
         self.first_valid_frame = 1 + delay
         self.receptors = Photoreceptors(self.first_valid_frame)
 

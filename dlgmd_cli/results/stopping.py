@@ -1,12 +1,13 @@
 """The closed loop over rendered flights: what the stops that alarms ask for are worth.
 
-An alarm counts at the frame that raises it, as in `scoring`:
+An alarm is judged at the frame that raises it, as in `scoring`:
 
 - it is needed within the horizon before a collision, or *justified* if the drone would have hit
   something within 1.5 s, flying straight on. Then it is not false, either;
-- at the first alarm that is needed or justified the drone stops. It is *saved* if it does so before
-  it touches anything;
-- any other alarm before the collision asks for an *unneeded* stop, and the flight goes on.
+- at the first frame at which an alarm is on, and needed or justified, the drone stops. It is
+  *saved* if it does so before it touches anything;
+- an alarm that is neither when it is raised asks for an *unneeded* stop, and the flight goes on. If
+  it is still on once a stop is needed or justified, the drone stops then.
 
 No stop saves a drone that hovers from what comes at it: such collisions are left out.
 """
@@ -117,8 +118,9 @@ def tally_stops(
     if stops.can_stop:
         # Without a stop, the speed is that of the last frame before the collision.
         impact[:] = stops.speed_m_s
+        # Where an alarm is on, not only where it begins: a pilot who did not heed it then may now.
         for row in np.flatnonzero((kind == HIT) | justified)[::-1]:  # earlier ones overwrite
-            here = begins[row]
+            here = at <= high[row]
             saved[here] = stops.saved[rows[row]]
             impact[here], left[here] = stops.impact_m_s[rows[row]], stops.stopped_m[rows[row]]
     n_unneeded = begins[(kind == FALSE) | (kind == EARLY)].sum(axis=0)

@@ -31,7 +31,7 @@ from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.batch import OF_INPUT, OF_SUMMARY, SIDE, Batch, Row, Summary
 from dlgmd_cli.results.record import differences, read_record
 from dlgmd_cli.results.result import Result
-from dlgmd_cli.tasks.call import Progress, no_progress, write_clips
+from dlgmd_cli.tasks.call import Progress, clips_written, no_progress
 from dlgmd_cli.tasks.find import Found, VideoFile, find_videos, local_copy
 from dlgmd_cli.tasks.run import require_response, run_models
 from dlgmd_cli.tasks.setup import (
@@ -443,12 +443,13 @@ def run_video(shared: Shared, task: Task) -> dict[int, Row]:
                 try:
                     alone = replace(asked, setups=(shared.asked.setups[number],))
                     require_response(opened, alone, [result])
-                    rows[number] = _save(shared, number, video, result, began)
-                    if shared.clips is not None:
-                        place = clips_place(shared, number, video)
-                        onsets_s = [one.start_s for one in result.alarm_list]
-                        rate = asked.options.input_fps
-                        write_clips(path, place.name, onsets_s, place.parent, rate)
+                    with ExitStack() as clips:  # a result without its clips is not done
+                        if shared.clips is not None:
+                            place = clips_place(shared, number, video)
+                            onsets_s = [one.start_s for one in result.alarm_list]
+                            where = place.name, onsets_s, place.parent, asked.options.input_fps
+                            clips.enter_context(clips_written(path, *where))
+                        rows[number] = _save(shared, number, video, result, began)
                 except Exception as error:
                     rows[number] = error_row(error, began=began)
     except Exception as error:

@@ -103,11 +103,12 @@ def calibrate(
     >>> found = calibrate("flights/labels.csv", set=9, out="best")  # doctest: +SKIP
     >>> run("flight.mp4", config="best/calibrated.yaml")  # doctest: +SKIP
     """
-    if options.get("normalise") == "sequence":
-        raise ParameterError("", "--normalise sequence leaves no threshold to calibrate")
     if not name.strip(". ") or Path(name).name != name:
         raise ParameterError("", f"--name: {printable(name)!r} is not the name of a file")
     asked = fold(None, set, config, model, formulation, param, engine, options)
+    if asked.options.normalise == "sequence":
+        why = "--normalise sequence leaves no threshold to calibrate"
+        raise ParameterError("", why, "Add --normalise absolute.")
     rules = Rules(**rules_of(horizon, max_false_per_min), folds=_FOLDS.check(folds, "--folds"))
     n_trials = _TRIALS.check(trials, "--trials")
     if isinstance(search, Mapping):

@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -86,22 +86,24 @@ def opened(
             yield source, claim
 
 
-def write_clips(
+@contextmanager
+def clips_written(
     source: str, name: str, onsets_s: Sequence[float], folder: Path, input_fps: float | None = None
-) -> list[Path]:
+) -> Iterator[list[Path]]:
     """Write a clip of each alarm into a folder, in place of the earlier ones; see `make_clips`.
 
-    Raises SourceError if the source cannot be decoded, and OutputError if the folder cannot be
-    written; earlier clips are unchanged then.
+    They are made before the context, and appear after it. Raises SourceError if the source cannot
+    be decoded, and OutputError if the folder cannot be written; earlier clips are unchanged then.
     """
     spans = spans_of(name, onsets_s)
     earlier = [path.name for path in clips_of(folder, name)]
-    if spans or earlier:
-        # Without a lock: a batch writes clips of several videos at once.
-        claimed = store.claimed(folder, option="--clips", locks=False)
-        with claimed as claim, claim.staged(stale=earlier) as stage:
+    with ExitStack() as stack:
+        if spans or earlier:
+            # Without a lock: a batch writes clips of several videos at once.
+            claimed = store.claimed(folder, option="--clips", locks=False)
+            stage = stack.enter_context(stack.enter_context(claimed).staged(stale=earlier))
             make_clips(source, spans, stage, input_fps)
-    return [folder / clip for clip in spans]
+        yield [folder / clip for clip in spans]
 
 
 def watched(
@@ -117,3 +119,6 @@ def tell(video: Video, asked: Asked, warnings: Sequence[str]) -> None:
         _log.warning("%s: %s", video.info.given, warning)
     if asked.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
+    if (asked.options.input_fps or video.info.fps) != video.info.fps:
+        said = "Note: %s: it states %.4g frames/s, so that --input-fps is not used."
+        _log.info(said, video.info.given, video.info.fps)

@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
@@ -74,6 +74,8 @@ def find_videos(
     MissingExtraError if the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
+    if "" in roots:
+        raise ParameterError("", "the name of a folder is empty")
     search = _Search(leave_out, exclude)
     prefixes = distinct_names([Path(root) for root in roots]) if len(roots) > 1 else [""]
     named = list(zip(prefixes, roots, strict=True))
@@ -201,13 +203,16 @@ class _Search:
 
     def _is_sequence(self, folder: str, entries: Sequence["os.DirEntry[str]"]) -> bool:
         """Whether a folder holds the frames of a video; adds a remark if it only looks like it."""
-        paths = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
-        are_pictures = all(path.suffix.lower() in PICTURES for path in paths)
-        if len(paths) < MIN_PICTURES or not are_pictures or any(map(Path.is_dir, paths)):
+        found = [Path(entry.path) for entry in entries if not entry.name.startswith(".")]
+        paths = [path for path in found if path.suffix.lower() in PICTURES and not path.is_dir()]
+        others = sorted({path.name for path in found} - {path.name for path in paths})
+        if len(paths) < MIN_PICTURES or any(map(is_video, others)):
             return False
         some = paths[:: max(1, len(paths) // _N_CHECKED)]
         why = ""
-        if any(_is_figure(path) for path in some):
+        if others:
+            why = f"its pictures are beside other files, such as {others[0]}"
+        elif any(_is_figure(path) for path in some):
             why = "its pictures are figures"
         else:
             sizes = set()

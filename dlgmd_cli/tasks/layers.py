@@ -206,12 +206,10 @@ def _strongest(
     video: Video, asked: Asked, progress: Progress, contact: int | None
 ) -> tuple[int, ...]:
     """The frames with the strongest responses, by a run over the video."""
-    warnings = [*video.progress.warnings]
     with watched(video, asked, progress) as on_frame:
         results = run_models(video, asked, on_frame=on_frame)
     cancel.check()
     require_response(video, asked, results)
-    video.progress.warnings[:] = warnings
     return strongest_frames(results[0], contact=contact, blind_s=video.progress.blind_s)
 
 

@@ -26,13 +26,13 @@ from dlgmd_cli.results.rows import RowList, Rows
 from dlgmd_cli.tasks.call import (
     OnFrame,
     Progress,
+    clips_written,
     fold,
     no_progress,
     opened,
     silent,
     tell,
     watched,
-    write_clips,
 )
 from dlgmd_cli.tasks.setup import DEFAULT_PRESET, Asked, ModelName, Setup
 from dlgmd_cli.video.clips import refuse_clips
@@ -155,7 +155,8 @@ def run(
         if clips is not None and results[0].complete:
             onsets_s, rate = [one.start_s for one in results[0].alarm_list], asked.options.input_fps
             info = source.info
-            made = write_clips(info.given, info.name, onsets_s, Path(clips), rate)
+            with clips_written(info.given, info.name, onsets_s, Path(clips), rate) as made:
+                pass
             _log.info("%s in %s.", counted(len(made), "clip"), clips)
     return results[0] if models is None else results
 

@@ -172,7 +172,7 @@ class Search:
             )
             for key, one in self.ranges.items()
         }
-        if not self._study.get_trials(deepcopy=False):
+        if not len(self):  # none, or the first one was interrupted
             own = {**setup.params.to_dict(), WIDTH: setup.width_px}
             self._study.enqueue_trial(
                 {key: min(max(own[key], r.low), r.high) for key, r in self.ranges.items()}

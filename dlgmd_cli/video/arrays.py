@@ -27,6 +27,10 @@ class ArrayDecoder:
 
     def __init__(self, images: Iterable[Any], fps: float, name: str = NAME) -> None:
         self._fps, self._name, self._index = fps, name, 0
+        shape = getattr(images, "shape", None)
+        if shape is not None and (len(shape) not in (3, 4) or shape[2:] == (3,)):
+            why = f"its array has the shape {tuple(shape)}"  # the last one is of a single picture
+            raise SourceError(name, why, "Frames have the shape (n, H, W) or (n, H, W, 3).")
         iterator = iter(images)
         self._image = next(iterator, None)
         if self._image is None:
@@ -85,7 +89,4 @@ def load_array(path: Path) -> Image:
     except Exception as error:  # of a damaged header, also those of Python's parser
         reason = getattr(error, "strerror", None) or "not an array of numbers in NumPy's format"
         raise SourceError(str(path), f"cannot be read ({reason})") from None
-    if array.ndim not in (3, 4):
-        why = f"its array has the shape {array.shape}"
-        raise SourceError(str(path), why, "Frames have the shape (n, H, W) or (n, H, W, 3).")
     return array

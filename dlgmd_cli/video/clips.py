@@ -8,10 +8,10 @@ from typing import Any
 
 from dlgmd_cli.errors import MissingExtraError, OutputExistsError
 from dlgmd_cli.machine import cancel
-from dlgmd_cli.video.base import openable
+from dlgmd_cli.video.base import Unreadable, openable
 from dlgmd_cli.video.luma import to_bgr
 from dlgmd_cli.video.opening import open_video
-from dlgmd_cli.video.pyav import import_av
+from dlgmd_cli.video.pyav import import_av, video_streams
 from dlgmd_cli.video.writer import best_codec, playable_fps, video_writer
 
 BEFORE_S, AFTER_S = 2.0, 1.0
@@ -74,7 +74,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
     start_s, end_s = max(span_s[0], 0.0), span_s[1]
     try:
         with openable(Path(source).absolute()) as name, av.open(f"file:{name}") as video:
-            stream: Any = video.streams.video[0]
+            stream: Any = video_streams(video)[0]
             is_fit = _CONTAINERS.intersection(video.format.name.split(","))
             if not is_fit or stream.codec_context.name not in _CODECS:
                 return False
@@ -99,7 +99,7 @@ def _copy(source: str, span_s: tuple[float, float], target: Path) -> bool:
                     clip.mux(packet)
                     packet = next(packets, None)
         return True
-    except (av.FFmpegError, StopIteration, ValueError):
+    except (av.FFmpegError, Unreadable, StopIteration, ValueError):
         target.unlink(missing_ok=True)
         return False
 

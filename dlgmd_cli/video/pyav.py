@@ -101,7 +101,7 @@ class PyAVDecoder:
         except (av.FFmpegError, ValueError):
             require_memory()
             raise Unreadable from None
-        streams = _video_streams(self._container)
+        streams = video_streams(self._container)
         stream = self._stream = streams[0]
         # One thread per frame if the codec allows it, else per slice. PyAV's default is slices,
         # which most videos do not have.
@@ -336,7 +336,7 @@ def _first_stamps(av: Any, name: str, index: int) -> list[float]:
     return stamps
 
 
-def _video_streams(container: "InputContainer") -> list["VideoStream"]:
+def video_streams(container: "InputContainer") -> list["VideoStream"]:
     """The decodable video streams that are no cover pictures, at least one, the default first."""
     streams = [
         stream

@@ -283,7 +283,8 @@ class Video:
             import_av(self.info.given, "nothing can be seen, as if OpenCV read interlaced video")
         progress.blind, progress.blind_s = blind if spans.throughout else "", spans.spans_s
         reports = (clock.report(), missing, self._repetition(), blind, ending)
-        progress.warnings += [line for line in reports if line]
+        # Of an input that is read again, each once.
+        progress.warnings += [line for line in reports if line and line not in progress.warnings]
         progress.damage = [line for line in (missing, ending) if line]
 
     def sampling(self) -> str:

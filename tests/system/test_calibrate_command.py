@@ -11,6 +11,7 @@ from conftest import looming_frames, write_video
 
 from dlgmd_cli import load_config
 from dlgmd_cli.errors import OutputExistsError
+from dlgmd_cli.machine import cancel
 from dlgmd_cli.models.detection import absolute
 from dlgmd_cli.parameters.presets import DlgmdParameters, LgmdParameters
 from dlgmd_cli.results.calibration import (
@@ -153,6 +154,22 @@ def test_a_search_continues_from_its_trials(tmp_path):
         Search(tmp_path, ranges, {"a": 2})
     with closing(Search(tmp_path, ranges, {"a": 2}, overwrite=True)) as search:
         assert len(search) == 0
+
+
+def test_an_interrupted_search_begins_with_the_own_values_again(tmp_path):
+    setup, seen = Setup(DlgmdParameters(), "set9"), []
+
+    def measure(changed):
+        seen.append(changed.params.sigma_i)
+        if len(seen) == 1:
+            raise cancel.Interrupted
+        return (Choice(2, 0.1, (1.0, 0.0, 0.0)),) * 2
+
+    with closing(Search(tmp_path, ranges_of("sigma_i=1:9"), {})) as search:
+        with pytest.raises(cancel.Interrupted):
+            list(search.run(2, setup, measure))
+        assert list(search.run(2, setup, measure)) == [1, 2]
+    assert seen[:2] == [5.0, 5.0] and seen[2] != 5.0
 
 
 def test_values_that_do_not_go_together_are_passed_over(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from conftest import csv_rows, looming_frames, read_video, write_video
 
 from dlgmd_cli.errors import OutputExistsError, SourceError
-from dlgmd_cli.tasks.call import write_clips
+from dlgmd_cli.tasks.call import clips_written
 from dlgmd_cli.video.clips import refuse_clips
 
 pytest.importorskip("av", reason="copies need PyAV")
@@ -19,6 +19,12 @@ def frames():
         image = np.full((48, 400), 40, np.uint8)
         image[:, : 2 * k] = 200
         yield image
+
+
+def write_clips(*asked):
+    """The clips that are written."""
+    with clips_written(*asked) as made:
+        return made
 
 
 def numbers(path):
@@ -96,3 +102,22 @@ def test_run_and_batch_write_clips(dlgmd, runs, tmp_path, here):
     models = ("batch", "in/day1", "--model", "lgmd", *ALARMED[:-1], "--no-plots", "--out", "both")
     runs(*models, "--config", "flight", "--clips", "three", "--jobs", 1)
     assert (tmp_path / "three/set9" / name).is_file()
+
+
+def test_a_video_whose_clips_cannot_be_written_is_not_done(dlgmd, tmp_path, here):
+    write_video(tmp_path / "loom.avi", looming_frames())
+    (tmp_path / "file").touch()
+    batch = ("batch", "loom.avi", *ALARMED, "--jobs", 1, "--clips")
+    failed = dlgmd(*batch, "file/clips")
+    assert failed.exit_code == 1 and "cannot be written (Not a directory)" in failed.stderr
+    assert "1 video: 1 done, 1 with alarms" in dlgmd(*batch, "clips").stdout
+    assert len(list((tmp_path / "clips").iterdir())) == 1
+
+
+def test_clips_appear_only_with_what_they_belong_to(clips, tmp_path):
+    with (
+        pytest.raises(ZeroDivisionError),
+        clips_written(str(clips / "loom.avi"), "a", [0.4], tmp_path),
+    ):
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())

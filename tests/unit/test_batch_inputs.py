@@ -94,7 +94,8 @@ def test_folders_of_pictures_are_videos(tmp_path):
     assert names(found) == ["a/frames.v1", "outer/inner"]
     assert [video.folder for video in found.videos] == ["a/frames", "outer/inner"]
     assert found.videos[0].identity["pictures"] == 8
-    reasons = {"broken": "cannot be read", "figures": "are figures", "sizes": "not of one size"}
+    reasons = {"broken": "cannot be read", "figures": "are figures"}
+    reasons |= {"mixed": "such as notes.txt", "outer": "such as inner", "sizes": "not of one size"}
     remarks = sorted(found.remarks)
     assert len(remarks) == len(reasons)
     for remark, (name, why) in zip(remarks, reasons.items(), strict=True):

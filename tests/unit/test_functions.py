@@ -40,6 +40,11 @@ ROOT = Path(dlgmd_cli.__file__).parent
             "no threshold",
         ),
         (
+            lambda v: dlgmd_cli.calibrate("l.csv", config="by-sequence.yaml"),
+            errors.ParameterError,
+            "no threshold",
+        ),
+        (
             lambda v: dlgmd_cli.calibrate("l.csv", set=9, search={"sigma_e": (2, 1)}),
             errors.ParameterError,
             "does not rise",
@@ -81,6 +86,7 @@ ROOT = Path(dlgmd_cli.__file__).parent
 def test_errors_are_the_library_s(dlgmd, tmp_path, call, error, why):
     (tmp_path / "empty").mkdir()
     (tmp_path / "l.csv").write_text("video,collision_frame\ngone.mp4,3\n")
+    (tmp_path / "by-sequence.yaml").write_text("set: 9\noptions:\n  normalise: sequence\n")
     with pytest.raises(error, match=why):
         call("empty")
     assert not Path("x").exists()

@@ -153,3 +153,11 @@ def test_the_command_names_options_and_python_arguments(error, line, text):
     assert (error.line, str(error)) == (line, text)
     again = pickle.loads(pickle.dumps(error))
     assert (again.line, str(again)) == (line, text)
+
+
+def test_a_program_that_logs_reads_the_names_of_arguments(caplog, tmp_path):
+    caplog.set_level("INFO")
+    dlgmd_cli.synth("looming-cube", out=tmp_path, frames=3, noise=0.01, background=0.8)
+    assert "Note: MPEG-4 smooths the noise; lossless keeps every pixel of it." in caplog.messages
+    logging.getLogger("dlgmd_cli.own").warning("%s", "Give --input-fps")
+    assert caplog.messages[-1] == "Give input_fps"

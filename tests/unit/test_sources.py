@@ -107,6 +107,8 @@ def test_arrays_and_files_give_the_same_result(runs, tmp_path):
         ([np.full((4, 4), 200.0)], "numbers from 200 to 200"),
         ([np.full((4, 4), np.nan)], "numbers from nan to nan"),
         ([7], "frame 0 is int64 of shape ()"),
+        (np.zeros((24, 32, 3), np.uint8), "its array has the shape (24, 32, 3)"),
+        (np.zeros((24, 32), np.uint8), "its array has the shape (24, 32)"),
     ],
 )
 def test_what_is_no_picture_is_refused(images, why):
@@ -119,6 +121,12 @@ def test_a_frame_unlike_the_first_ends_the_input():
     odd = [*FRAMES[:9], FRAMES[9][:-2], *FRAMES[10:]]
     result = dlgmd_cli.run(odd, fps=FPS)
     assert len(result) == 9 and "frame 9 is uint8 of shape (22, 32)" in result.warnings[0]
+
+
+@pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
+def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
+    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--no-plots")
+    assert ("it states 25 frames/s, so that --input-fps is not used" in made.stderr) == is_told
 
 
 def test_files_of_other_arrays_are_refused(tmp_path):

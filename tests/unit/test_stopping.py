@@ -64,6 +64,24 @@ def test_the_first_alarm_that_is_needed_decides():
     assert judged(signal_of(1.75), stops).impact_m_s[0] == 1.2
 
 
+def test_an_alarm_that_stays_on_stops_the_drone_once_that_is_justified():
+    """A stop is justified from 1 s on, or from 1.7 s on, and saves the drone until 1.6 s."""
+    early = np.arange(0.8, 1.1, 1 / 30)
+    for spikes, justified_from_s, saved, impact in (
+        (early, 1.0, True, math.nan),
+        (early[:5], 1.0, False, 2.0),  # it ends before
+        (np.arange(0.8, 1.9, 1 / 30), 1.7, True, math.nan),  # needed from 1.5 s on
+        (np.arange(0.8, 1.3, 1 / 30), 1.7, False, 2.0),
+    ):
+        found = judged(signal_of(*spikes), stops_of(True, 1.6, justified_from_s))
+        assert found.saved[0] == saved and (found.n_unneeded[0], found.n_justified[0]) == (1, 0)
+        assert found.impact_m_s[0] == pytest.approx(impact, nan_ok=True)
+    # The level at which it stays on decides: it sinks from 1 to 0.4 before a stop is justified.
+    signal = signal_of(*early)
+    signal.strength[29:] = np.minimum(signal.strength[29:], 0.4)
+    assert judged(signal, stops_of(), [0.3, 0.5]).saved.tolist() == [True, False]
+
+
 def test_an_alarm_that_is_justified_is_not_false():
     """Those from 1 s on are, those from 1.5 s on announce the collision."""
     plain = signal_of(0.3, 1.2, 1.8)

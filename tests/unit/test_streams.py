@@ -6,13 +6,14 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import write_video
+from conftest import read_video, write_video
 
 av = pytest.importorskip("av", reason="PyAV writes these videos")
 
 from damaged import encode  # noqa: E402
 
 from dlgmd_cli.errors import MissingExtraError  # noqa: E402
+from dlgmd_cli.video.clips import make_clips  # noqa: E402
 from dlgmd_cli.video.opening import open_video  # noqa: E402
 from dlgmd_cli.video.orientation import UPRIGHT, Orientation, of_mp4  # noqa: E402
 
@@ -122,6 +123,12 @@ def test_of_several_streams_the_default_one_is_read(
         assert info.decoder == "pyav"
         (line,) = warnings
         assert f"2 video streams; number {default + 1} is read, the default" in line
+
+
+def test_clips_are_of_the_stream_that_is_read(tmp_path):
+    path = two_streams(tmp_path / "x.mp4", default=1)
+    make_clips(str(path), {"clip.mp4": (-1.0, 0.5)}, tmp_path)
+    assert read_video(tmp_path / "clip.mp4")[1][0].shape == (32, 48, 3)
 
 
 def test_without_pyav_another_stream_than_the_first_is_refused(tmp_path, monkeypatch):

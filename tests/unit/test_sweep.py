@@ -37,6 +37,7 @@ def axis(text, kind=DlgmdParameters):
         ("r=2:8:3", (2, 5, 8)),
         ("r=2.0:4:1", (2, 3, 4)),
         ("ffi_gd=true,false", (True, False)),
+        ("ffi_gd=True,False", (True, False)),  # as Python writes them
         ("formulation=released,default", ("released", "default")),
     ],
 )

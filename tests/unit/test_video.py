@@ -603,7 +603,8 @@ def test_blind_pictures_are_told(tmp_path, decoder, kinds, told, repeats):
     video = write_video(tmp_path / "x.avi", seen(kinds), fourcc="FFV1")
     for path in (video, np.array(seen(kinds))):
         with open_video(path, decoder=decoder, repeats=repeats, input_fps=25.0) as source:
-            assert len(list(source)) <= len(kinds)
+            for _ in range(2):  # what is told is told once
+                assert len(list(source)) <= len(kinds)
         lines = [line for line in source.progress.warnings if "nothing can be seen" in line]
         assert len(lines) == bool(told) and told in "".join(lines)
         assert source.progress.blind == (lines[0] if "all" in told else "")

@@ -206,10 +206,15 @@ static bool is_less(fraction a, fraction b)
 /* Sums over whole blocks of 4 x 4 cells. */
 static void see_blocks(uint16_t (*blocks)[BLOCKS_X], const uint8_t *frame)
 {
-    memset(blocks, 0, BLOCKS_Y * sizeof *blocks);
-    for (int y = 0; y < 4 * BLOCKS_Y; y++) {
-        for (int x = 0; x < 4 * BLOCKS_X; x++) {
-            blocks[y / 4][x / 4] = (uint16_t)(blocks[y / 4][x / 4] + frame[y * WIDTH + x]);
+    for (int y = 0; y < BLOCKS_Y; y++) {
+        for (int x = 0; x < BLOCKS_X; x++) {
+            const uint8_t *cell = frame + 4 * y * WIDTH + 4 * x;
+            uint32_t sum = 0;
+            for (int i = 0; i < 4; i++) {
+                sum += (uint32_t)cell[0] + cell[1] + cell[2] + cell[3];
+                cell += WIDTH;
+            }
+            blocks[y][x] = (uint16_t)sum;
         }
     }
 }
@@ -259,41 +264,45 @@ enum {
     SMALL_Y = DLGMD_HEIGHT / DLGMD_FACTOR,
     SMALL_X = DLGMD_WIDTH / DLGMD_FACTOR,
     SIDE = (SMALL_Y < SMALL_X ? SMALL_Y : SMALL_X) / 2,
-    LEAST_REACH = SIDE < 12 ? (SIDE + 1) / 2 : 6
+    LEAST_REACH = SIDE < 12 ? (SIDE + 1) / 2 : 6,
+    LINE = DLGMD_WINDOW + 2 /* cells in a row of the earlier picture that are kept */
 };
 
 typedef struct {
     int top, bottom, left, right; /* rows and columns; those of `bottom` and `right` are excluded */
 } window;
 
-/* Row `y` of the sums over blocks, three of which are kept. */
-static uint32_t *sums_of(dlgmd_state *state, int y)
+/* Sum of the cells of three blocks, one below the other. */
+static uint32_t column_of(const uint8_t *const *blocks, int x)
 {
-    int inside = y < 0 ? 0 : y < SMALL_Y ? y : SMALL_Y - 1;
-    return state->work.reduced.sums[inside % 3];
+    uint32_t sum = 0;
+    for (int i = 0; i < FACTOR; i++) {
+        for (int at = i * WIDTH + x * FACTOR; at < i * WIDTH + (x + 1) * FACTOR; at++) {
+            sum += (uint32_t)blocks[0][at] + blocks[1][at] + blocks[2][at];
+        }
+    }
+    return sum;
 }
 
-/* Means over blocks, and over 3 x 3 of those; at a border, the blocks next to it count twice. */
-static void reduce(dlgmd_state *state, uint8_t (*small)[SMALL_X], const uint8_t *frame)
+/* A part of row `y` of the reduced picture: means over blocks, and over 3 x 3 of those; at a border,
+   the blocks next to it count twice. */
+static void reduce(const uint8_t *frame, int y, int left, int right, uint8_t *row)
 {
-    for (int y = 0; y <= SMALL_Y; y++) {
-        uint32_t *sums = sums_of(state, y);
-        memset(sums, 0, y < SMALL_Y ? SMALL_X * sizeof *sums : 0);
-        for (int i = y * FACTOR; y < SMALL_Y && i < (y + 1) * FACTOR; i++) {
-            for (int x = 0; x < SMALL_X * FACTOR; x++) {
-                sums[x / FACTOR] += frame[i * WIDTH + x];
-            }
-        }
-        const uint32_t *up = sums_of(state, y - 2), *here = sums_of(state, y - 1);
-        uint32_t before = up[0] + here[0] + sums[0], now = before;
-        for (int x = 0; y > 0 && x < SMALL_X; x++) {
-            int right = x + 1 < SMALL_X ? x + 1 : x;
-            uint32_t next = up[right] + here[right] + sums[right];
-            uint32_t sum = before + now + next, of = 9 * FACTOR * FACTOR;
-            small[y - 1][x] = (uint8_t)((2 * sum + of) / (2 * of));
-            before = now;
-            now = next;
-        }
+    const uint8_t *blocks[3];
+    for (int i = 0; i < 3; i++) {
+        int at = y + i - 1;
+        blocks[i] = frame + (at < 0 ? 0 : at < SMALL_Y ? at : SMALL_Y - 1) * FACTOR * WIDTH;
+    }
+    const uint32_t of = 9 * FACTOR * FACTOR;
+    uint32_t now = column_of(blocks, left), before = left > 0 ? column_of(blocks, left - 1) : now;
+    for (int x = left + 1; x < (right < SMALL_X ? right + 1 : SMALL_X); x++) {
+        uint32_t next = column_of(blocks, x);
+        *row++ = (uint8_t)((before + now + next + of / 2) / of);
+        before = now;
+        now = next;
+    }
+    if (right == SMALL_X) {
+        *row = (uint8_t)((before + 2 * now + of / 2) / of);
     }
 }
 
@@ -338,16 +347,22 @@ static int32_t shifted(int32_t value, unsigned bits)
     return (value + (1 << (bits - 1))) >> bits;
 }
 
-/* The earlier cell less the newest picture at a place. */
-static rest rest_of(const dlgmd_state *state, int y, int x, dlgmd_place at_y, dlgmd_place at_x)
+/* How far a place is from the cell before it. */
+static dlgmd_place beyond(dlgmd_place at)
 {
-    const uint8_t *above = state->work.reduced.small[0][cell_of(at_y)] + cell_of(at_x);
-    const uint8_t *below = above + SMALL_X;
-    int32_t right = at_x & 255, down = at_y & 255;
-    int32_t upper = 256 * above[0] + right * (above[1] - above[0]);
-    int32_t lower = 256 * below[0] + right * (below[1] - below[0]);
-    int32_t seen = 256 * upper + down * (lower - upper);
-    return shifted(65536 * state->work.reduced.small[1][y][x] - seen, 11);
+    return at & 255;
+}
+
+/* What is between two cells, `part` of the way from the first one. */
+static dlgmd_blend between(int32_t first, int32_t second, dlgmd_place part)
+{
+    return (dlgmd_blend)(256 * first + part * (second - first));
+}
+
+/* A cell less what is between two others. */
+static rest rest_of(int32_t cell, dlgmd_blend left, dlgmd_blend right, dlgmd_place part)
+{
+    return shifted(65536 * cell - 256 * left - part * (right - left), 11);
 }
 
 static rest slope_in_levels(int32_t sobel)
@@ -437,17 +452,23 @@ static int cell_of(dlgmd_place at)
     return (int)at;
 }
 
-/* The earlier cell less the newest picture at a place, in grey levels. */
-static rest rest_of(const dlgmd_state *state, int y, int x, dlgmd_place at_y, dlgmd_place at_x)
+/* How far a place is from the cell before it. */
+static dlgmd_place beyond(dlgmd_place at)
 {
-    int row = cell_of(at_y), column = cell_of(at_x);
-    const uint8_t *above = state->work.reduced.small[0][row] + column;
-    const uint8_t *below = above + SMALL_X;
-    float right = at_x - (float)column, down = at_y - (float)row;
-    float upper = (float)above[0] + right * ((float)above[1] - (float)above[0]);
-    float lower = (float)below[0] + right * ((float)below[1] - (float)below[0]);
-    float seen = upper + down * (lower - upper);
-    return (float)state->work.reduced.small[1][y][x] - seen;
+    int cell = cell_of(at);
+    return at - (float)cell;
+}
+
+/* What is between two cells, `part` of the way from the first one. */
+static dlgmd_blend between(int32_t first, int32_t second, dlgmd_place part)
+{
+    return (float)first + part * (float)(second - first);
+}
+
+/* A cell less what is between two others, in grey levels. */
+static rest rest_of(int32_t cell, dlgmd_blend left, dlgmd_blend right, dlgmd_place part)
+{
+    return (float)cell - left - part * (right - left);
 }
 
 static rest slope_in_levels(int32_t sobel)
@@ -500,55 +521,111 @@ static bool is_within(dlgmd_place at, int n)
     return at >= 0 && cell_of(at) < n - 1;
 }
 
-/* Mean of the differences between a window of the earlier picture and where it has moved to. */
-static bool see_scale(dlgmd_state *state, window part, const dlgmd_motion *by, rest *scale)
+/* Where the cells of a window have moved to, in a row of the picture that are all or partly in it. */
+static dlgmd_place row_of(window part, int y, const dlgmd_motion *by)
 {
+    int mid = part.top + part.bottom - 1;
+    return place_of(mid, 2 * y - mid, by[0], by[2]);
+}
+
+/* Keep the differences between a row of the window and where it has moved to, `line`; returns their
+   sum. */
+static rest see_row_of(dlgmd_state *state, window part, int y, int *n_seen)
+{
+    const uint8_t *here = state->work.fit.before[y - part.top + 1] + 1;
+    const int16_t *cells = state->work.fit.cells;
+    dlgmd_rest *rests = state->work.fit.rests[y - part.top];
+    rest sum = 0;
+    int n = 0;
+    for (int x = 0; x < part.right - part.left; x++) {
+        if (cells[x] >= 0) {
+            const dlgmd_blend *line = state->work.fit.line + cells[x];
+            rest apart = rest_of(here[x], line[0], line[1], state->work.fit.parts[x]);
+            rests[x] = (dlgmd_rest)apart;
+            sum += apart < 0 ? -apart : apart;
+            n++;
+        }
+    }
+    *n_seen += n;
+    return sum;
+}
+
+/* Keep the differences between a window of the earlier picture and where it has moved to, and find
+   their scale; false if too little of it is seen. */
+static bool see_rests(dlgmd_state *state, const uint8_t *frame, window part, const dlgmd_motion *by,
+                      rest *scale)
+{
+    int from = SMALL_X, to = 0, mid = part.left + part.right - 1;
+    for (int x = part.left; x < part.right; x++) {
+        dlgmd_place at = place_of(mid, 2 * x - mid, by[1], by[3]);
+        int cell = is_within(at, SMALL_X) ? cell_of(at) : -1;
+        state->work.fit.cells[x - part.left] = (int16_t)cell;
+        if (cell >= 0) {
+            state->work.fit.parts[x - part.left] = beyond(at);
+            from = cell < from ? cell : from;
+            to = cell + 2 > to ? cell + 2 : to;
+        }
+    }
     moment sum = 0;
-    int n_seen = 0;
-    for (int y = part.top; y < part.bottom; y++) {
-        int mid = part.top + part.bottom - 1;
-        dlgmd_place at_y = place_of(mid, 2 * y - mid, by[0], by[2]);
-        for (int x = part.left; is_within(at_y, SMALL_Y) && x < part.right; x++) {
-            dlgmd_place at_x = state->work.reduced.places[x - part.left];
-            if (is_within(at_x, SMALL_X)) {
-                rest apart = rest_of(state, y, x, at_y, at_x);
-                sum += apart < 0 ? -apart : apart;
-                n_seen++;
+    int n_seen = 0, held[2] = {-1, -1}; /* rows of the newest picture */
+    for (int y = part.top; from < to && y < part.bottom; y++) {
+        dlgmd_place at_y = row_of(part, y, by);
+        if (!is_within(at_y, SMALL_Y)) {
+            continue;
+        }
+        for (int row = cell_of(at_y); row <= cell_of(at_y) + 1; row++) {
+            if (held[row % 2] != row) {
+                reduce(frame, row, from, to, state->work.fit.now[row % 2] + from);
+                held[row % 2] = row;
             }
         }
+        const uint8_t *above = state->work.fit.now[cell_of(at_y) % 2];
+        const uint8_t *below = state->work.fit.now[(cell_of(at_y) + 1) % 2];
+        for (int x = from; x < to; x++) {
+            state->work.fit.line[x] = between(above[x], below[x], beyond(at_y));
+        }
+        sum += see_row_of(state, part, y, &n_seen);
     }
     *scale = n_seen ? scale_of(sum, n_seen) : 0;
     return 4 * n_seen >= (part.bottom - part.top) * (part.right - part.left);
 }
 
 /* Add the products of the slopes of row `y` to the sums. */
-static void add_row(dlgmd_state *state, window part, int y, dlgmd_place at_y, rest scale, moment m[4][5])
+static void add_row(const dlgmd_state *state, window part, int y, rest scale, moment m[4][5])
 {
+    const uint8_t *up = state->work.fit.before[y - part.top], *here = up + LINE, *down = here + LINE;
+    const int16_t *cells = state->work.fit.cells;
+    const dlgmd_rest *rests = state->work.fit.rests[y - part.top];
     moment yy = 0, yx = 0, xx = 0, yxx = 0, xxx = 0, xxxx = 0, ry = 0, rx = 0, rxx = 0;
-    for (int x = part.left; x < part.right; x++) {
-        dlgmd_place at_x = state->work.reduced.places[x - part.left];
-        if (!is_within(at_x, SMALL_X)) {
+    rest place_x = (rest)(part.left - part.right - 1);
+    /* Of the columns before, here and after: their weighted sum, and how much they rise. */
+    int32_t sum = 0, next_sum = 0, rise = 0, next_rise = 0;
+    for (int x = -2; x < part.right - part.left; x++) {
+        int32_t last_sum = sum, last_rise = rise;
+        sum = next_sum;
+        rise = next_rise;
+        next_sum = up[x + 2] + 2 * here[x + 2] + down[x + 2];
+        next_rise = down[x + 2] - up[x + 2];
+        if (x < 0) {
             continue;
         }
-        const uint8_t *here = state->work.reduced.small[1][y] + x;
-        const uint8_t *up = here - SMALL_X, *down = here + SMALL_X;
-        int32_t ul = up[-1], ur = up[1];
-        int32_t ll = down[-1], lr = down[1];
-        int32_t across = ur - ul + 2 * (here[1] - here[-1]) + lr - ll;
-        int32_t along = ll - ul + 2 * (down[0] - up[0]) + lr - ur;
-        rest g_x = slope_in_levels(across), g_y = slope_in_levels(along);
-        rest apart = rest_of(state, y, x, at_y, at_x);
-        moment weight = weight_of(apart, scale), place_x = (moment)(2 * x - part.left - part.right + 1);
-        moment w_x = weight * g_x, w_y = weight * g_y, w_xx = w_x * place_x;
-        yy += w_y * g_y;
-        yx += w_y * g_x;
-        xx += w_x * g_x;
-        yxx += w_xx * g_y;
-        xxx += w_xx * g_x;
-        xxxx += w_xx * g_x * place_x;
-        ry += w_y * apart;
-        rx += w_x * apart;
-        rxx += w_xx * apart;
+        place_x += 2;
+        if (cells[x] < 0) {
+            continue;
+        }
+        rest g_x = slope_in_levels(next_sum - last_sum);
+        rest g_y = slope_in_levels(last_rise + 2 * rise + next_rise), apart = rests[x];
+        rest weight = weight_of(apart, scale), g_xx = g_x * place_x;
+        rest w_x = weight * g_x, w_y = weight * g_y, w_xx = weight * g_xx;
+        yy += (moment)w_y * g_y;
+        yx += (moment)w_y * g_x;
+        xx += (moment)w_x * g_x;
+        yxx += (moment)w_xx * g_y;
+        xxx += (moment)w_xx * g_x;
+        xxxx += (moment)w_xx * g_xx;
+        ry += (moment)w_y * apart;
+        rx += (moment)w_x * apart;
+        rxx += (moment)w_xx * apart;
     }
     moment from = (moment)(2 * y - part.top - part.bottom + 1);
     const moment row[4][5] = {{yy, yx, from * yy, yxx, ry},
@@ -563,25 +640,22 @@ static void add_row(dlgmd_state *state, window part, int y, dlgmd_place at_y, re
 }
 
 /* The motion of a window of the earlier picture: shift along y and x, and expansion along both. */
-static void fit(dlgmd_state *state, window part, dlgmd_motion *by)
+static void fit(dlgmd_state *state, const uint8_t *frame, window part, dlgmd_motion *by)
 {
+    for (int y = part.top - 1; y <= part.bottom; y++) {
+        uint8_t *row = state->work.fit.before[y - part.top + 1];
+        reduce(state->previous, y, part.left - 1, part.right + 1, row);
+    }
     for (int step = 0; step < 2; step++) {
         moment m[4][5] = {{0}};
         rest scale;
-        int mid = part.left + part.right - 1;
-        for (int x = part.left; x < part.right; x++) {
-            dlgmd_place at_x = place_of(mid, 2 * x - mid, by[1], by[3]);
-            state->work.reduced.places[x - part.left] = at_x;
-        }
-        if (!see_scale(state, part, by, &scale)) {
+        if (!see_rests(state, frame, part, by, &scale)) {
             memset(by, 0, 4 * sizeof *by);
             return;
         }
         for (int y = part.top; y < part.bottom; y++) {
-            mid = part.top + part.bottom - 1;
-            dlgmd_place at_y = place_of(mid, 2 * y - mid, by[0], by[2]);
-            if (is_within(at_y, SMALL_Y)) {
-                add_row(state, part, y, at_y, scale, m);
+            if (is_within(row_of(part, y, by), SMALL_Y)) {
+                add_row(state, part, y, scale, m);
             }
         }
         for (int i = 0; i < 4; i++) {
@@ -627,40 +701,41 @@ static bool spread_of(moment mass, moment first, moment second, int n, int *at, 
     return true;
 }
 
-static int32_t change_at(const dlgmd_state *state, int y, int x)
-{
-    return size_of(state->work.reduced.small[0][y][x] - state->work.reduced.small[1][y][x]);
-}
-
 /* The expansion of what moves in front of a still background, about a point inside it; else 0. */
-static dlgmd_motion approach(dlgmd_state *state)
+static dlgmd_motion approach(dlgmd_state *state, const uint8_t *frame)
 {
     int64_t sum = 0;
     for (int y = 0; y < SMALL_Y; y++) {
-        int32_t row = 0;
+        uint8_t *now = state->work.moving.now, *change = state->work.moving.change[y];
+        uint32_t row = 0;
+        reduce(frame, y, 0, SMALL_X, now);
+        reduce(state->previous, y, 0, SMALL_X, change);
         for (int x = 0; x < SMALL_X; x++) {
-            row += change_at(state, y, x);
+            change[x] = distance(now[x], change[x]);
+            row += change[x];
         }
         sum += row;
     }
-    moment least = 3 * CHANGE + (moment)sum * CHANGE / (SMALL_Y * SMALL_X), mass = 0;
+    rest least = 3 * CHANGE + (rest)((moment)sum * CHANGE / (SMALL_Y * SMALL_X));
+    int level = (int)(least / CHANGE); /* what changes by more is above */
+    moment mass = 0;
     moment first[2] = {0, 0}, second[2] = {0, 0};
     int n_above = 0;
     for (int y = 0; y < SMALL_Y; y++) {
-        moment row = 0;
+        const uint8_t *change = state->work.moving.change[y];
+        rest row = 0;
         for (int x = 0; x < SMALL_X; x++) {
-            int32_t change = change_at(state, y, x);
-            moment above = (moment)change * CHANGE - least;
-            if (above > 0) {
+            if (change[x] > level) {
+                rest above = (rest)change[x] * CHANGE - least;
                 row += above;
-                first[1] += above * (moment)x;
-                second[1] += above * (moment)(x * x);
+                first[1] += (moment)above * (rest)x;
+                second[1] += (moment)above * (rest)(x * x);
                 n_above++;
             }
         }
-        mass += row;
-        first[0] += row * (moment)y;
-        second[0] += row * (moment)(y * y);
+        mass += (moment)row;
+        first[0] += (moment)row * (rest)y;
+        second[0] += (moment)row * (rest)(y * y);
     }
     int at_y, at_x, reach_y, reach_x;
     if (100 * mass < 19 * CHANGE * (SMALL_Y * SMALL_X) ||
@@ -670,7 +745,8 @@ static dlgmd_motion approach(dlgmd_state *state)
         return 0;
     }
     dlgmd_motion by[4] = {0, 0, 0, 0};
-    fit(state, (window){at_y - reach_y, at_y + reach_y + 1, at_x - reach_x, at_x + reach_x + 1}, by);
+    window part = {at_y - reach_y, at_y + reach_y + 1, at_x - reach_x, at_x + reach_x + 1};
+    fit(state, frame, part, by);
     bool passes = magnitude(by[0]) >= by[2] * (dlgmd_motion)reach_y || magnitude(by[1]) >= by[3] * (dlgmd_motion)reach_x;
     return passes ? 0 : larger_of(lesser(by[2], by[3]), 0);
 }
@@ -683,13 +759,11 @@ static void expand(dlgmd_state *state, const uint8_t *frame, int dy, int dx)
     if (middle.bottom - middle.top < 10) {
         return;
     }
-    reduce(state, state->work.reduced.small[0], frame);
-    reduce(state, state->work.reduced.small[1], state->previous);
     dlgmd_motion by[4] = {(dlgmd_motion)dy * ONE / FACTOR, (dlgmd_motion)dx * ONE / FACTOR, 0, 0};
-    fit(state, middle, by);
+    fit(state, frame, middle, by);
     dlgmd_motion rate = lesser(by[2], by[3]) - magnitude(by[2] - by[3]) / 4;
     state->ahead += part_of(per_second(state, rate) - state->ahead, newest_of(state, AHEAD_RATE));
-    rate = state->blocks_y == 0 && state->blocks_x == 0 ? approach(state) : 0;
+    rate = state->blocks_y == 0 && state->blocks_x == 0 ? approach(state, frame) : 0;
     state->beside += part_of(per_second(state, rate) - state->beside, newest_of(state, BESIDE_RATE));
 }
 
@@ -771,6 +845,9 @@ static void align(dlgmd_state *state, const uint8_t *frame)
 {
     int dy, dx;
     follow(state, frame, &dy, &dx);
+    if (dy == 0 && dx == 0) {
+        return;
+    }
     uint64_t moved = change_of(state->previous, frame, dx, dy);
     uint64_t cells = (uint64_t)(WIDTH - size_of(dx)) * (uint64_t)(HEIGHT - size_of(dy));
     uint64_t still = change_of(state->previous, frame, 0, 0);
@@ -1029,7 +1106,7 @@ static void count_changes(dlgmd_state *state, const uint8_t *frame)
     for (int i = 0; i < CELLS; i++) {
         state->work.counts.all[distance(frame[i], before[i])]++;
     }
-    for (int y = 0; y < HEIGHT; y += QUARTILE_STEP) {
+    for (int y = 0; QUARTILE_STEP > 1 && y < HEIGHT; y += QUARTILE_STEP) {
         for (int i = y * WIDTH; i < (y + 1) * WIDTH; i += QUARTILE_STEP) {
             state->work.counts.some[distance(frame[i], before[i])]++;
         }
@@ -1056,7 +1133,8 @@ static number see_contrast(dlgmd_state *state, const uint8_t *frame, dlgmd_sum *
     }
     state->sigma = (number)smoothed(state->sigma, newest, newest_of_frames(state, SIGMA_RATE));
     count_changes(state, frame);
-    newest = of_level(lower_quartile(state->work.counts.some));
+    bool has_all = QUARTILE_STEP == 1;
+    newest = of_level(lower_quartile(has_all ? state->work.counts.all : state->work.counts.some));
     state->noise = state->frame == 1
                        ? newest
                        : (number)smoothed(state->noise, newest, newest_of_frames(state, SIGMA_RATE));

@@ -19,6 +19,9 @@
 #if DLGMD_EXPANDS
 /* The pictures whose expansion is measured are smaller by this factor. */
 #define DLGMD_FACTOR (DLGMD_WIDTH < 240 ? 1 : DLGMD_WIDTH / 120)
+/* It is measured in windows of so many cells along each side, at most: half of the shorter side. */
+#define DLGMD_SHORTER (DLGMD_WIDTH < DLGMD_HEIGHT ? DLGMD_WIDTH : DLGMD_HEIGHT)
+#define DLGMD_WINDOW ((DLGMD_SHORTER / DLGMD_FACTOR / 2 + 1) / 2 * 2 + 1)
 #endif
 
 #if DLGMD_FIXED
@@ -30,12 +33,16 @@ typedef uint16_t dlgmd_sum;
 #endif
 typedef uint16_t dlgmd_change;
 typedef int32_t dlgmd_place;  /* in 1/256 cell */
+typedef uint16_t dlgmd_blend; /* a level in 1/256 */
+typedef int16_t dlgmd_rest;   /* in 1/32 level */
 typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame or second */
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
 typedef float dlgmd_change;
 typedef float dlgmd_place;
+typedef float dlgmd_blend;
+typedef float dlgmd_rest;
 typedef float dlgmd_motion;
 #endif
 
@@ -93,10 +100,17 @@ typedef struct {
 #endif
 #if DLGMD_EXPANDS
         struct {
-            dlgmd_place places[DLGMD_WIDTH / DLGMD_FACTOR]; /* where columns have moved to */
-            uint32_t sums[3][DLGMD_WIDTH / DLGMD_FACTOR];
-            uint8_t small[2][DLGMD_HEIGHT / DLGMD_FACTOR][DLGMD_WIDTH / DLGMD_FACTOR];
-        } reduced;
+            dlgmd_place parts[DLGMD_WINDOW];              /* where columns have moved to: beyond */
+            int16_t cells[DLGMD_WINDOW + 1];              /* these cells; -1 outside the picture */
+            dlgmd_rest rests[DLGMD_WINDOW][DLGMD_WINDOW]; /* differences from there */
+            dlgmd_blend line[DLGMD_WIDTH / DLGMD_FACTOR];
+            uint8_t before[DLGMD_WINDOW + 2][DLGMD_WINDOW + 2];
+            uint8_t now[2][DLGMD_WIDTH / DLGMD_FACTOR];
+        } fit;
+        struct {
+            uint8_t now[DLGMD_WIDTH / DLGMD_FACTOR];
+            uint8_t change[DLGMD_HEIGHT / DLGMD_FACTOR][DLGMD_WIDTH / DLGMD_FACTOR];
+        } moving;
 #endif
     } work;
 #if DLGMD_CONTRAST
