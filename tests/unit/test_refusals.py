@@ -47,6 +47,8 @@ WRONG_USAGE = [
     ("run udp://0.0.0.0:5600", "live streams are not read; only files are"),
     ("run https://example.org/flight.mp4", "URLs are not read here"),
     ("run -", "standard input is not read"),
+    ("run ''", "the name of the input is empty"),
+    ("batch ''", "the name of a folder is empty"),
     ("compare loom.avi --set 12", "Invalid value for '--set': there is no set 12. Choose 1 to 9"),
     ("compare loom.avi --model lgdm", "Invalid value for '--model': there is no model 'lgdm'"),
     ("compare loom.avi --model lgmd --no-ffi-gd", "--no-ffi-gd works only with the D-LGMD model"),

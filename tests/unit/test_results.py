@@ -121,6 +121,9 @@ def test_sharpness_and_distinguishability():
     assert result.distinguishability(20) == math.inf
     assert math.isnan(result.distinguishability(500))
     assert math.isnan(make_result(np.zeros(9)).sharpness)
+    repeating = make_result(np.repeat(mp, 1 + (np.arange(40) == 12)))
+    repeating.rows["is_repeat"][13] = True  # a copy counts for nothing
+    assert repeating.distinguishability(10) == pytest.approx((8 / 11) / (4 / 10))
 
 
 def test_measures_end_at_the_collision():
