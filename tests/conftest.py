@@ -108,10 +108,11 @@ def yaml_of(path: Path):
 
 def until(is_so, limit_s=10.0):
     """Wait for something that must come about soon, in another thread or process."""
-    end = time.monotonic() + limit_s
+    end, pause_s = time.monotonic() + limit_s, 0.0005
     while not is_so():
         assert time.monotonic() < end
-        time.sleep(0.005)
+        time.sleep(pause_s)
+        pause_s = min(1.5 * pause_s, 0.01)
 
 
 def read_video(path: Path):

@@ -13,6 +13,9 @@ import pytest
 from bodies import project
 from flightscenes import SMALL, Quick, scene_of
 
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
+
 from dlgmd_cli.results.labels import read_labels
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.path import REACH_M
@@ -229,6 +232,11 @@ def test_a_roaming_flight_is_what_its_manner_says_and_hits_nothing(manner, seed)
     for now_s, state in zip(times, states, strict=True):
         ahead = state.position_m + 0.3 * state.velocity_m_s
         assert around.distances(ahead, now_s + 0.3).min() > 0.5 * REACH_M
+
+
+@pytest.mark.parametrize(("seed", "kind"), [(5, "ball"), (4, "person")])
+def test_whatever_approaches_hits_and_rebounds(seed, kind):
+    check_approach(seed, kind)
 
 
 def test_half_of_the_manners_head_for_a_collision():

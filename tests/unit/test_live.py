@@ -609,6 +609,7 @@ def test_a_silent_source_is_lost(caplog):
     def shots():
         for frame in frames:
             until(lambda: source._newest is None)
+            time.sleep(0.005)
             yield Shot(frame, None, time.monotonic())
         assert go_on.wait(SOON_S)
         for picture in PAN[:2]:  # as a buffer has them
@@ -634,7 +635,9 @@ def test_a_silent_source_is_lost(caplog):
     assert "blind, no frame for" in caplog.messages[0] and "sees again" in caplog.messages[-1]
 
 
-def test_a_source_that_cannot_be_opened_yet_is_blind():
+def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
+    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(watch, "SOUND_S", 0.2)
     n_opened = []
 
     def shots():
@@ -644,7 +647,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind():
         while not source.is_over:
             for picture in PAN:
                 yield Shot(picture, None, time.monotonic())
-                time.sleep(0.01)
+                time.sleep(0.005)
 
     events, source = [], source_of(shots, tries_again=True, waits=False)
     sight = Sight(source)
