@@ -692,8 +692,8 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
     monkeypatch.setattr(outputs, "_PATIENCE_S", 0.05)
     outputs.finish([output])
     assert caplog.messages == [
-        "--udp: the receiver is too slow; answers are dropped",
-        "--udp: the receiver did not take everything in time",
+        "udp: the receiver is too slow; answers are dropped",
+        "udp: the receiver did not take everything in time",
     ]
     release.set()
     output._thread.join(SOON_S)
@@ -712,7 +712,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
         output.put(answer(index=number))
     until(lambda: len(got) == 5)
     output.close()
-    assert caplog.messages == ["--mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
+    assert caplog.messages == ["mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
 
 
 def test_only_events():
@@ -805,7 +805,7 @@ def test_programs_that_hang_or_fail(caplog):
     start(answer())
     start._running[0].wait()
     start(answer())
-    assert caplog.messages[0] == "--exec: the program ended with exit code 3"
+    assert caplog.messages[0] == "exec: the program ended with exit code 3"
     hanging = outputs.Programs("sleep 30")
     for _ in range(outputs._MAX_RUNNING):
         hanging(answer())
