@@ -30,6 +30,7 @@ from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Events, Sight, Statistics, answers, utc_text
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.results import csv
+from dlgmd_cli.results.store import ClaimedFolder
 from dlgmd_cli.tasks.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
@@ -937,7 +938,8 @@ def recorded(frames, folder):
     setup = choose(set=3)
     alarm, source = Alarm(setup.params), played(frames, model_fps=30.0)
     sight = Sight(source)
-    with Recording(folder, source, setup, InputOptions(), alarm, sight) as recording, source:
+    claim = ClaimedFolder(folder)
+    with Recording(claim, source, setup, InputOptions(), alarm, sight) as recording, source:
         for one in answers(source, alarm, sight):
             if one is not None:
                 recording.put(one)
