@@ -603,6 +603,23 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         assert line.startswith("blind 1 time, ") and BLIND_WORDS[reason] in line
 
 
+def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
+    """The rate at which frames come begins anew after it."""
+    monkeypatch.setattr(watch, "_N_RATE", 10)
+    monkeypatch.setattr(watch, "_SILENT_S", 0.3)
+
+    def shots():
+        for number, picture in enumerate(PAN[:16]):
+            until(lambda: source._newest is None)
+            time.sleep(0.6 if number == 8 else 0.03)
+            yield Shot(picture, None, time.monotonic())
+
+    source = source_of(shots)
+    found, _ = answered(source)
+    assert sum(one.is_of_frame for one in found) > 10 and "blind" in [one.event for one in found]
+    assert "frames come at" not in caplog.text
+
+
 def test_a_silent_source_is_lost(caplog):
     """An alarm that is on ends; both are told once, and that the source is back."""
     frames, go_on = looming_frames(n_frames=30, width=64, height=48), threading.Event()
