@@ -25,6 +25,7 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -58,6 +59,14 @@ def files_of(record: str) -> frozenset[str]:
     """Names of all files that may belong to a record, itself included."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
     return frozenset({record, *TABLES[record], *figures})
+
+
+def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
+    """The formats of figures, each once, of one or several; raises ParameterError."""
+    found = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
+    for one in found:
+        require_known("format", one, PLOT_FORMATS)
+    return found
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
