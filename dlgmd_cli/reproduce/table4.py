@@ -171,6 +171,9 @@ def _ratio(one: float, other: float) -> float:
     return float(one / other)
 
 
+# Seconds for 120 frames by radius and scale.
+Seconds = Mapping[tuple[int, float], float]
+
 _CORNERS = ((6, 1.0), (6, 0.25), (2, 1.0), (2, 0.02))
 # Versions that are timed: the fastest, and the slowest.
 _TIMED = ("default", "equations")
@@ -195,14 +198,20 @@ def table4_time(plan: Plan) -> Steps:
     data = yield {TIMING: partial(time_models, quick=plan.quick)}
     timed: dict[str, list[dict[str, Any]]] = data[TIMING]
 
-    def cells(version: str) -> dict[tuple[int, float], float]:
-        return {(row["radius"], row["scale"]): row["whole_s"] for row in timed[version]}
-
-    def judged(measure: Callable[[Mapping[tuple[int, float], float]], float]) -> Any:
-        return by_version(lambda v: measure(cells(v)) if plan.is_idle else math.nan, _TIMED)
-
     def alone_s(row: Mapping[str, Any]) -> float:
         return float(row["core_ms"] * benchmark.N_FRAMES / 1000.0)
+
+    def whole_s(row: Mapping[str, Any]) -> float:
+        return float(row["whole_s"])
+
+    def judged(
+        measure: Callable[[Seconds], float], time_s: Callable[[Mapping[str, Any]], float] = whole_s
+    ) -> dict[str, list[float]]:
+        def of(version: str) -> float:
+            cells = {(row["radius"], row["scale"]): time_s(row) for row in timed[version]}
+            return measure(cells) if plan.is_idle else math.nan
+
+        return by_version(of, _TIMED)
 
     header = [name for v in _TIMED for name in (f"{v}, s", f"{v}, model alone, s")]
     rows: list[tuple[Any, ...]] = [("r", "scale", "paper, s", *header)]
@@ -214,11 +223,13 @@ def table4_time(plan: Plan) -> Steps:
         "table4-time": judged(lambda s: min(benchmark.PAPER_S[at] / s[at] for at in s)),
         "table4-time-r": judged(partial(_costs_more, by=0)),
         "table4-time-size": judged(partial(_costs_more, by=1)),
+        "table4-time-model-r": judged(partial(_costs_more, by=0), alone_s),
+        "table4-time-model-size": judged(partial(_costs_more, by=1), alone_s),
     }
     return Evidence(values, tables={"Seconds for 120 frames": rows})
 
 
-def _costs_more(seconds: Mapping[tuple[int, float], float], by: int) -> float:
+def _costs_more(seconds: Seconds, by: int) -> float:
     """The share of the pairs that differ in radius (0) or scale (1) in which more costs more."""
     pairs = [
         seconds[a] > seconds[b]

@@ -25,6 +25,7 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -58,6 +59,14 @@ def files_of(record: str) -> frozenset[str]:
     """Names of all files that may belong to a record, itself included."""
     figures = (f"{name}.{suffix}" for name in FIGURES[record] for suffix in PLOT_FORMATS)
     return frozenset({record, *TABLES[record], *figures})
+
+
+def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
+    """The formats of figures, each once, of one or several; raises ParameterError."""
+    found = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
+    for one in found:
+        require_known("format", one, PLOT_FORMATS)
+    return found
 
 
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
@@ -301,6 +310,10 @@ class ClaimedFolder:
                     (stage / name).unlink(missing_ok=True)
         return undrawn
 
+    def created(self, name: str) -> IO[str]:
+        """A new table of this folder that is open for rows; OSError passes through."""
+        return (self.folder / name).open("w", encoding="utf-8", newline="")
+
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
         """As `commit`, but logs the figures that could not be drawn; returns the other files."""
         undrawn = self.commit(files)
@@ -400,11 +413,6 @@ def appending(path: Path) -> Iterator[IO[str]]:
     """Open a table of a claimed folder to append rows as they are computed."""
     with writing(path.parent), path.open("a", newline="", encoding="utf-8") as file:
         yield file
-
-
-def created(path: Path) -> IO[str]:
-    """A new table of a claimed folder that is open for rows; OSError passes through."""
-    return path.open("w", encoding="utf-8", newline="")
 
 
 def file_of(content: str | bytes) -> Write:

@@ -114,7 +114,7 @@ def calibrate(
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
     ranges = dict(parse_range(text, asked.setup.params) for text in search)
-    labels = Path(labels)
+    labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:
         store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
     cases = read_cases(labels)
@@ -137,7 +137,7 @@ def calibrate(
         calibrated = calibrated_by(experiment, before, tried, **about_it)
         calibrated = replace(calibrated, setup=replace(calibrated.setup, label=name))
         if out is not None:
-            calibrated.write(claim, tuple(formats))
+            calibrated.write(claim, formats)
     return calibrated
 
 

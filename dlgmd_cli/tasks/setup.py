@@ -57,10 +57,7 @@ class Setup:
         """Size of the processed frames, (width, height) in px: by option, else the model's own."""
         asked = self.options if options.scale is None and options.size is None else options
         return processed_size(
-            *video.source_wh,
-            scale=asked.scale,
-            size_wh=asked.size,
-            width_px=self.width_px,
+            *video.source_wh, scale=asked.scale, size_wh=asked.size, width_px=self.width_px
         )
 
     def settings(self) -> dict[str, Any]:
@@ -228,9 +225,7 @@ def _takes_sets(kind: type[Parameters] | None) -> bool:
 
 
 def _named_config(
-    set: str | int | None,
-    config: str | os.PathLike[str] | None,
-    kind: type[Parameters] | None,
+    set: str | int | None, config: str | os.PathLike[str] | None, kind: type[Parameters] | None
 ) -> tuple[Config, str]:
     """The configuration that the arguments of `choose` name, and the model's label."""
     if config is not None:

@@ -92,11 +92,7 @@ class InputOptions:
         return values
 
     def open(
-        self,
-        path: Openable,
-        *,
-        width_px: int = DEFAULT_WIDTH_PX,
-        model_fps: float | None = None,
+        self, path: Openable, *, width_px: int = DEFAULT_WIDTH_PX, model_fps: float | None = None
     ) -> Video:
         """Open an input with these options; raises what `open_video` raises.
 

@@ -26,7 +26,8 @@ from dlgmd_cli.models.health import BLACK, FLAT, FROZEN, NOISE, Health
 from dlgmd_cli.models.kernels import connect
 from dlgmd_cli.parameters.presets import ContrastParameters, load_config, parameters_of
 
-FLIGHT = parameters_of(load_config("flight"))
+# Frames whose light changes are not what C evens out.
+FLIGHT = parameters_of(load_config("flight"), deflicker=False)
 
 FILES = {
     "dlgmd_health.c",

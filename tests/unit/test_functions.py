@@ -49,6 +49,20 @@ ROOT = Path(dlgmd_cli.__file__).parent
             errors.ParameterError,
             "does not rise",
         ),
+        *(
+            (
+                lambda v, f=f, more=more: f("gone.mp4", formats=["jpg"], **more),
+                errors.ParameterError,
+                "there is no format 'jpg'",
+            )
+            for f, more in {
+                dlgmd_cli.run: {},
+                dlgmd_cli.compare: {},
+                dlgmd_cli.layers: {},
+                dlgmd_cli.batch: {},
+                dlgmd_cli.sweep: {"x": "r=2", "y": "a=1"},
+            }.items()
+        ),
         (lambda v: dlgmd_cli.layers("gone.mp4"), errors.SourceError, "no such file"),
         (
             lambda v: dlgmd_cli.layers(looming_frames(), range(13)),

@@ -51,7 +51,7 @@ from dlgmd_cli.reproduce.exhibits import EXHIBITS
 from dlgmd_cli.reproduce.family import responses
 from dlgmd_cli.reproduce.finished import Finished
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Started, compute, needed
-from dlgmd_cli.reproduce.report import Report, Section, number
+from dlgmd_cli.reproduce.report import Report, Section, number, shown
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 from dlgmd_cli.video.opening import open_video
@@ -336,6 +336,36 @@ def section_of(plan, values, **more):
     return Section(spec, Evidence({"c": dict.fromkeys(EVERY, values)}, **more), plan)
 
 
+@pytest.mark.parametrize("is_idle", [True, False])
+def test_times_are_judged_with_loading_and_without_on_an_idle_machine(is_idle):
+    cells = {(6, 1.0): (2.0, 5.0), (2, 1.0): (1.0, 6.0), (2, 0.02): (0.5, 7.0)}
+    rows = [
+        {"radius": r, "scale": x, "core_ms": core, "whole_s": whole}
+        for (r, x), (core, whole) in cells.items()
+    ]
+    exhibit = Started.of(EXHIBITS["table4-time"](Plan(is_idle=is_idle)))
+    values = exhibit.evidence({TIMING: {"default": rows, "equations": rows}}).values
+    found = {key: each["default"] for key, each in values.items()}
+    expected = {"-r": 0.0, "-size": 0.0, "-model-r": 1.0, "-model-size": 1.0, "": 0.57 / 7.0}
+    for key, value in expected.items():
+        told = found[f"table4-time{key}"]
+        assert told == pytest.approx([value]) if is_idle else math.isnan(told[0])
+
+
+def test_a_report_says_why_a_claim_is_undecided_or_does_not_hold(tmp_path):
+    spec = SPECS["table4-time"]
+    claim = spec.claims["table4-time-size"]
+    for value, words, others in (
+        (math.nan, claim.why_undecided, claim.why_not),
+        (0.1, claim.why_not, claim.why_undecided),
+        (1.0, None, claim.why_undecided),
+    ):
+        evidence = Evidence({claim.id: {"default": [value]}})
+        section = Section(replace(spec, claims={claim.id: claim}), evidence, Plan(True))
+        page = Report([section], REMARKS, Plan(True), "x").html(tmp_path)
+        assert others not in page and (words is None or words in page)
+
+
 def test_texts_are_escaped():
     plan = Plan(quick=True)
     tables = {"<em>": [("<y>", 1.0)]}
@@ -375,6 +405,27 @@ def test_a_claim_that_small_frames_do_not_show_is_judged_at_full_size():
     nothing = replace(section, evidence=Evidence({}), others=[full])
     assert {one.frames for one in nothing.found} == {"1920x1080"}
     assert not any(nothing.beside.values())
+
+
+def test_what_does_not_depend_on_the_version_counts_in_each():
+    spec = SPECS["fig5"]
+    values = {"fig5-excitation": {"default": [0.6], "equations": [0.4]}, "fig5-rises": {"any": [1]}}
+    values |= {"fig5-kernel-r4": {"any": [0.4]}, "fig5-kernel-r6": {"any": [0.65]}}
+    section = Section(spec, Evidence(values), Plan())
+    assert section.held["default"] == (2, 3) and section.held["equations"] == (1, 3)
+    assert section.held["released"] == (1, 2)
+
+
+def test_a_value_does_not_look_like_the_threshold_beside_it():
+    claim = SPECS["fig12"].claims["fig12b-order"]
+    texts = [shown(Finding(claim, "", "", (value,))) for value in (0.998586, 0.999, 0.99)]
+    assert texts == ["0.998586", "0.999", "0.99"]
+
+
+def test_intervals_of_the_ablation_are_short():
+    same, apart = np.full(6, math.inf), np.array([120.0, 190, 194, 200, 380, 2100])
+    assert ablation._shown(same) == "∞" and ablation._shown(np.zeros(6)) == "0"
+    assert ablation._shown(apart) == "200 (120–2.1e3)"
 
 
 def test_numbers_for_readers():
