@@ -310,6 +310,10 @@ class ClaimedFolder:
                     (stage / name).unlink(missing_ok=True)
         return undrawn
 
+    def created(self, name: str) -> IO[str]:
+        """A new table of this folder that is open for rows; OSError passes through."""
+        return (self.folder / name).open("w", encoding="utf-8", newline="")
+
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
         """As `commit`, but logs the figures that could not be drawn; returns the other files."""
         undrawn = self.commit(files)
@@ -409,11 +413,6 @@ def appending(path: Path) -> Iterator[IO[str]]:
     """Open a table of a claimed folder to append rows as they are computed."""
     with writing(path.parent), path.open("a", newline="", encoding="utf-8") as file:
         yield file
-
-
-def created(path: Path) -> IO[str]:
-    """A new table of a claimed folder that is open for rows; OSError passes through."""
-    return path.open("w", encoding="utf-8", newline="")
 
 
 def file_of(content: str | bytes) -> Write:
