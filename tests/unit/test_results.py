@@ -155,7 +155,7 @@ def test_normalised_by_its_own_sequence():
 
 def test_save_and_read_back(tmp_path):
     result = make_result([NAN, 1.5, 1e-7, 123456.789], attenuation_db=[NAN, -math.inf, -3.5, 2])
-    result.save(tmp_path / "r", formats=["svg"])
+    result.save(tmp_path / "r", formats="svg")
     assert set(os.listdir(tmp_path / "r")) == {
         *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
         *("mp.svg", "attenuation.svg", "spikes.svg"),
