@@ -61,7 +61,7 @@ def flights():
 
 @ARITHMETIC
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("number", range(1, 10))
+@pytest.mark.parametrize("number", [1, 3, 5, 7, 9])
 def test_every_set_and_formulation(tmp_path, own_flight, number, formulation, is_fixed):
     params = load_set(number, formulation=formulation)
     if is_fixed and formulation == "equations":
