@@ -78,16 +78,17 @@ def printed(cwd, program, *arguments):
 @pytest.mark.parametrize(
     ("n_frames", "longer", "command"),
     [
-        (200, 100, ["run", "{}.avi", "--no-plots"]),
-        (200, 50, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
-        (200, 50, ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"]),
+        # 2900 more frames of 19 kB would be 56 MB, and four times that as single precision.
+        (100, 30, ["run", "{}.avi", "--no-plots"]),
+        (100, 30, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        (100, 30, ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"]),
         # 90 more pictures of 2.8 MB would be 250 MB.
         (30, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,
 )
 def test_many_times_the_frames_in_the_same_memory(tmp_path, n_frames, longer, command):
-    frames = looming_frames(n_frames)
+    frames = looming_frames(n_frames, 160, 120)
     write_video(tmp_path / "short.avi", frames)
     write_video(tmp_path / "long.avi", frames * longer)
     peak_kb = {}
