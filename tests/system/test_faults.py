@@ -314,10 +314,15 @@ def test_streams_that_nobody_reads(tmp_path, clip, whole, name, command):
     assert faults_of(tmp_path / "out") == []
 
 
+@pytest.fixture(scope="module")
+def longest_clip(tmp_path_factory):
+    frames = looming_frames(20, 320, 240) * 150
+    return write_video(tmp_path_factory.mktemp("clip") / "long.avi", frames)
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_in_the_middle(tmp_path, name):
-    write_video(tmp_path / "long.avi", looming_frames(20, 320, 240) * 150)
-    with started("run", "long.avi", "--no-plots", cwd=tmp_path) as process:
+def test_a_signal_in_the_middle(tmp_path, longest_clip, name):
+    with started("run", longest_clip, "--no-plots", cwd=tmp_path) as process:
         # The lock is taken just before the first frame.
         until(lambda: list(tmp_path.glob("dlgmd-out/long/.dlgmd-*")), PATIENCE_S)
         time.sleep(0.3)

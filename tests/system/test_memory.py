@@ -78,10 +78,10 @@ def printed(cwd, program, *arguments):
 @pytest.mark.parametrize(
     ("n_frames", "longer", "command"),
     [
-        # 2900 more frames of 19 kB would be 56 MB, and four times that as single precision.
-        (100, 30, ["run", "{}.avi", "--no-plots"]),
-        (100, 30, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
-        (100, 30, ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"]),
+        # 3400 more frames of 19 kB would be 65 MB, and four times that as single precision.
+        (100, 35, ["run", "{}.avi", "--no-plots"]),
+        (100, 35, ["compare", "{}.avi", "--set", "9", "--model", "lgmd", "--no-plots"]),
+        (100, 35, ["sweep", "{}.avi", "--x", "r=2", "--y", "a=1,2", "--jobs", "1", "--no-plots"]),
         # 90 more pictures of 2.8 MB would be 250 MB.
         (30, 4, ["layers", "{}.avi", "--video", "{}.mp4"]),
     ],

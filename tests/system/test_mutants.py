@@ -182,7 +182,7 @@ def test_mutants(whole, tmp_path, monkeypatch):
         count = max(N_EACH * max(len(commands), math.isqrt(n_files)), n_files * len(commands))
         tasks += [(pattern, range(first, min(first + 60, count))) for first in range(0, count, 60)]
         n_tried += count
-    assert n_tried > 800
+    assert n_tried > 700
     faults = []
     for task, outcome in run_tasks(partial(attack, whole, tmp_path), tasks, 2, timeout_s=300):
         try:
