@@ -8,6 +8,7 @@ that leaves the earlier result as it was. In a bucket, files are uploaded in the
 import errno
 import logging
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -102,6 +103,13 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
 def is_url(text: str | os.PathLike[str]) -> bool:
     """Whether a name is a URL such as ``s3://bucket/flights``."""
     return "://" in os.fspath(text)
+
+
+def require_local(folder: str | os.PathLike[str], option: str = "--out") -> None:
+    """Raise ParameterError for a URL, also as a path, which has one slash."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(folder)):
+        mend = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
+        raise ParameterError("", f"{option} {folder} is a URL", mend)
 
 
 def fitting(name: str) -> str:
@@ -360,6 +368,8 @@ def claimed(
         If the folder cannot be written.
     """
     is_new = False
+    if not is_url(str(folder)):
+        require_local(folder, option)
     if record in TABLES:
         is_new = check(folder, record, identity or {}, overwrite=overwrite, option=option)
     for name in names:

@@ -186,7 +186,9 @@ def batch(
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     found = _find([os.fspath(root) for root in roots], outs, exclude)
     shared = Shared(asked, tuple(places), formats, dpi, overwrite or force)
-    shared = replace(shared, clips=None if clips is None else os.path.abspath(clips))
+    if clips is not None:
+        store.require_local(clips, "--clips")
+        shared = replace(shared, clips=os.path.abspath(clips))
     if dry_run:
         return _outcome(shared, found, _plan(found, shared, force), out, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:

@@ -139,6 +139,8 @@ def run(
     if models is not None and (out is not None or clips is not None):
         mend = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", mend)
+    if clips is not None:
+        store.require_local(clips, "--clips")
     with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)

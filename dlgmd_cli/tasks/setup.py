@@ -78,18 +78,19 @@ class Asked:
         """The only model, or the first one."""
         return self.setups[0]
 
-    def open(self, source: Openable) -> Video:
+    def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
         """Open an input for the models; raises what `open_video` raises.
 
         By default, the frame size is that of the first model and the frame rate that of the
-        fastest. If one has the formulation `released`, every frame is read, repeats included.
+        fastest. If one has the formulation `released`, or is to have it by `formulations`, every
+        frame is read, repeats included.
         """
-        formulations = [one.params.to_dict().get("formulation") for one in self.setups]
+        own = [one.params.to_dict().get("formulation") for one in self.setups]
         model_fps = max(one.model_fps for one in self.setups)
         return self.options.open(
             source,
             width_px=self.setup.width_px,
-            model_fps=None if "released" in formulations else model_fps,
+            model_fps=None if "released" in (*formulations, *own) else model_fps,
         )
 
 

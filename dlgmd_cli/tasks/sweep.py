@@ -151,7 +151,8 @@ def sweep(
         if video is None:
             subject = _cubes(cubes, asked.options.size, grid, asked.setup.params)
         else:
-            source = opened.enter_context(asked.open(video))
+            of_points = (v for a in (grid.x, grid.y) if a.key == "formulation" for v in a.values)
+            source = opened.enter_context(asked.open(video, of_points))
             subject = video_input(source, asked.options, false_positive_frame)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(subject.name)}"

@@ -40,6 +40,11 @@ ROOT = Path(dlgmd_cli.__file__).parent
             "no threshold",
         ),
         (
+            lambda v: dlgmd_cli.calibrate("l.csv", search=["width_px=100:300"], scale=0.5),
+            errors.ParameterError,
+            "width_px is nothing to search where scale or size says it",
+        ),
+        (
             lambda v: dlgmd_cli.calibrate("l.csv", config="by-sequence.yaml"),
             errors.ParameterError,
             "no threshold",
