@@ -196,6 +196,10 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
         made = _plan(found, shared, force)
+        for summary in made.summaries:
+            if n := summary.n_dropped(video.name for video in found.videos):
+                said = "Note: %s no longer lists %s of an earlier batch; their results stay."
+                _log.info(said, summary.path, counted(n, "video"))
         if clips is not None and not shared.overwrite:
             for one in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
                 refuse_clips(one.parent, one.name)
