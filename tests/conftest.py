@@ -1,6 +1,7 @@
 """Tiny clips that are written once, and a way to call the command."""
 
 import csv
+import gc
 import os
 import shutil
 import signal
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from hypothesis import settings
 
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.pool import DONE, FAILED, Ended
@@ -20,6 +22,8 @@ from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
 
+# Full collections walk through all modules and tests, which took 8 % of the time.
+gc.set_threshold(20_000)
 # A dlgmd.yaml above the temporary folders is nothing for tests, nor for the processes they start.
 os.environ["DLGMD_SETTINGS"] = "none"
 if hasattr(signal, "SIGHUP"):
@@ -27,6 +31,9 @@ if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# Fewer examples than usual, and no deadline, which a busy machine misses.
+settings.register_profile("quick", max_examples=40, deadline=None)
+settings.load_profile("quick")
 
 
 def pytest_configure(config):
@@ -108,10 +115,11 @@ def yaml_of(path: Path):
 
 def until(is_so, limit_s=10.0):
     """Wait for something that must come about soon, in another thread or process."""
-    end = time.monotonic() + limit_s
+    end, pause_s = time.monotonic() + limit_s, 0.0005
     while not is_so():
         assert time.monotonic() < end
-        time.sleep(0.005)
+        time.sleep(pause_s)
+        pause_s = min(1.5 * pause_s, 0.01)
 
 
 def read_video(path: Path):

@@ -55,11 +55,7 @@ if TYPE_CHECKING:
     help="With --search: number of trials, earlier ones included.",
 )
 @click.option(
-    "--name",
-    default="calibrated",
-    show_default=True,
-    metavar="NAME",
-    help="Name of the preset.",
+    "--name", default="calibrated", show_default=True, metavar="NAME", help="Name of the preset."
 )
 @jobs_option
 @out_option

@@ -128,11 +128,6 @@ def note(message: str) -> None:
     tell(f"Note: {message}.")
 
 
-def detail(message: str) -> None:
-    """Print a detail on stderr if --verbose is given."""
-    _log.debug("%s.", message)
-
-
 class _WithSections(click.Command):
     """A command with the general options, and help in sections.
 

@@ -33,11 +33,7 @@ def _sized(size: tuple[int, int], **asked: Any) -> "tuple[Setup, tuple[int, int]
 _OPTIONS = {"set": "set", "preset": "config"}
 
 size_option = click.option(
-    "--size",
-    type=SIZE,
-    default="96x72",
-    show_default=True,
-    help="Size of the frames in px.",
+    "--size", type=SIZE, default="96x72", show_default=True, help="Size of the frames in px."
 )
 
 

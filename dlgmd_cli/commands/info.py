@@ -6,13 +6,7 @@ import click
 from click.core import ParameterSource
 
 from dlgmd_cli.commands import defaults
-from dlgmd_cli.commands.console import (
-    Command,
-    print_json,
-    print_table,
-    settings,
-    settings_option,
-)
+from dlgmd_cli.commands.console import Command, print_json, print_table, settings, settings_option
 from dlgmd_cli.commands.options import (
     complete_file,
     decoder_option,

@@ -217,8 +217,8 @@ def _recording(
 
     claimed: Any = (folder, store.RUN, {"path": frames.name})
     with (
-        store.claimed(*claimed, overwrite=overwrite, option="--record"),
-        Recording(folder, frames, *about, keeps_video=keeps_video) as recording,
+        store.claimed(*claimed, overwrite=overwrite, option="--record") as claim,
+        Recording(claim, frames, *about, keeps_video=keeps_video) as recording,
     ):
         yield recording
 

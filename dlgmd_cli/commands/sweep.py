@@ -57,8 +57,7 @@ def _asked(pairs: tuple[str, ...], set_name: str | None, **named: Any) -> dict[s
 
 
 @click.command(
-    cls=Command,
-    epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25",
+    cls=Command, epilog="Example: dlgmd sweep --x sigma_e=0.2:2.0:0.1 --y sigma_i=0.5:6:0.25"
 )
 @optional_input_argument
 @click.option("--x", metavar="AXIS", required=True, shell_complete=complete_key, help=_AXIS_HELP)

@@ -87,11 +87,7 @@ from dlgmd_cli.commands.show import show
 )
 @click.option("--no-film", is_flag=True, help="Leave out the film; nothing is decoded.")
 def view(
-    paths: tuple[Path, ...],
-    out: Path,
-    labels_path: Path | None,
-    no_film: bool,
-    **asked: Any,
+    paths: tuple[Path, ...], out: Path, labels_path: Path | None, no_film: bool, **asked: Any
 ) -> None:
     """Make a web page of results: the film beside MP, attenuation and spikes.
 

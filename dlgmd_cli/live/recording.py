@@ -49,8 +49,8 @@ class Recording:
 
     Parameters
     ----------
-    folder : Path
-        Created if necessary; an earlier result there is replaced.
+    claim : ClaimedFolder
+        Of the folder, which is created if necessary; an earlier result there is replaced.
     source : LiveSource
         The source.
     setup, options, alarm : Setup, InputOptions, Alarm
@@ -68,7 +68,7 @@ class Recording:
 
     def __init__(
         self,
-        folder: Path,
+        claim: store.ClaimedFolder,
         source: LiveSource,
         setup: Setup,
         options: InputOptions,
@@ -77,9 +77,11 @@ class Recording:
         *,
         keeps_video: bool = False,
     ) -> None:
-        self._film = KeptVideo(folder / VIDEO) if keeps_video else None
+        # Without a record: one that is written again leaves the tables, which grow.
+        self._claim, self._folder = replace(claim, record=""), Path(claim.folder)
+        self._film = KeptVideo(self._folder / VIDEO) if keeps_video else None
         source.keeps_pictures = keeps_video
-        self._folder, self._source, self._setup = folder, source, setup
+        self._source, self._setup = source, setup
         self._options, self._alarm, self._sight = options, alarm, sight
         self.has_failed = False
         self._summary: dict[str, Any] = {}
@@ -144,7 +146,7 @@ class Recording:
         self._folder.mkdir(parents=True, exist_ok=True)
         store.remove(self._folder, store.files_of(store.RUN) | {VIDEO})
         for name, header in {**csv.TABLES, csv.ALARMS: csv.ALARM_COLUMNS}.items():
-            self._files[name] = store.created(self._folder / name)
+            self._files[name] = self._claim.created(name)
             self._write_line(name, header)
 
     def _write_line(self, name: str, cells: Iterable[str]) -> None:
@@ -191,12 +193,12 @@ class Recording:
                     cells[place] = csv.cell(value)
                     after.write(",".join(cells) + "\n")
 
-        store.ClaimedFolder(self._folder).write({"mp.csv": write})
+        self._claim.write({"mp.csv": write})
 
     def _write_record(self, *, complete: bool) -> None:
         record = {**self._record(), "complete": complete, "summary": self._summary}
         text = record_text(record, [str(record["engine"])], _HEADER)
-        store.ClaimedFolder(self._folder).write({store.RUN: store.file_of(text)})
+        self._claim.write({store.RUN: store.file_of(text)})
 
     def _record(self) -> dict[str, Any]:
         """What run.yaml says about the input, the model and the warnings so far."""

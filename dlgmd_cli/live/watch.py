@@ -232,8 +232,10 @@ def answers(
                 found = alarm.step(frame.grey, frame.time_s, layers=wants_layers())
                 latency_ms = 1e3 * (time.monotonic() - frame.captured_s)
             event = sight.step(found)
-            if sight.is_silent and (span := events.over()):
-                yield _between_frames(END, last, sight, span=span)
+            if sight.is_silent:
+                rate.reset()
+                if span := events.over():
+                    yield _between_frames(END, last, sight, span=span)
             if event:
                 yield _between_frames(event, last, sight, alarm=events.span is not None)
             if frame is None or found is None:
@@ -326,6 +328,10 @@ class _Rate:
     def __init__(self, source: LiveSource) -> None:
         self._source, self._has_told = source, False
         self._answered: deque[tuple[float, int]] = deque(maxlen=_N_RATE + 1)
+
+    def reset(self) -> None:
+        """Begin anew: no frame has come for long."""
+        self._answered.clear()
 
     def step(self, frame: Frame) -> None:
         """Count the answer to a frame."""

@@ -343,7 +343,7 @@ class ContrastReceptors(Photoreceptors):
     def __init__(self, depth: int, params: ContrastParameters) -> None:
         self._params, self._flicker = params, Flicker()
         self._filling: Filling | None = None
-        self.expansion = Expansion(params.tau_d)
+        self.expansion = Expansion(params.tau_d, evens=params.deflicker)
         super().__init__(depth)
 
     def reset(self) -> None:
@@ -359,6 +359,7 @@ class ContrastReceptors(Photoreceptors):
         """Ignore the cells where `hidden` is True, see `Model.ignore`."""
         super().hide(hidden)
         self._filling = None if hidden is None else Filling(hidden)
+        self.expansion.ignore(hidden)
 
     def cover(self, frame: Grey) -> None:
         """Fill what is hidden of a frame, (H, W), so that it does not hold the picture's motion."""

@@ -38,12 +38,12 @@ class Distributed(Model):
         choose_engine(engine)  # raises now, not at the first frame
         self.connections = connect(self.params)
         # P is defined from frame 1 on.
-        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self._least_delay)
+        self.first_valid_frame = 1 + max(self.connections.max_delay_frames, self.least_delay)
         self.receptors = Photoreceptors(self.first_valid_frame)
         self._engine_is_for: tuple[object, object] | None = None
 
     @property
-    def _least_delay(self) -> int:
+    def least_delay(self) -> int:
         """Number of earlier P that the model needs even if its connections do not."""
         return 1
 
@@ -56,11 +56,11 @@ class Distributed(Model):
             self._prepare(luminance)
         if self.receptors.frame < self.first_valid_frame:
             p_sum = self.receptors.p_sum(0)
-            return Response(p_sum, layers=Layers(self._p_layer()) if layers else None)
+            return Response(p_sum, layers=Layers(self.p_layer()) if layers else None)
         if not layers:
             return self._respond(None)
         s, g = (aligned(luminance.shape) for _ in range(2))
-        return replace(self._respond((s, g)), layers=Layers(self._p_layer(), s, g))
+        return replace(self._respond((s, g)), layers=Layers(self.p_layer(), s, g))
 
     def _respond(self, images: Images | None) -> Response:
         """The response once the history is full; S and G are written to `images`."""
@@ -78,7 +78,7 @@ class Distributed(Model):
         self.engine_name = choose_engine(self._asked_engine, n_cells)
         self._engine = create_engine(self.engine_name, self.connections, self.receptors)
 
-    def _p_layer(self) -> FloatImage | None:
+    def p_layer(self) -> FloatImage | None:
         """A copy of P(t) in luminance; None at the first frame."""
         if self.receptors.frame == 0:
             return None

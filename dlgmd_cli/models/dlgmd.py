@@ -37,19 +37,19 @@ class DLGMD(Distributed):
     params: DlgmdParameters
 
     @property
-    def _least_delay(self) -> int:
+    def least_delay(self) -> int:
         """FFI(t) uses P(t-1), Eq. (12), but P(t-2) in the released code."""
         return 2 if self.params.formulation == "released" else 1
 
     def _respond(self, images: Images | None) -> Response:
         receptors = self.receptors
-        grouping = self._grouping()
+        grouping = self.grouping()
         s_sum, mp, moments, _ = self._engine.respond(receptors, grouping, images)
         g_x, g_y = centroid(mp, moments, receptors.current.shape)
-        ffi = receptors.p_sum(self._least_delay)
+        ffi = receptors.p_sum(self.least_delay)
         return Response(receptors.p_sum(0), s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)
 
-    def _grouping(self) -> Grouping:
+    def grouping(self) -> Grouping:
         """Gain, threshold and saturation of the newest frame's G, Eqs. (9) to (12).
 
         The released code divides FFI by a constant. The printed equations neither limit the
@@ -60,7 +60,7 @@ class DLGMD(Distributed):
         if params.ffi_gd:
             is_released = params.formulation == "released"
             cells = RELEASED_CELLS if is_released else receptors.n_cells * params.m
-            t_de = receptors.p_sum(self._least_delay) * params.t0 / cells
+            t_de = receptors.p_sum(self.least_delay) * params.t0 / cells
         if not params.saturate:
             return Grouping(params.k, t_de, math.inf)
         return Grouping(params.k, min(t_de, MAX_T_DE), 1.0)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.models.base import FloatImage, Grey
+from dlgmd_cli.models.base import Flags, FloatImage, Grey
 
 # Rows from, up to; columns from, up to.
 Window = tuple[int, int, int, int]
@@ -38,6 +38,9 @@ UNLIKE = 0.25
 # Fastest expansion of two frames, in 1/s: so that no single one, such as a lamp that is switched
 # on, makes D reach the threshold of `flight`.
 MAX_RATE = 2.5
+# The exposure has stepped if the mean of the picture changes by so much, and three quarters of the
+# means over so many columns and rows of blocks do in the same direction.
+STEP, STEP_BLOCKS = 0.05, (15, 8)
 # A cell changes if it does by this more than the mean of all, in grey levels.
 CHANGE_LEVELS = 3.0
 # What moves before a still camera: least change a cell of the picture, in grey levels, greatest
@@ -71,16 +74,25 @@ class Expansion:
     ----------
     tau_s : float
         Time constant over which it is smoothed.
+    evens : bool
+        Whether steps of the exposure are taken out, see `evened`.
     """
 
-    def __init__(self, tau_s: float) -> None:
-        self._tau_s = tau_s
+    def __init__(self, tau_s: float, *, evens: bool = False) -> None:
+        self._tau_s, self._evens = tau_s, evens
+        self._hidden: Flags | None = None
+        self._visible: FloatImage | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forget all earlier frames."""
         self._before: FloatImage | None = None
         self._ahead = self._local = 0.0
+        self._has_stepped = False
+
+    def ignore(self, hidden: Flags | None) -> None:
+        """Leave some cells of the frames, (H, W), out of the fit from now on."""
+        self._hidden, self._visible = hidden, None
 
     @property
     def rate(self) -> float:
@@ -113,12 +125,21 @@ class Expansion:
         self._before = now
         if min(now.shape) < LEAST_SIDE:
             return
+        if self._evens:
+            evens = evened(before, now)
+            has_stepped, self._has_stepped = self._has_stepped, evens is not before
+            # What is white in one of them spoils the fit; but two in a row may be one slow step.
+            if self._has_stepped and not has_stepped:
+                return
+            before = evens
+        if self._hidden is not None and self._visible is None:
+            self._visible = visible(self._hidden)
         factor = factor_of(frames[0].shape[1])
         start = moved[1][0] / factor, moved[1][1] / factor
-        found = fitted(now, before, middle(now.shape), start)
+        found = fitted(now, before, middle(now.shape), start, self._visible)
         ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
         self._ahead += _share(interval_s, self._tau_s) * (_limited(ahead) - self._ahead)
-        local = 0.0 if moved[0] != (0, 0) else approaching(now, before) / interval_s
+        local = 0.0 if moved[0] != (0, 0) else approaching(now, before, self._visible) / interval_s
         # What comes at a still camera is near once it is seen.
         self._local += _share(interval_s, self._tau_s / 2.0) * (_limited(local) - self._local)
 
@@ -156,6 +177,31 @@ def reduced(frame: Grey, unit: float) -> FloatImage:
     return np.asarray(np.floor((blurred if unit < 1.0 else 255.0 * blurred) + 0.5001), np.float32)
 
 
+def visible(hidden: Flags) -> FloatImage:
+    """1.0 in the cells of a reduced picture that no hidden cell of the frame enters, else 0.0."""
+    factor = factor_of(hidden.shape[1])
+    height, width = (side // factor for side in hidden.shape)
+    shown = np.float32(hidden[: height * factor, : width * factor])
+    shown = cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.dilate(shown, np.ones((3, 3))) == 0.0, np.float32)
+
+
+def evened(before: FloatImage, now: FloatImage) -> FloatImage:
+    """An earlier picture as bright as the newest, in whole levels, if the exposure has stepped.
+
+    Else the picture itself. What comes near changes the brightness of a part of the picture; a step
+    of the exposure changes all of it alike.
+    """
+    if abs(cv2.mean(now)[0] / max(cv2.mean(before)[0], 1.0) - 1.0) < STEP:
+        return before
+    pair = (now, before)
+    blocks = (cv2.resize(one, STEP_BLOCKS, interpolation=cv2.INTER_AREA) + 1.0 for one in pair)
+    low, ratio, high = np.quantile(np.divide(*blocks), [0.25, 0.5, 0.75]).tolist()
+    if low < 1.0 + STEP and high > 1.0 - STEP:
+        return before
+    return np.asarray(np.minimum(np.floor(before * np.float32(ratio) + 0.5), 255.0), np.float32)
+
+
 @cache
 def _places(n: int) -> FloatImage:
     """Places of n cells, from their middle."""
@@ -163,12 +209,17 @@ def _places(n: int) -> FloatImage:
 
 
 def fitted(
-    now: FloatImage, before: FloatImage, window: Window, start: tuple[float, float]
+    now: FloatImage,
+    before: FloatImage,
+    window: Window,
+    start: tuple[float, float],
+    shown: FloatImage | None = None,
 ) -> Motion:
     """The motion of a window of the earlier picture, by robust least squares on its gradients.
 
     `start` is the shift along y and x to begin with. The window must leave out the border cells.
-    No motion is found if less than a quarter of the window is still in the picture.
+    Where `shown`, of the picture's shape, is 0.0, cells do not count. No motion is found if less
+    than a quarter of the window is shown and still in the picture.
     """
     top, bottom, left, right = window
     y, x = _places(bottom - top), _places(right - left)
@@ -187,12 +238,14 @@ def fitted(
         columns = _along(middle_x + u, 1.0 + a, x, now.shape[1])
         np.subtract(inside, _sampled(now, rows, columns), out=rest)
         is_seen, n_seen = None, rest.size
-        if rows[2] is not None or columns[2] is not None:
+        if rows[2] is not None or columns[2] is not None or shown is not None:
             inside_y, inside_x = (
                 np.ones(n, np.float32) if side[2] is None else side[2]
                 for side, n in zip((rows, columns), rest.shape, strict=True)
             )
             is_seen = np.outer(inside_y, inside_x)
+            if shown is not None:
+                is_seen *= shown[top:bottom, left:right]
             n_seen = np.count_nonzero(is_seen)
             if 4 * n_seen < rest.size:
                 return Motion(0.0, 0.0, 0.0, 0.0)
@@ -252,7 +305,7 @@ def _sampled(now: FloatImage, rows: _Side, columns: _Side) -> FloatImage:
     return seen
 
 
-def approaching(now: FloatImage, before: FloatImage) -> float:
+def approaching(now: FloatImage, before: FloatImage, shown: FloatImage | None = None) -> float:
     """By what share an object grows from one frame to the next, in front of what stands still.
 
     The part of the picture about the centroid of the change is fitted, as wide as the change
@@ -283,7 +336,7 @@ def approaching(now: FloatImage, before: FloatImage) -> float:
         window += [at - reach, at + reach + 1]
         reaches.append(reach)
     top, bottom, left, right = window
-    found = fitted(now, before, (top, bottom, left, right), (0.0, 0.0))
+    found = fitted(now, before, (top, bottom, left, right), (0.0, 0.0), shown)
     if abs(found.v) >= found.b * reaches[0] or abs(found.u) >= found.a * reaches[1]:
         return 0.0
     return max(min(found.a, found.b), 0.0)

@@ -15,8 +15,9 @@ BLIND_S, SOUND_S = 0.7, 0.5
 _BLOCK, _N_LEAST = 4, 4
 # In grey levels: what most blocks of a black picture are below, and the least contrast.
 _LIGHT, _CONTRAST = 4.0, 4.0
-# Correlation with the picture before below which a picture is noise.
-_LIKENESS = 0.3
+# Correlation with the picture before below which a picture is noise, if that is not older than so:
+# after a pause, another picture is no wonder.
+_LIKENESS, _NEAR_S = 0.3, 0.35
 # A picture is the same while it has changed by less than a share of the usual change from frame to
 # frame, which is noise then, and so many levels.
 _SAME, _SAME_LEVELS = 1.5, 0.25
@@ -38,7 +39,8 @@ class Health:
 
     - `black` if nine tenths of the means are below 4 grey levels of 255,
     - `flat` if the tenth and the ninetieth percentile differ by less than 4 levels,
-    - `noise` if the means correlate with those of the picture before by less than 0.3,
+    - `noise` if the means correlate with those of the picture before, which is not older than
+      0.35 s, by less than 0.3,
     - `frozen` if 95 % of the means have changed since an earlier picture by no more than
       1.5 times the usual change from one frame to the next, and a quarter of a level, where that
       usual change is below 0.08 of the range between the two percentiles.
@@ -74,8 +76,9 @@ class Health:
             time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
         if not time_s >= self._now_s or self._is_other(grey):  # the clock was set back, for example
             self.reset()
-        self._now_s = time_s
-        before, (suspected, since_s) = self._kind, self._suspected(self._means(grey), time_s)
+        is_near, self._now_s = time_s - self._now_s <= _NEAR_S, time_s
+        suspected, since_s = self._suspected(self._means(grey), time_s, is_near=is_near)
+        before = self._kind
         if suspected != before:
             self._kind, self._kind_s = suspected, since_s
         if suspected is None:
@@ -109,8 +112,10 @@ class Health:
             means = means[seen] if seen.any() else means
         return means.ravel()
 
-    def _suspected(self, now: npt.NDArray[np.float32], time_s: float) -> tuple[str | None, float]:
-        """What is wrong with a picture, and since when."""
+    def _suspected(
+        self, now: npt.NDArray[np.float32], time_s: float, *, is_near: bool
+    ) -> tuple[str | None, float]:
+        """What is wrong with a picture, and since when; `is_near`: the one before is not old."""
         before, self._before = self._before, now
         low, high = _quantile(now, 0.1), _quantile(now, 0.9)
         if before is None or self._first is None:
@@ -125,7 +130,7 @@ class Health:
             is_frozen = is_small and since <= _SAME * self._change + _SAME_LEVELS
             if not is_frozen:
                 self._first, self._first_s = now, time_s
-            likeness = _correlation(now, before)
+            likeness = _correlation(now, before) if is_near else 1.0
         if high < _LIGHT:
             return BLACK, time_s
         if high - low < _CONTRAST:

@@ -79,10 +79,10 @@ class OnOffDLGMD(DLGMD):
         for pathway, s_of_it in zip(self._pathways, (s, s_off), strict=True):
             self._engine.respond(pathway, _ONLY_S, (s_of_it, around))
         cv2.add(s, s_off, dst=s)
-        grouping = self._grouping()
+        grouping = self.grouping()
         sum_4x4(s, out=around)
         group(s, around, grouping, g)
-        p_sum, ffi = (self.receptors.p_sum(delay) for delay in (0, self._least_delay))
+        p_sum, ffi = (self.receptors.p_sum(delay) for delay in (0, self.least_delay))
         g_x, g_y = centroid_of(g)
         s_sum, mp = cv2.sumElems(s)[0], cv2.sumElems(g)[0]
         return Response(p_sum, s_sum, mp, ffi, grouping.t_de, g_x=g_x, g_y=g_y)

@@ -15,17 +15,8 @@ from dlgmd_cli.parameters.checks import Spec, nearest
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = frozenset(
     [
-        *("schema", "input", "processed", "frames", "sweep"),
-        *(
-            "versions",
-            "machine",
-            "warnings",
-            "complete",
-            "summary",
-            "wall_s",
-            "collision_frame",
-            "settings",
-        ),
+        *("schema", "input", "processed", "frames", "sweep", "versions", "machine", "warnings"),
+        *("complete", "summary", "wall_s", "collision_frame", "settings"),
     ]
 )
 # What the keys of a model may not be called.

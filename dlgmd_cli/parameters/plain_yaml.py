@@ -22,7 +22,7 @@ def read(path: Path) -> str:
     try:
         if not path.is_file():
             why = "is not a file" if path.exists() else "there is no such file"
-            raise ParameterError(name, why, "Check the path given to --config.")
+            raise ParameterError(name, why, "Check the path.")
         with path.open("rb") as file:  # files in /proc report a size of 0
             data = file.read(MAX_CONFIG_BYTES + 1)
         size = max(path.stat().st_size, len(data))

@@ -28,13 +28,7 @@ from dlgmd_cli.plots.style import (
     new_figure,
 )
 from dlgmd_cli.plots.timeline import Timeline
-from dlgmd_cli.plots.traces import (
-    ABOVE_IN,
-    BELOW_IN,
-    BETWEEN_IN,
-    fix_margins,
-    heights_alone,
-)
+from dlgmd_cli.plots.traces import ABOVE_IN, BELOW_IN, BETWEEN_IN, fix_margins, heights_alone
 from dlgmd_cli.results.annotations import KINDS
 from dlgmd_cli.results.result import Result
 

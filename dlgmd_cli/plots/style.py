@@ -186,9 +186,7 @@ def check_letters(text: str) -> None:
 
 
 def figure_files(
-    figures: Mapping[str, Callable[[], MatplotlibFigure]],
-    formats: Collection[str],
-    dpi: int = DPI,
+    figures: Mapping[str, Callable[[], MatplotlibFigure]], formats: Collection[str], dpi: int = DPI
 ) -> dict[str, Callable[[Path], None]]:
     """File name -> the function that writes that file.
 

@@ -65,7 +65,7 @@ class Ablated(DLGMD):
     def __init__(self, params: AblatedParameters | None = None, engine: str = AUTO) -> None:
         super().__init__(params, engine)
         self.connections = connections_of(self.params)
-        delay = max(self.connections.max_delay_frames, self._least_delay)
+        delay = max(self.connections.max_delay_frames, self.least_delay)
         self.first_valid_frame = 1 + delay
         self.receptors = Photoreceptors(self.first_valid_frame)
 
@@ -238,13 +238,14 @@ def _medians(by_set: list[Series]) -> list[float]:
 
 def _shown(values: Series) -> str:
     low, high = interval(values.tolist())
-    return f"{_short(float(np.median(values)))} ({_short(low)}–{_short(high)})"
+    middle, ends = _short(float(np.median(values))), (_short(low), _short(high))
+    return middle if ends == (middle, middle) else f"{middle} ({'–'.join(ends)})"
 
 
 def _short(value: float) -> str:
     if not math.isfinite(value):
         return "∞" if value > 0 else "–"
-    return f"{value:.2g}" if value < 1e3 else f"{value:.1e}".replace("e+0", "e")
+    return f"{float(f'{value:.2g}'):g}" if value < 995.0 else f"{value:.1e}".replace("e+0", "e")
 
 
 def _da_rows(das: Callable[..., Series], flown: list[ClipResults]) -> list[tuple[Any, ...]]:

@@ -57,6 +57,7 @@ class Claim:
     source: str = ""
     paper: str = ""
     why_not: str = ""
+    why_undecided: str = ""
 
     @property
     def sign(self) -> str:
@@ -245,9 +246,10 @@ def write_claims(path: Path, found: Iterable[Finding]) -> None:
 
 
 def counts(found: Iterable[Finding]) -> dict[str, Counter[str]]:
-    """Version -> numbers of claims by verdict, of the paper's claims about its model."""
-    numbers: dict[str, Counter[str]] = {}
-    for one in found:
-        if one.claim.whose == WHOSE[0] and one.version != ANY:
-            numbers.setdefault(one.version, Counter())[one.verdict] += 1
-    return numbers
+    """Version -> numbers of claims by verdict, of the paper's claims about its model.
+
+    A claim that does not depend on the version counts in each.
+    """
+    of_paper = [one for one in found if one.claim.whose == WHOSE[0]]
+    numbers = {v: Counter(o.verdict for o in of_paper if o.version in (v, ANY)) for v in VERSIONS}
+    return {version: each for version, each in numbers.items() if each}

@@ -14,7 +14,6 @@ import numpy as np
 from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.models.base import FloatImage
 from dlgmd_cli.models.lgmd import INHIBITION
-from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import (
     MODELS,
     Parameters,
@@ -22,10 +21,10 @@ from dlgmd_cli.parameters.presets import (
     load_set,
     merge,
 )
+from dlgmd_cli.reproduce.family import responses
 from dlgmd_cli.results.result import Result, Series
 from dlgmd_cli.results.rows import RowList
 from dlgmd_cli.scenes.flights.scenes import find_scene, open_scene
-from dlgmd_cli.tasks.run import responses
 from dlgmd_cli.video.opening import open_video
 from dlgmd_cli.video.source import Video
 
@@ -152,25 +151,23 @@ def run_clip(clip: Clip, models: Models) -> ClipResults:
     """
     digest = hashlib.sha256()
     with open_clip(clip) as video:
-        (width, height), steppers = video.size_wh, []
-        for params, scale in map(_scaled, models.values()):
-            size_wh = max(1, round(width * scale)), max(1, round(height * scale))
-            steppers.append(Stepper(params, engine="opencv", size_wh=size_wh))
-        collected = [RowList() for _ in steppers]
-        for frame, found in responses(video, steppers):
+        (width, height), sized = video.size_wh, {}
+        for label, (params, scale) in zip(models, map(_scaled, models.values()), strict=True):
+            sized[label] = params, (max(1, round(width * scale)), max(1, round(height * scale)))
+        collected = {label: RowList() for label in models}
+        for frame, found in responses(video, sized):
             digest.update(frame.grey.tobytes())
-            for rows, response in zip(collected, found, strict=True):
-                rows.append(frame, response)
+            for label, response in found.items():
+                collected[label].append(frame, response)
     record, truth = _known(clip)
     phases = {
         one["name"]: (one["first_frame"], one["last_frame"]) for one in record.get("phases", ())
     }
     known = {key: record[key] for key in ("collision_frame",) if record.get(key) is not None}
     results = {}
-    for label, stepper, rows in zip(models, steppers, collected, strict=True):
-        width, height = stepper.size_wh or video.size_wh
+    for label, (params, (width, height)) in sized.items():
         processed = {"processed": {"width": width, "height": height}}
-        results[label] = Result(rows.rows(), stepper.params, {**processed, **known})
+        results[label] = Result(collected[label].rows(), params, {**processed, **known})
     return ClipResults(clip, results, truth, phases, digest.hexdigest())
 
 

@@ -8,19 +8,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dlgmd_cli.models.base import FloatImage
 from dlgmd_cli.models.engines.opencv import sum_4x4
-from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import Parameters
 from dlgmd_cli.plots.panels import Panel, plot_panels
 from dlgmd_cli.plots.style import FLOOR_DB
 from dlgmd_cli.reproduce.clips import EVERY, Clip, model, open_clip, reference_clip
+from dlgmd_cli.reproduce.family import responses
 from dlgmd_cli.reproduce.plan import Evidence, Exhibit, Plan, Steps, by_version
 from dlgmd_cli.reproduce.stimuli import BY_LATENCY
 from dlgmd_cli.results.result import Series
 from dlgmd_cli.scenes.flights.ball import BALL_M, BALL_PX, CAPSULES, CONTACT_FRAME, START_PX
-from dlgmd_cli.tasks.run import responses
+
+Indices = npt.NDArray[np.intp]
 
 # Of the paper's Fig. 8, in a picture 800 px wide: half the size of the boxes around the capsules,
 # the distance of the ball on arrival in m, and the focal length in px.
@@ -34,7 +36,7 @@ class ObjectSums:
     """What models make of the objects of a clip, by label.
 
     `sums` are those of P and S within a box around each object, (2, n_frames, 5): the ball, then
-    the capsules. `shares` are the `layer_shares` of each frame, (n_frames, 5). NaN until the
+    the capsules. `shares` are the `Cells.shares` of each frame, (n_frames, 5). NaN until the
     model's first valid frame. `sha256` is that of the grey frames.
     """
 
@@ -46,21 +48,24 @@ class ObjectSums:
 
 def object_sums(clip: Clip, models: Mapping[str, Parameters]) -> ObjectSums:
     """Run models over the clip with the ball and the capsules."""
-    steppers = [Stepper(params, engine="opencv") for params in models.values()]
     sums: dict[str, list[Series]] = {label: [] for label in models}
     shares: dict[str, list[Series]] = {label: [] for label in models}
     digest = hashlib.sha256()
     with open_clip(clip) as video:
-        for frame, each in responses(video, steppers, layers=lambda frame: True):
+        sized = {label: (params, video.size_wh) for label, params in models.items()}
+        for frame, each in responses(video, sized, layers=True):
             digest.update(frame.grey.tobytes())
             boxes = object_boxes(frame.grey.shape, frame.index)
-            for label, response in zip(models, each, strict=True):
+            cells: dict[int, Cells] = {}
+            for label, response in each.items():
                 found, about = np.full((2, len(boxes)), np.nan), np.full(N_SHARES, np.nan)
                 if response.is_valid and response.layers is not None:
                     p, s, g = response.layers.p, response.layers.s, response.layers.g
                     assert p is not None and s is not None and g is not None
                     found = np.array([[float(one[box].sum()) for box in boxes] for one in (p, s)])
-                    about = layer_shares(p, s, g)
+                    if id(s) not in cells:  # versions share S
+                        cells[id(s)] = Cells.of(p, s)
+                    about = cells[id(s)].shares(g)
                 sums[label].append(found)
                 shares[label].append(about)
     return ObjectSums(
@@ -76,22 +81,41 @@ N_SHARES = 5
 _ACTIVE, _SPARSE = 0.01, 4
 
 
-def layer_shares(p: FloatImage, s: FloatImage, g: FloatImage) -> Series:
-    """Of a frame: how P and S are spread, which cells of S are not in G, and what G amplifies.
+@dataclass(frozen=True)
+class Cells:
+    """The moving and the active cells of a frame, and how P and S are spread.
 
-    The standard deviations of P and of S over the cells where P is active, by their means; the
-    shares of the sparse and of the other active cells of S that G removes; and ΣG by ΣS over those
-    others. NaN without such cells.
+    `spread` are the standard deviations of P and of S over the cells where P is active, by their
+    means. `sparse` and `grouped` are the indices of the active cells of S with few and with more
+    active cells around them, and `s_sum` is ΣS over the latter.
     """
-    moving = p > _ACTIVE
-    spread = [_spread(one[moving]) for one in (p, s)]
-    is_active = (s > _ACTIVE).astype(np.float32)
-    around = np.empty_like(is_active)
-    sum_4x4(is_active, around)
-    sparse, grouped = (is_active * is_it > 0 for is_it in (around <= _SPARSE, around > _SPARSE))
-    removed = [(g[cells] == 0.0).mean() if cells.any() else np.nan for cells in (sparse, grouped)]
-    gain = g[grouped].sum() / s[grouped].sum() if grouped.any() else np.nan
-    return np.array([*spread, *removed, gain])
+
+    spread: list[float]
+    sparse: Indices
+    grouped: Indices
+    s_sum: float
+
+    @classmethod
+    def of(cls, p: FloatImage, s: FloatImage) -> "Cells":
+        """The cells of P and S, (H, W)."""
+        is_active, around = s > _ACTIVE, np.empty_like(s)
+        sum_4x4(is_active.astype(np.float32), around)
+        active, moving = np.flatnonzero(is_active), np.flatnonzero(p > _ACTIVE)
+        is_sparse = around.ravel()[active] <= _SPARSE
+        sparse, grouped = active[is_sparse], active[~is_sparse]
+        spread = [_spread(one.ravel()[moving]) for one in (p, s)]
+        return cls(spread, sparse, grouped, s.ravel()[grouped].sum())
+
+    def shares(self, g: FloatImage) -> Series:
+        """How P and S are spread, which cells of S are not in G, (H, W), and what G amplifies.
+
+        `spread`; the shares of the sparse and of the other active cells of S that G removes; and ΣG
+        by ΣS over those others. NaN without such cells.
+        """
+        sparse, grouped = (g.ravel()[cells] for cells in (self.sparse, self.grouped))
+        removed = [(one == 0.0).mean() if one.size else np.nan for one in (sparse, grouped)]
+        gain = grouped.sum() / self.s_sum if grouped.size else np.nan
+        return np.array([*self.spread, *removed, gain])
 
 
 def _spread(values: FloatImage) -> float:
@@ -172,7 +196,7 @@ def _object_db(found: ObjectSums, label: str) -> Series:
 
 
 def _median_shares(found: ObjectSums, label: str) -> Series:
-    """Medians of `layer_shares` over the frames."""
+    """Medians of `Cells.shares` over the frames."""
     return np.nanmedian(found.shares[label], axis=0)
 
 

@@ -118,9 +118,7 @@ class Section:
     @property
     def held(self) -> dict[str, tuple[int, int]]:
         """Version -> numbers of the paper's claims about its model that hold, and of all."""
-        of_paper = [one for one in self.found if one.claim.whose == WHOSE[0] and one.version != ANY]
-        by_version = {v: [one.verdict for one in of_paper if one.version == v] for v in VERSIONS}
-        return {v: (all_.count(YES), len(all_)) for v, all_ in by_version.items() if all_}
+        return {v: (each[YES], each.total()) for v, each in counts(self.found).items()}
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,10 @@ class Report:
 def shown(one: Finding) -> str:
     """The value, or the median over seeds with its interval."""
     if len(one.values) == 1:
-        return number(one.median)
+        text, threshold = number(one.median), one.claim.threshold
+        # With three digits, a value could look like the threshold that it just meets or fails.
+        is_close = text == number(threshold) and one.median != threshold
+        return f"{one.median:.6g}".replace("-", "−") if is_close else text
     low, high = map(number, one.interval)
     return number(one.median) if low == high else f"{number(one.median)} ({low} to {high})"
 

@@ -2,13 +2,14 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import DlgmdError, counted, printable
+from dlgmd_cli.errors import DlgmdError, ResultError, counted, printable
 from dlgmd_cli.machine.pool import DONE
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.csv import Table, table_of
@@ -60,6 +61,14 @@ class Summary:
         self.path = place / store.SUMMARY
         self.rows: dict[str, Row] = {}
         self._next_write_s = 0.0
+
+    def n_dropped(self, videos: Iterable[str]) -> int:
+        """How many videos the file lists that are not among these."""
+        rows: list[list[str]] = []
+        if not store.is_url(str(self.path)) and self.path.is_file():
+            with suppress(ResultError):
+                rows = csv.read_rows(Path(self.path))
+        return len({row[0] for row in rows[1:] if row} - {csv.text_cell(one) for one in videos})
 
     def write(self, *, at_once: bool = True) -> None:
         """Write the file; raises OutputError.

@@ -125,7 +125,7 @@ class Calibration(Outcome):
 
     @property
     def params(self) -> Parameters:
-        """The parameters found, for `run` and `Alarm`."""
+        """The parameters found, without the width that they are made for; `setup` has it."""
         found: Parameters = self.setup.params
         return found
 
@@ -300,10 +300,7 @@ def choose(
 
 
 def tally_held_out(
-    signals: Sequence[Sequence[Signal]],
-    folds: Sequence[int],
-    choices: Choices,
-    horizon_s: float,
+    signals: Sequence[Sequence[Signal]], folds: Sequence[int], choices: Choices, horizon_s: float
 ) -> list[Tally]:
     """Count the alarms of each fold with the choice that was made without it.
 

@@ -92,14 +92,10 @@ class Comparison(Outcome):
     @property
     def record(self) -> dict[str, Any]:
         """Contents of compare.yaml without the versions."""
-        first, collision = next(iter(self.results.values())).record, self.annotations
+        first, contact = next(iter(self.results.values())).record, self.annotations.collision_frame
         return {
             "input": first["input"],
-            **(
-                {}
-                if collision.collision_frame is None
-                else {"collision_frame": collision.collision_frame}
-            ),
+            **({} if contact is None else {"collision_frame": contact}),
             **{key: first[key] for key in ("settings",) if key in first},
             "models": [self._described(label) for label in self.results],
             "options": first["options"],

@@ -114,7 +114,7 @@ class Outcome:
         Raises ParameterError if there is no such figure.
         """
         if not self.FIGURES:
-            raise ParameterError("", f"a {type(self).__name__} has no figure")
+            raise ParameterError("", f"{type(self).__name__} has no figure")
         kind = kind or next(iter(self.FIGURES))
         require_known("figure", kind, self.FIGURES)
         return self.figure(kind, **look)
@@ -133,7 +133,7 @@ class Outcome:
     ) -> dict[str, store.Write]:
         """File name -> function that writes the file: tables, figures in `formats`, record."""
         files = self.tables()
-        if formats := tuple(dict.fromkeys(formats)):
+        if formats := store.known_formats(formats):
             files |= self.figure_files(formats, dpi, **look)
         if self.RECORD:
             files[self.RECORD] = store.file_of(self.record_text())
@@ -177,7 +177,7 @@ class Outcome:
         OutputError
             If the folder cannot be written.
         """
-        formats, identity = tuple(formats), self.identity()
+        formats, identity = store.known_formats(formats), self.identity()
         names = () if self.RECORD in store.FIGURES else self.own_files(formats)
         where = store.place(folder), self.RECORD, identity
         with store.claimed(*where, names=names, overwrite=overwrite) as claim:

@@ -73,10 +73,7 @@ def read_comparison(folder: str | Path) -> dict[str, Result]:
         common: dict[str, Any] = {key: record[key] for key in shared if key in record}
         size = {key: own[key] for key in ("width", "height", "cells") if key in own}
         results[label] = _result(
-            folder / store.COMPARISON,
-            columns,
-            {**common, **own, "processed": size},
-            own,
+            folder / store.COMPARISON, columns, {**common, **own, "processed": size}, own
         )
     return results
 

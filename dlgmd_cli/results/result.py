@@ -18,10 +18,7 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, load_set
 from dlgmd_cli.results import csv, store
 from dlgmd_cli.results.names import frames_text, recorded_name
 from dlgmd_cli.results.outcome import Outcome, Shown, drawn_by
-from dlgmd_cli.results.record import (
-    identity_in,
-    record_text,
-)
+from dlgmd_cli.results.record import identity_in, record_text
 from dlgmd_cli.results.rows import ROW, Rows
 
 if TYPE_CHECKING:
@@ -271,8 +268,8 @@ class Result(Outcome):
     def distinguishability(self, false_positive_frame: int) -> float:
         """Distinguishability DA: the mean K near the peak over the mean K near a false positive.
 
-        Each mean is over the valid frames at most 5 frame numbers away. Infinite if only the mean
-        near the false positive is 0; NaN if the peak is only rounding, or if there are no valid
+        Each mean is over the valid, new frames at most 5 frame numbers away. Infinite if only the
+        mean near the false positive is 0; NaN if the peak is only rounding, or if there are no such
         frames near one of them.
         """
         if self._peak_row is None or self.mp[self._peak_row] < LEAST_PEAK:
@@ -421,8 +418,8 @@ class Result(Outcome):
         return None if np.isnan(before).all() else int(np.nanargmax(before))
 
     def _mean_near(self, frame: int) -> float:
-        """Mean K over the valid frames near `frame`, NaN if there are none."""
-        near = self._mp_before[np.abs(self.frame - frame) <= NEAR_FRAMES]
+        """Mean K over the valid frames near `frame` without repeats, NaN if there are none."""
+        near = self._mp_before[(np.abs(self.frame - frame) <= NEAR_FRAMES) & ~self.is_repeat]
         valid = near[~np.isnan(near)]
         return float(valid.mean()) if valid.size else math.nan
 

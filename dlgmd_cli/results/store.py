@@ -8,6 +8,7 @@ that leaves the earlier result as it was. In a bucket, files are uploaded in the
 import errno
 import logging
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -25,6 +26,7 @@ from dlgmd_cli.errors import (
 )
 from dlgmd_cli.machine import cancel
 from dlgmd_cli.machine.files import LOCK, PREFIX, staging
+from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.results.record import differences, read_record
 
 if TYPE_CHECKING:
@@ -60,6 +62,14 @@ def files_of(record: str) -> frozenset[str]:
     return frozenset({record, *TABLES[record], *figures})
 
 
+def known_formats(formats: Iterable[str]) -> tuple[str, ...]:
+    """The formats of figures, each once, of one or several; raises ParameterError."""
+    found = (formats,) if isinstance(formats, str) else tuple(dict.fromkeys(formats))
+    for one in found:
+        require_known("format", one, PLOT_FORMATS)
+    return found
+
+
 def place(text: str | os.PathLike[str]) -> "Path | UPath":
     """The folder for a path or a URL such as ``s3://bucket/results``.
 
@@ -93,6 +103,13 @@ def place(text: str | os.PathLike[str]) -> "Path | UPath":
 def is_url(text: str | os.PathLike[str]) -> bool:
     """Whether a name is a URL such as ``s3://bucket/flights``."""
     return "://" in os.fspath(text)
+
+
+def require_local(folder: str | os.PathLike[str], option: str = "--out") -> None:
+    """Raise ParameterError for a URL, also as a path, which has one slash."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(folder)):
+        mend = "Give a folder. Only the results of 'dlgmd batch' may go to a URL."
+        raise ParameterError("", f"{option} {folder} is a URL", mend)
 
 
 def fitting(name: str) -> str:
@@ -301,6 +318,10 @@ class ClaimedFolder:
                     (stage / name).unlink(missing_ok=True)
         return undrawn
 
+    def created(self, name: str) -> IO[str]:
+        """A new table of this folder that is open for rows; OSError passes through."""
+        return (self.folder / name).open("w", encoding="utf-8", newline="")
+
     def write(self, files: Mapping[str, Write]) -> tuple[Path, ...]:
         """As `commit`, but logs the figures that could not be drawn; returns the other files."""
         undrawn = self.commit(files)
@@ -347,6 +368,8 @@ def claimed(
         If the folder cannot be written.
     """
     is_new = False
+    if not is_url(str(folder)):
+        require_local(folder, option)
     if record in TABLES:
         is_new = check(folder, record, identity or {}, overwrite=overwrite, option=option)
     for name in names:
@@ -400,11 +423,6 @@ def appending(path: Path) -> Iterator[IO[str]]:
     """Open a table of a claimed folder to append rows as they are computed."""
     with writing(path.parent), path.open("a", newline="", encoding="utf-8") as file:
         yield file
-
-
-def created(path: Path) -> IO[str]:
-    """A new table of a claimed folder that is open for rows; OSError passes through."""
-    return path.open("w", encoding="utf-8", newline="")
 
 
 def file_of(content: str | bytes) -> Write:

@@ -179,14 +179,16 @@ def batch(
     """
     _check_scheduler(scheduler, jobs, timeout)
     asked = _agreed(choose_all(models, set, config, model, param, formulation, engine), options)
+    formats = store.known_formats(formats)
     labels, out = [one.label for one in asked.setups], os.fspath(out)
     places = [str(store.place(out) / label) for label in labels] if len(labels) > 1 else [out]
     roots = [folders] if isinstance(folders, str | os.PathLike) else folders
     outs = [out, *([] if clips is None else [os.fspath(clips)])]
     found = _find([os.fspath(root) for root in roots], outs, exclude)
-    formats = tuple(dict.fromkeys(formats))
     shared = Shared(asked, tuple(places), formats, dpi, overwrite or force)
-    shared = replace(shared, clips=None if clips is None else os.path.abspath(clips))
+    if clips is not None:
+        store.require_local(clips, "--clips")
+        shared = replace(shared, clips=os.path.abspath(clips))
     if dry_run:
         return _outcome(shared, found, _plan(found, shared, force), out, is_dry=True)
     with store.claimed(store.place(out)), ExitStack() as stack:
@@ -194,6 +196,10 @@ def batch(
             scratch = stack.enter_context(TemporaryDirectory(prefix="dlgmd-"))
             shared = replace(shared, scratch=scratch)
         made = _plan(found, shared, force)
+        for summary in made.summaries:
+            if n := summary.n_dropped(video.name for video in found.videos):
+                said = "Note: %s no longer lists %s of an earlier batch; their results stay."
+                _log.info(said, summary.path, counted(n, "video"))
         if clips is not None and not shared.overwrite:
             for one in (clips_place(shared, n, t.video) for t in made.tasks for n in t.wanted):
                 refuse_clips(one.parent, one.name)

@@ -16,6 +16,7 @@ from dlgmd_cli.machine import cancel
 from dlgmd_cli.parameters.checks import Spec
 from dlgmd_cli.results import store
 from dlgmd_cli.results.calibration import (
+    WIDTH,
     Calibration,
     Choices,
     Rules,
@@ -114,7 +115,10 @@ def calibrate(
     if isinstance(search, Mapping):
         search = [f"{key}={low}:{high}" for key, (low, high) in search.items()]
     ranges = dict(parse_range(text, asked.setup.params) for text in search)
-    labels = Path(labels)
+    if WIDTH in ranges and (asked.options.scale or asked.options.size):
+        why = "width_px is nothing to search where --scale or --size says it"
+        raise ParameterError("--search", why, "Leave one of them out.")
+    labels, formats = Path(labels), store.known_formats(formats)
     if out is not None:
         store.refuse_existing(Path(out) / f"{name}.yaml", overwrite=overwrite)
     cases = read_cases(labels)
@@ -137,7 +141,7 @@ def calibrate(
         calibrated = calibrated_by(experiment, before, tried, **about_it)
         calibrated = replace(calibrated, setup=replace(calibrated.setup, label=name))
         if out is not None:
-            calibrated.write(claim, tuple(formats))
+            calibrated.write(claim, formats)
     return calibrated
 
 

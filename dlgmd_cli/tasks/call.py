@@ -119,3 +119,6 @@ def tell(video: Video, asked: Asked, warnings: Sequence[str]) -> None:
         _log.warning("%s: %s", video.info.given, warning)
     if asked.options.fps in (None, "all") and (sampling := video.sampling()):
         _log.info("Note: %s: %s.", video.info.given, sampling)
+    if (asked.options.input_fps or video.info.fps) != video.info.fps:
+        said = "Note: %s: it states %.4g frames/s, so that --input-fps is not used."
+        _log.info(said, video.info.given, video.info.fps)

@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from dlgmd_cli.errors import SourceError
+from dlgmd_cli.errors import ParameterError, SourceError
 from dlgmd_cli.machine.files import open_regular
 from dlgmd_cli.results.names import distinct_names
 from dlgmd_cli.results.store import SUMMARY, failure_text, is_url, place
@@ -74,6 +74,8 @@ def find_videos(
     MissingExtraError if the packages for a URL are not installed.
     """
     roots = list(dict.fromkeys(roots))
+    if "" in roots:
+        raise ParameterError("", "the name of a folder is empty")
     search = _Search(leave_out, exclude)
     prefixes = distinct_names([Path(root) for root in roots]) if len(roots) > 1 else [""]
     named = list(zip(prefixes, roots, strict=True))

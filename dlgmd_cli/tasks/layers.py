@@ -122,6 +122,7 @@ def layers(
     asked = fold(None, set, config, model, formulation, param, engine, options, video)
     wanted = chosen_frames(frames) if frames is not None else () if film is not None else None
     contact = contact_of(video, collision_frame, collisions)
+    formats = store.known_formats(formats)
     film = None if film is None else Path(film)
     sheet_out = None if wanted == () else out
     with opened(video, asked, store.LAYERS, sheet_out, overwrite=overwrite) as (source, claim):
@@ -134,7 +135,7 @@ def layers(
         found = layers_of(source, asked, wanted, whole, progress, contact=contact)
         tell(source, asked, found.warnings)
         if claim is not None and found.sheet is not None:
-            found.write(claim, tuple(formats), dpi, npz=npz)
+            found.write(claim, formats, dpi, npz=npz)
     if film is None:
         return found
     if found.paths and cancel.requested():

@@ -47,8 +47,8 @@ def plot(
     `paths` are folders of results, trees of them, or a ``compare.csv``; `out` is a folder for
     ``KIND-NAME`` in the `formats`, or a file that ends in one of them. The results are called by
     their folders unless there are `labels`. Of each, the collisions in a table are drawn, and what
-    follows the last one is left out. `normalise` is "absolute" or "sequence". `plots.traces.plot`
-    explains the other arguments.
+    follows the last one is left out of `mp_seq`. `normalise` is "absolute" or "sequence".
+    `plots.traces.plot` explains the other arguments.
 
     Raises ParameterError for labels or limits that do not fit the results, ResultError for a result
     that is missing or damaged, and OutputError or OutputExistsError for a figure that cannot be

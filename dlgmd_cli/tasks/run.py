@@ -135,9 +135,12 @@ def run(
     1
     """
     asked = fold(models, set, config, model, formulation, param, engine, options, video)
+    formats = store.known_formats(formats)
     if models is not None and (out is not None or clips is not None):
         mend = "Give a single model, or call batch or compare."
         raise ParameterError("", "out and clips work only with one model", mend)
+    if clips is not None:
+        store.require_local(clips, "--clips")
     with opened(video, asked, store.RUN, out, overwrite=overwrite) as (source, claim):
         if clips is not None and not overwrite:
             refuse_clips(Path(clips), source.info.name)
@@ -261,8 +264,11 @@ def compare(
         models = [DEFAULT_PRESET, *COMPARED_MODELS]
     named = models, set, config, model, formulation, param, engine
     asked = fold(*named, options, video, repeats_record=False)
-    asked = replace(asked, setups=tuple(with_labels(asked.setups)))
+    labels = numbered([one.label for one in asked.setups])
+    setups = (replace(one, label=name) for one, name in zip(asked.setups, labels, strict=True))
+    asked = replace(asked, setups=tuple(setups))
     notes = Annotations(tuple(marks), tuple(spans), collision_frame, false_positive_frame)
+    formats = store.known_formats(formats)
     with opened(video, asked, store.COMPARISON, out, overwrite=overwrite) as (source, claim):
         found = _answers(source, asked, progress)
         failure = found[0].failure
@@ -275,12 +281,6 @@ def compare(
         if claim is not None:
             compared.write(claim, formats, dpi, width=width)
     return compared
-
-
-def with_labels(setups: Sequence[Setup]) -> list[Setup]:
-    """The setups with distinct labels."""
-    labels = numbered([one.label for one in setups])
-    return [replace(one, label=label) for one, label in zip(setups, labels, strict=True)]
 
 
 def _unused(setups: Sequence[Setup]) -> list[str]:

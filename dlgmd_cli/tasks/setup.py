@@ -57,10 +57,7 @@ class Setup:
         """Size of the processed frames, (width, height) in px: by option, else the model's own."""
         asked = self.options if options.scale is None and options.size is None else options
         return processed_size(
-            *video.source_wh,
-            scale=asked.scale,
-            size_wh=asked.size,
-            width_px=self.width_px,
+            *video.source_wh, scale=asked.scale, size_wh=asked.size, width_px=self.width_px
         )
 
     def settings(self) -> dict[str, Any]:
@@ -81,18 +78,19 @@ class Asked:
         """The only model, or the first one."""
         return self.setups[0]
 
-    def open(self, source: Openable) -> Video:
+    def open(self, source: Openable, formulations: Iterable[str] = ()) -> Video:
         """Open an input for the models; raises what `open_video` raises.
 
         By default, the frame size is that of the first model and the frame rate that of the
-        fastest. If one has the formulation `released`, every frame is read, repeats included.
+        fastest. If one has the formulation `released`, or is to have it by `formulations`, every
+        frame is read, repeats included.
         """
-        formulations = [one.params.to_dict().get("formulation") for one in self.setups]
+        own = [one.params.to_dict().get("formulation") for one in self.setups]
         model_fps = max(one.model_fps for one in self.setups)
         return self.options.open(
             source,
             width_px=self.setup.width_px,
-            model_fps=None if "released" in formulations else model_fps,
+            model_fps=None if "released" in (*formulations, *own) else model_fps,
         )
 
 
@@ -228,9 +226,7 @@ def _takes_sets(kind: type[Parameters] | None) -> bool:
 
 
 def _named_config(
-    set: str | int | None,
-    config: str | os.PathLike[str] | None,
-    kind: type[Parameters] | None,
+    set: str | int | None, config: str | os.PathLike[str] | None, kind: type[Parameters] | None
 ) -> tuple[Config, str]:
     """The configuration that the arguments of `choose` name, and the model's label."""
     if config is not None:

@@ -57,12 +57,15 @@ def stops_of(candidates: Candidates, brakes: Brakes, jobs: int | None) -> dict[s
     ]
     if not tasks:
         return {}
-    found = results_of(partial(_stops, brakes), tasks, min(jobs or n_processors(), len(tasks)))
+    found = results_of(partial(stops_in, brakes), tasks, min(jobs or n_processors(), len(tasks)))
     return {task[0]: stops for task, stops in found if isinstance(stops, Stops)}
 
 
-def _stops(brakes: Brakes, task: tuple[str, str, bytes]) -> Stops | None:
-    """The stops of one video, or None if it is not a flight that can be rebuilt."""
+def stops_in(brakes: Brakes, task: tuple[str, str, bytes]) -> Stops | None:
+    """The stops of one video (its name, its path, the times of its frames as bytes).
+
+    None if it is not a flight that can be rebuilt.
+    """
     _, path, times = task
     stage = recorded_stage(Path(path))
     if stage is None:

@@ -139,7 +139,7 @@ def sweep(
     """
     cubes = {"speed": tuple(speed), "cube_size": cube_size, "frames": frames}
     _refuse_others(video, cubes, {**options, "false_positive_frame": false_positive_frame})
-    overridden = param or {}
+    overridden, formats = param or {}, store.known_formats(formats)
     is_fig11 = video is None and set is None and config is None and model in (None, DLGMD)
     if is_fig11:
         model, param = DLGMD, {**FIG_11, **overridden}
@@ -151,7 +151,8 @@ def sweep(
         if video is None:
             subject = _cubes(cubes, asked.options.size, grid, asked.setup.params)
         else:
-            source = opened.enter_context(asked.open(video))
+            of_points = (v for a in (grid.x, grid.y) if a.key == "formulation" for v in a.values)
+            source = opened.enter_context(asked.open(video, of_points))
             subject = video_input(source, asked.options, false_positive_frame)
         place = Path(opened.enter_context(TemporaryDirectory()) if out is None else out)
         folder = place / f"sweep-{store.fitting(subject.name)}"
@@ -160,7 +161,7 @@ def sweep(
         swept.resume(overwrite=overwrite)
         _compute(swept, jobs or n_processors(), progress)
         if out is not None:
-            swept.result.write(claim, tuple(formats), dpi, width=width)
+            swept.result.write(claim, formats, dpi, width=width)
             vars(swept.result)["paths"] = (folder,)
     return swept.result
 
@@ -358,13 +359,7 @@ class Sweep:
     ParameterError if no point is valid.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        subject: SweepInput,
-        grid: Grid,
-        setup: Setup,
-    ) -> None:
+    def __init__(self, folder: Path, subject: SweepInput, grid: Grid, setup: Setup) -> None:
         self.folder, self.subject, self.grid, self.setup = folder, subject, grid, setup
         self.engine = engine_for(setup.params, setup.engine, subject.size_wh)
         self.points: dict[int, Parameters] = {}

@@ -176,7 +176,7 @@ def _most_fps(
         return RATE_TOLERANCE * model_fps if model_fps and is_continuous else math.inf
     if max_fps < math.inf and input_fps is None and not is_continuous:
         why = f"--fps {max_fps:g} limits a frame rate, but pictures and arrays state none"
-        raise ParameterError("", why, "Give theirs with --input-fps (in Python: input_fps).")
+        raise ParameterError("", why, "Give theirs with --input-fps.")
     return max_fps
 
 
@@ -207,6 +207,8 @@ def _source(path: Openable, decoder: str, fps: float) -> tuple[str, str, Callabl
             raise ParameterError("", f"expected a path or images, not {what}", "Give a video.")
         return NAME, NAME, partial(ArrayDecoder, path, fps)
     file, where = Path(path), os.path.abspath(path)
+    if not os.fspath(path):
+        raise ParameterError("", "the name of the input is empty")
     _refuse_streams(os.fspath(path))
     try:
         pictures = pictures_at(file)

@@ -1,6 +1,7 @@
 """The options of an input: which part of it is read, and how."""
 
 import hashlib
+import logging
 import math
 import os
 from collections.abc import Mapping
@@ -15,6 +16,8 @@ from dlgmd_cli.parameters.presets import DEFAULT_WIDTH_PX
 from dlgmd_cli.video.base import DEFAULT_DECODER, INPUT_SPECS, Crop, parse_crop, parse_size
 from dlgmd_cli.video.opening import Openable, open_video
 from dlgmd_cli.video.source import SourceInfo, Video
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -66,15 +69,19 @@ class InputOptions:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], origin: str = "") -> "InputOptions":
-        """The options in a record; a ParameterError names `origin`."""
+        """The options in a record; a ParameterError names `origin`. Logs a changed mask."""
         known = {one.name for one in fields(cls)}
         for key in record:
             if key not in known:
                 raise ParameterError(origin, f"unknown option {shown(key)} under 'options'")
         try:
-            return cls(**record)
+            found = cls(**record)
         except ParameterError as error:
             raise ParameterError(origin, f"options: {error.why}", error.mend) from None
+        before = record.get("mask_sha256")
+        if origin and before and found.mask_sha256 not in (None, before):
+            _log.warning("%s: the mask %s has changed since", origin, found.mask)
+        return found
 
     def n_expected(self, info: SourceInfo) -> int | None:
         """Expected number of frames up to the requested end; None if the input states none."""
@@ -92,11 +99,7 @@ class InputOptions:
         return values
 
     def open(
-        self,
-        path: Openable,
-        *,
-        width_px: int = DEFAULT_WIDTH_PX,
-        model_fps: float | None = None,
+        self, path: Openable, *, width_px: int = DEFAULT_WIDTH_PX, model_fps: float | None = None
     ) -> Video:
         """Open an input with these options; raises what `open_video` raises.
 

@@ -38,10 +38,7 @@ class Region:
     """
 
     def __init__(
-        self,
-        picture_wh: tuple[int, int],
-        crop: Crop | None = None,
-        masked: Flags | None = None,
+        self, picture_wh: tuple[int, int], crop: Crop | None = None, masked: Flags | None = None
     ) -> None:
         width, height, x, y = crop or Crop(*picture_wh, 0, 0)
         self.size_wh = width, height

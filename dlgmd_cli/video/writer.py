@@ -164,9 +164,7 @@ def _by_pyav(
         if not is_colour:
             return av.VideoFrame.from_ndarray(_planes(image), format="yuv420p")
         return av.VideoFrame.from_ndarray(image, format="bgr24").reformat(
-            format="yuv420p",
-            dst_colorspace=Colorspace.ITU709,
-            dst_color_range=ColorRange.MPEG,
+            format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG
         )
 
     try:

@@ -1,17 +1,19 @@
-"""Alarms on disturbed flights: for light, screens, propellers, and links that stall.
+"""Alarms on disturbed flights: light, screens, propellers, lenses, and links that stall.
 
-Not part of the test run. From the repository, for flights of `dlgmd synth random --count 60`:
+Not part of the test run. From the repository:
 
-    python tests/benchmarks/bench_field.py FOLDER [CASE ...]
+    dlgmd synth random --speed 1:3 --count 60 --seed 150000 --name u --out FLIGHTS
+    python tests/benchmarks/bench_field.py FLIGHTS [CASE ...] [-v]
 
 Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
-labels.csv, and counts what `Alarm` makes of them, by the rules of `dlgmd evaluate`: an alarm up to
-1 s before the collision is a hit, one that is justified (flying straight on, the drone would have
-hit something within 1.5 s) is neither a hit nor false. A drone is saved if a stop at the first
-alarm of either kind ends before the collision. The case `osd-masked` hides what `osd` paints.
+labels.csv. What `Alarm` makes of them is judged by the functions of `dlgmd evaluate`, with its
+usual horizon, and each drone braking as it can. Flights in which the drone flies itself are counted
+by themselves; beside them stands what comes at a drone that hovers, or passes it. The case
+`osd-masked` hides what `osd` paints. `-v` names the flights that are missed, and those with false
+alarms.
 """
 
-import csv
+import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -22,13 +24,18 @@ import numpy as np
 
 from dlgmd_cli import Alarm, load_config, open_video
 from dlgmd_cli.frame import resized
-from dlgmd_cli.models.detection import spans
-from dlgmd_cli.scenes.flights.braking import Brakes, Stoppable
-from dlgmd_cli.scenes.flights.scenes import recorded_stage
+from dlgmd_cli.results.labels import read_cases
+from dlgmd_cli.results.scoring import HORIZON_S, Signal, score, tally
+from dlgmd_cli.results.stopping import score_stops, tally_stops
+from dlgmd_cli.scenes.flights.braking import Brakes
+from dlgmd_cli.scenes.flights.random_flights import VISITS
+from dlgmd_cli.tasks.stopping import stops_in
 
-FPS, WIDTH_PX, HORIZON_S, REACT_S = 30.0, 240, 1.0, 0.1
+FPS, WIDTH_PX, FOV_DEG = 30.0, 240, 80.0
 # A rolling shutter that takes 20 ms for its rows sees two bands of a light at 100 Hz.
-MAINS_HZ, READOUT_S = 100.0, 0.02
+MAINS_HZ, READOUT_S, VIBRATION_HZ = 100.0, 0.02, 85.0
+# An alarm is on or off here; what is judged is when it begins.
+ON, N_SP = 0.5, 1
 
 
 def flicker(depth, picture, number, rng):
@@ -93,8 +100,35 @@ def upside_down(picture, number, rng):
     return picture[::-1, ::-1]
 
 
+def fish_eye(picture, number, rng):
+    """An equidistant lens of the same field of view at the corners."""
+    height, width = picture.shape
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    y, x = y - (height - 1) / 2, x - (width - 1) / 2
+    focal = width / 2 / np.tan(np.deg2rad(FOV_DEG / 2))
+    corner = np.hypot(height, width) / 2
+    angle = np.hypot(y, x) / corner * np.arctan(corner / focal)
+    scale = focal * np.tan(angle) / np.maximum(np.hypot(y, x), 1e-6)
+    places = (x * scale + (width - 1) / 2, y * scale + (height - 1) / 2)
+    maps = [np.float32(side) for side in places]
+    return cv2.remap(picture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def jello(picture, number, rng):
+    """A rolling shutter on a frame that vibrates: rows sway by half a percent of the width."""
+    height, width = picture.shape
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    rows_s = number / FPS + READOUT_S * y / height
+    sway = np.float32(0.005 * width * np.sin(2.0 * np.pi * VIBRATION_HZ * rows_s))
+    return cv2.remap(picture, x + sway, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def unchanged(picture, number, rng):
+    return picture
+
+
 PICTURES = {
-    "clean": lambda picture, number, rng: picture,
+    "clean": unchanged,
     "flicker-5": partial(flicker, 0.05),
     "flicker-12": partial(flicker, 0.12),
     "osd": osd,
@@ -103,6 +137,9 @@ PICTURES = {
     "darker": partial(dark, 10.0, 8.0),
     "exposure": exposure,
     "propellers": propellers,
+    "fish-eye": fish_eye,
+    "jello": jello,
+    "crf-38": unchanged,
     "upside-down": upside_down,
 }
 STALLS = {f"stall-{ms}": ms / 1000.0 for ms in (150, 200, 300)}
@@ -115,21 +152,46 @@ def arrivals(times_s, stall_s):
     return np.maximum.accumulate(came + 0.001 * np.arange(len(came)) * (stall_s > 0.0))
 
 
-def alarms_of(path, case, config):
+def compressed(pictures, crf):
+    """Pictures, (n, H, W), as H.264 leaves them."""
+    size = "{2}x{1}".format(*pictures.shape)
+    raw = ["-f", "rawvideo", "-pix_fmt", "gray"]
+    coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf), "-f", "matroska"]
+    for command in (
+        [*raw, "-s", size, "-r", str(FPS), "-i", "-", *coded, "-"],
+        ["-i", "-", *raw, "-"],
+    ):
+        command = ["ffmpeg", "-v", "error", "-threads", "1", *command]
+        given = pictures.tobytes() if isinstance(pictures, np.ndarray) else pictures
+        pictures = subprocess.run(command, input=given, stdout=subprocess.PIPE, check=True).stdout
+    width, height = map(int, size.split("x"))
+    return np.frombuffer(pictures, np.uint8).reshape(-1, height, width)
+
+
+def disturbed(frames, case):
+    """The pictures of a flight, (H, W) uint8 each, as the case changes them."""
+    change, rng = PICTURES.get(case, unchanged), np.random.default_rng(1)
+    if case == "crf-38":
+        return compressed(np.stack(frames), 38)
+    changed = (change(np.float32(grey), number, rng) for number, grey in enumerate(frames))
+    return [np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in changed]
+
+
+def is_on(path, case, config):
     """Times of the frames of a flight as captured, and whether the alarm is on."""
-    alarm, rng = Alarm(load_config(config)), np.random.default_rng(1)
-    change, times_s, on = PICTURES.get(case, PICTURES["clean"]), [], []
+    alarm = Alarm(load_config(config))
     with open_video(path, width_px=10_000) as video:
-        frames = [(one.grey, one.time_s) for one in video]
-    came = arrivals(np.array([time_s for _, time_s in frames]), STALLS.get(case, 0.0))
+        frames = [(one.grey.copy(), one.time_s) for one in video]
+    greys, times_s = zip(*frames, strict=True)
+    came = arrivals(np.array(times_s), STALLS.get(case, 0.0))
     if case == "osd-masked":
-        hidden = resized(np.float32(osd_mask(frames[0][0].shape)), _reduced(frames[0][0]))
+        hidden = resized(np.float32(osd_mask(greys[0].shape)), _reduced(greys[0]))
         alarm.ignore(hidden > 0.0)
-    for number, ((grey, time_s), came_s) in enumerate(zip(frames, came.tolist(), strict=True)):
-        picture = change(np.float32(grey), number, rng)
-        picture = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-        on.append(alarm.step(np.ascontiguousarray(picture), came_s).alarm)
-        times_s.append(time_s)
+    pictures = disturbed(greys, case)
+    on = [
+        alarm.step(np.ascontiguousarray(picture), came_s).alarm
+        for picture, came_s in zip(pictures, came.tolist(), strict=True)
+    ]
     return np.array(times_s), np.array(on)
 
 
@@ -137,42 +199,63 @@ def _reduced(grey):
     return WIDTH_PX, max(1, round(grey.shape[0] * WIDTH_PX / grey.shape[1]))
 
 
-def scored(task):
-    """Of a flight: announced and saved (None without a collision), false alarms, and minutes."""
-    path, contact, case, config = task
-    times_s, on = alarms_of(path, case, config)
-    starts = [int(first) for first, _ in spans(on, times_s)]
-    flight = Stoppable(recorded_stage(path))
-    justified = {first for first in starts if flight.is_justified(times_s[first])}
-    if contact is None:
-        return None, None, len(starts) - len(justified), times_s[-1] / 60.0
-    end_s = times_s[min(contact, len(times_s) - 1)]
-    before = {first for first in starts if first <= contact}
-    hits = {first for first in before if end_s - times_s[first] <= HORIZON_S}
-    needed, saved = sorted(hits | (justified & before)), None
-    if flight.can_stop:
-        saved = bool(needed) and flight.stop(times_s[needed[0]], Brakes(REACT_S)).saved
-    return bool(hits), saved, len(before - hits - justified), end_s / 60.0
+def worth(video):
+    """What a stop at each frame of a flight is worth."""
+    with open_video(video.path, width_px=WIDTH_PX) as frames:
+        times_s = np.array([one.time_s for one in frames])
+    return stops_in(Brakes(), (video.name, video.path, times_s.tobytes()))
 
 
-def main(folder, *cases, config="flight"):
-    folder = Path(folder)
-    with (folder / "labels.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    print(f"{'case':12} recall  saved  false/min   ({len(rows)} flights, {config})")
+def judged(task):
+    """What the alarms of a flight announce, and what the stops are worth that they ask for."""
+    video, stops, case, config = task
+    times_s, on = is_on(video.path, case, config)
+    contacts_s = tuple(np.interp(video.collisions, np.arange(len(times_s)), times_s))
+    signal = stops.on(Signal(times_s, on.astype(float), contacts_s, 1.0 / FPS))
+    return tally(signal, N_SP, ON), tally_stops(signal, stops, N_SP, ON, HORIZON_S)
+
+
+def share(n, of):
+    return f"{n / of:.2f} ({n}/{of})" if of else "-"
+
+
+def row(found):
+    """Recall, saved drones and false alarms a minute of some flights, in words."""
+    if not found:
+        return "-"
+    scores, stops = score([one[0] for one in found]), score_stops([one[1] for one in found])
+    n_saved = sum(bool(one[1].saved[0]) for one in found if one[1].stops.can_stop)
+    announced = share(scores["hits"], scores["collisions"])
+    saved, rate = share(n_saved, stops["drones"]), scores["false_alarms_per_min"]
+    return f"{announced:13} {saved:13} {rate:5.2f} ({scores['false_alarms']})"
+
+
+def named(video, stops):
+    return f"{Path(video.name).stem} ({video.manner} {stops.speed_m_s:.1f} m/s)"
+
+
+def main(folder, *cases, config="flight", verbose=False):
+    videos = read_cases(Path(folder) / "labels.csv")
     with ProcessPoolExecutor() as pool:
+        stops = list(pool.map(worth, videos))
+        is_visit = [video.manner in VISITS for video in videos]
+        print(f"{len(videos)} flights, {config}; in {sum(is_visit)} something comes or passes\n")
+        print(f"{'':12} {'recall':13} {'saved':13} false/min   | comes or passes: the same")
         for case in cases or [*PICTURES, *STALLS]:
-            tasks = [
-                (folder / row["video"], int(row["collision_frame"] or -1), case, config)
-                for row in rows
-            ]
-            tasks = [(path, None if at < 0 else at, *more) for path, at, *more in tasks]
-            found = list(pool.map(scored, tasks))
-            hits, saved = ([one[i] for one in found if one[i] is not None] for i in (0, 1))
-            n_false, minutes = sum(one[2] for one in found), sum(one[3] for one in found)
-            shares = f"{np.mean(hits):.2f}    {np.mean(saved):.2f} "
-            print(f"{case:12} {shares}  {n_false / minutes:.2f} ({n_false})", flush=True)
+            tasks = [(*both, case, config) for both in zip(videos, stops, strict=True)]
+            found = list(pool.map(judged, tasks))
+            own, visits = (
+                row([one for one, comes in zip(found, is_visit, strict=True) if comes == which])
+                for which in (False, True)
+            )
+            print(f"{case:12} {own:40}| {visits}", flush=True)
+            if verbose:
+                flown = list(zip(videos, stops, found, strict=True))
+                missed = [named(*one[:2]) for one in flown if np.isnan(one[2][0].lead_s).any()]
+                false = [named(*one[:2]) for one in flown if one[2][0].n_false.any()]
+                print(f"  missed: {', '.join(missed)}\n  false: {', '.join(false)}", flush=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    words = sys.argv[1:]
+    main(*(word for word in words if word != "-v"), verbose="-v" in words)

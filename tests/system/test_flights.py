@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,21 @@ import pytest
 from bodies import project
 from flightscenes import SMALL, Quick, scene_of
 
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
+
 from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.scenes.flights import random_flights
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.path import REACH_M
-from dlgmd_cli.scenes.flights.random_flights import manners, random_flight
+from dlgmd_cli.scenes.flights.random_flights import manners
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
 from dlgmd_cli.scenes.flights.solids import Solid, World
 from dlgmd_cli.scenes.flights.truth import Nearest, Target, first_contact, surroundings
 from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 pytestmark = pytest.mark.slow
+random_flight = cache(random_flights.random_flight)
 
 # The paper's Table III: what is hit, and at which frame.
 GROUPS = {
@@ -231,6 +237,11 @@ def test_a_roaming_flight_is_what_its_manner_says_and_hits_nothing(manner, seed)
         assert around.distances(ahead, now_s + 0.3).min() > 0.5 * REACH_M
 
 
+@pytest.mark.parametrize(("seed", "kind"), [(5, "ball"), (4, "person")])
+def test_whatever_approaches_hits_and_rebounds(seed, kind):
+    check_approach(seed, kind)
+
+
 def test_half_of_the_manners_head_for_a_collision():
     shares = {name: manner["share"] for name, manner in manners().items()}
     visits = [shares.pop(name) for name in ("approached", "crossed")]
@@ -250,7 +261,7 @@ def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
 
 def test_a_seed_is_a_flight():
     scene = SCENES["random"]
-    again = FlightScene("random", "", scene.defaults, random_flight)
+    again = FlightScene("random", "", scene.defaults, random_flights.random_flight)
     given = {**SMALL, "--seed": 5, "--frames": 40}
     one, two = (each.configure(given) for each in (scene, again))
     assert list(map(str, scene.truth(one))) == list(map(str, again.truth(two)))

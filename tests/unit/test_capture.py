@@ -200,3 +200,13 @@ def test_health_of_what_a_mask_leaves():
         health.ignore(mask)
         told = [health.step(one, n / 30) for n, one in enumerate(pictures)]
         assert told[-1] == reason
+
+
+def test_pictures_after_pauses_are_no_noise():
+    """However unlike they are; without pauses they are."""
+    rng = np.random.default_rng(5)
+    pictures = [rng.integers(0, 256, (48, 64), np.uint8) for _ in range(40)]
+    for step_s, reason in ((0.4, None), (0.1, "noise")):
+        health = Health()
+        told = [health.step(one, step_s * n) for n, one in enumerate(pictures)]
+        assert told[-1] == reason

@@ -149,7 +149,7 @@ def test_frames_are_shown_as_they_are_or_averaged_over_area():
 @pytest.mark.parametrize(
     ("n", "shape", "name", "phase"),
     [
-        (12, (1080, 1920), "x" * 300, "a phase of many words, and some more words"),
+        (12, (270, 480), "x" * 300, "a phase of many words, and some more words"),
         (5, (640, 480), "flight", "hover"),
         (1, (400, 16), "x" * 300, "hover"),
     ],

@@ -40,6 +40,11 @@ ROOT = Path(dlgmd_cli.__file__).parent
             "no threshold",
         ),
         (
+            lambda v: dlgmd_cli.calibrate("l.csv", search=["width_px=100:300"], scale=0.5),
+            errors.ParameterError,
+            "width_px is nothing to search where scale or size says it",
+        ),
+        (
             lambda v: dlgmd_cli.calibrate("l.csv", config="by-sequence.yaml"),
             errors.ParameterError,
             "no threshold",
@@ -48,6 +53,20 @@ ROOT = Path(dlgmd_cli.__file__).parent
             lambda v: dlgmd_cli.calibrate("l.csv", set=9, search={"sigma_e": (2, 1)}),
             errors.ParameterError,
             "does not rise",
+        ),
+        *(
+            (
+                lambda v, f=f, more=more: f("gone.mp4", formats=["jpg"], **more),
+                errors.ParameterError,
+                "there is no format 'jpg'",
+            )
+            for f, more in {
+                dlgmd_cli.run: {},
+                dlgmd_cli.compare: {},
+                dlgmd_cli.layers: {},
+                dlgmd_cli.batch: {},
+                dlgmd_cli.sweep: {"x": "r=2", "y": "a=1"},
+            }.items()
         ),
         (lambda v: dlgmd_cli.layers("gone.mp4"), errors.SourceError, "no such file"),
         (

@@ -221,7 +221,8 @@ def test_an_overlay_is_the_input_with_active_cells_and_a_banner(runs):
 def test_what_is_doubtful_about_a_film_is_said(runs, tmp_path):
     for number in range(6):
         cv2.imwrite(str(tmp_path / f"{number}.png"), looming_frames(1)[0])
-    arguments = ("--video", "film.mp4", "--input-fps", "5000", "--normalise", "sequence")
+    look = ("--overlay", "--normalise", "sequence")
+    arguments = ("--video", "film.mp4", "--input-fps", "5000", *look)
     result = runs("layers", "%d.png", *arguments)
     assert len(read_video("film.mp4")[1]) == 6
     assert "film.mp4 plays at 240 frames a second, not at 5000." in result.stderr
@@ -269,7 +270,7 @@ def test_a_film_that_cannot_be_written_is_refused_at_once(dlgmd, clips, monkeypa
 
 def test_a_film_that_finds_no_room(dlgmd, clips, monkeypatch):
     monkeypatch.setattr("dlgmd_cli.video.writer.count_frames", lambda path: 7)
-    options = ("--frames", "3", "--no-plots", "--end", "0.3")
+    options = ("--frames", "3", "--no-plots", "--end", "0.3", "--overlay")
     result = dlgmd("layers", clips / "loom.avi", "--video", "film.mp4", *options)
     assert result.exit_code == 1 and result.stdout == os.path.join("dlgmd-out", "loom") + "\n"
     assert "film.mp4: only 7 of 8 frames arrived on the disk." in result.stderr

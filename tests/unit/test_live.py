@@ -30,6 +30,7 @@ from dlgmd_cli.live.recording import Recording
 from dlgmd_cli.live.watch import BLIND_WORDS, Answer, Events, Sight, Statistics, answers, utc_text
 from dlgmd_cli.models.detection import spans
 from dlgmd_cli.results import csv
+from dlgmd_cli.results.store import ClaimedFolder
 from dlgmd_cli.tasks.setup import choose
 from dlgmd_cli.video import live
 from dlgmd_cli.video.base import Unreadable
@@ -602,6 +603,23 @@ def test_pictures_that_show_nothing_are_events(pictures, reason, events, caplog)
         assert line.startswith("blind 1 time, ") and BLIND_WORDS[reason] in line
 
 
+def test_a_silence_is_no_slow_camera(monkeypatch, caplog):
+    """The rate at which frames come begins anew after it."""
+    monkeypatch.setattr(watch, "_N_RATE", 10)
+    monkeypatch.setattr(watch, "_SILENT_S", 0.3)
+
+    def shots():
+        for number, picture in enumerate(PAN[:16]):
+            until(lambda: source._newest is None)
+            time.sleep(0.6 if number == 8 else 0.03)
+            yield Shot(picture, None, time.monotonic())
+
+    source = source_of(shots)
+    found, _ = answered(source)
+    assert sum(one.is_of_frame for one in found) > 10 and "blind" in [one.event for one in found]
+    assert "frames come at" not in caplog.text
+
+
 def test_a_silent_source_is_lost(caplog):
     """An alarm that is on ends; both are told once, and that the source is back."""
     frames, go_on = looming_frames(n_frames=30, width=64, height=48), threading.Event()
@@ -609,6 +627,7 @@ def test_a_silent_source_is_lost(caplog):
     def shots():
         for frame in frames:
             until(lambda: source._newest is None)
+            time.sleep(0.005)
             yield Shot(frame, None, time.monotonic())
         assert go_on.wait(SOON_S)
         for picture in PAN[:2]:  # as a buffer has them
@@ -634,7 +653,9 @@ def test_a_silent_source_is_lost(caplog):
     assert "blind, no frame for" in caplog.messages[0] and "sees again" in caplog.messages[-1]
 
 
-def test_a_source_that_cannot_be_opened_yet_is_blind():
+def test_a_source_that_cannot_be_opened_yet_is_blind(monkeypatch):
+    monkeypatch.setattr(live, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(watch, "SOUND_S", 0.2)
     n_opened = []
 
     def shots():
@@ -644,7 +665,7 @@ def test_a_source_that_cannot_be_opened_yet_is_blind():
         while not source.is_over:
             for picture in PAN:
                 yield Shot(picture, None, time.monotonic())
-                time.sleep(0.01)
+                time.sleep(0.005)
 
     events, source = [], source_of(shots, tries_again=True, waits=False)
     sight = Sight(source)
@@ -689,8 +710,8 @@ def test_a_receiver_that_hangs_delays_nothing(monkeypatch, caplog):
     monkeypatch.setattr(outputs, "_PATIENCE_S", 0.05)
     outputs.finish([output])
     assert caplog.messages == [
-        "--udp: the receiver is too slow; answers are dropped",
-        "--udp: the receiver did not take everything in time",
+        "udp: the receiver is too slow; answers are dropped",
+        "udp: the receiver did not take everything in time",
     ]
     release.set()
     output._thread.join(SOON_S)
@@ -709,7 +730,7 @@ def test_a_receiver_that_fails_is_told_once_and_tried_again(caplog):
         output.put(answer(index=number))
     until(lambda: len(got) == 5)
     output.close()
-    assert caplog.messages == ["--mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
+    assert caplog.messages == ["mavlink: the cable is out"] and got == [0, 1, 2, 3, 4]
 
 
 def test_only_events():
@@ -802,7 +823,7 @@ def test_programs_that_hang_or_fail(caplog):
     start(answer())
     start._running[0].wait()
     start(answer())
-    assert caplog.messages[0] == "--exec: the program ended with exit code 3"
+    assert caplog.messages[0] == "exec: the program ended with exit code 3"
     hanging = outputs.Programs("sleep 30")
     for _ in range(outputs._MAX_RUNNING):
         hanging(answer())
@@ -934,7 +955,8 @@ def recorded(frames, folder):
     setup = choose(set=3)
     alarm, source = Alarm(setup.params), played(frames, model_fps=30.0)
     sight = Sight(source)
-    with Recording(folder, source, setup, InputOptions(), alarm, sight) as recording, source:
+    claim = ClaimedFolder(folder)
+    with Recording(claim, source, setup, InputOptions(), alarm, sight) as recording, source:
         for one in answers(source, alarm, sight):
             if one is not None:
                 recording.put(one)

@@ -94,21 +94,20 @@ def test_wrong_values(values, why):
     assert why in complaint(**values)
 
 
-@pytest.mark.parametrize(
-    ("kind", "key"),
-    [(kind, key) for kind in MODELS.values() for key in kind.specs()],
-    ids=lambda one: one if isinstance(one, str) else one.model,
-)
-def test_bounds(kind, key):
-    spec = kind.specs()[key]
-    if spec.kind in (bool, str):
-        return
-    step = 1 if spec.kind is int else 1e-3 * abs(spec.high)
-    for value, why in ((spec.low - step, "not (above|at least)"), (spec.high + step, "more than")):
-        with pytest.raises(ParameterError, match=f"^{key} = .* is {why}"):
-            kind(**{key: value})
-    assert spec.check(spec.low) == spec.low and spec.check(spec.high) == spec.high
-    assert type(spec.check(spec.high)) is spec.kind
+@pytest.mark.parametrize("kind", MODELS.values(), ids=lambda one: one.model)
+def test_bounds(kind):
+    for key, spec in kind.specs().items():
+        if spec.kind in (bool, str):
+            continue
+        step = 1 if spec.kind is int else 1e-3 * abs(spec.high)
+        for value, why in (
+            (spec.low - step, "not (above|at least)"),
+            (spec.high + step, "more than"),
+        ):
+            with pytest.raises(ParameterError, match=f"^{key} = .* is {why}"):
+                kind(**{key: value})
+        assert spec.check(spec.low) == spec.low and spec.check(spec.high) == spec.high, key
+        assert type(spec.check(spec.high)) is spec.kind, key
 
 
 def test_latency_is_between_0_and_64_frames():
@@ -122,7 +121,6 @@ def test_latency_is_between_0_and_64_frames():
     assert "longer than 64 frames" in complaint(alpha=4.1, beta=0.0, lam=lam, r=4)
 
 
-@pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize(
     "value",
     [
@@ -131,11 +129,11 @@ def test_latency_is_between_0_and_64_frames():
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_other_types_and_huge_numbers_are_refused_briefly(key, value):
-    if value is None and key in ("latency", "saturate"):
-        pytest.skip("None means as the formulation has it")
-    line = complaint(**{key: value})
-    assert line.startswith(f"{key} = ") and len(line) < 150 and "\n" not in line
+def test_other_types_and_huge_numbers_are_refused_briefly(value):
+    as_the_formulation = {"latency", "saturate"} if value is None else set()
+    for key in set(KEYS) - as_the_formulation:
+        line = complaint(**{key: value})
+        assert line.startswith(f"{key} = ") and len(line) < 150 and "\n" not in line
 
 
 @pytest.mark.parametrize(

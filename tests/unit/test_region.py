@@ -158,7 +158,12 @@ def test_a_batch_sees_that_a_mask_has_changed(dlgmd, runs, folder, tmp_path, her
     cv2.imwrite(str(mask), image)
     result = dlgmd(*command)
     assert result.exit_code == 2 and "other settings (--mask)" in result.stderr
+    config = ("--config", "dlgmd-out/a/run.yaml", "--no-plots", "--out", "again")
+    again = dlgmd("run", clip, *config)
+    told = f"Warning: dlgmd-out/a/run.yaml: the mask {mask} has changed since.\n"
+    assert again.exit_code == 0 and again.stderr == told
     runs(*command, "--overwrite")
+    assert dlgmd("run", clip, *config, "--overwrite").stderr == ""
 
 
 def test_what_is_wrong_is_said(dlgmd, clips, folder, tmp_path):

@@ -10,6 +10,7 @@ from bodies import ball, board, box, capsule, plain, project, rays_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dlgmd_cli.scenes.flights import painter
 from dlgmd_cli.scenes.flights.camera import Camera, Pose, Sensor, rotation
 from dlgmd_cli.scenes.flights.painter import Coverage, Renderer
 from dlgmd_cli.scenes.flights.solids import Shade, Solid, Texture, World, quad
@@ -254,6 +255,23 @@ def test_a_moving_body_is_where_it_moves_to():
     behind = box((4, -0.2, -0.2), (4.4, 0.2, 0.2), 1.0, motion=lambda t: [-2 * t, 0, 0])
     renderer = Renderer(World(room(), [behind, wall]), CAMERA)
     assert [renderer.render(look(), time_s).max() for time_s in (0.0, 1.0)] == [0.25, 1.0]
+
+
+def test_a_view_is_painted_again_only_if_something_has_moved(monkeypatch):
+    n_painted = []
+    paint = painter._paint
+    monkeypatch.setattr(painter, "_paint", lambda *of: n_painted.append(1) or paint(*of))
+    mover = box((2, -0.2, -0.2), (2.4, 0.2, 0.2), 1.0, motion=lambda t: [0, max(t, 1.0), 0])
+    world = World(room(), [mover], light=lambda t: 0.5 if t == 0.5 else 1.0)
+    renderer = Renderer(world, CAMERA)
+    first = renderer.render(look(), 0.0)
+    first *= 0.0  # the caller may overwrite it
+    half, whole = renderer.render(look(), 0.5), renderer.render(look(), 1.0)
+    assert len(n_painted) == 1 and np.array_equal(half, whole * np.float32(0.5))
+    renderer.render(look(), 2.0)
+    renderer.render(look(yaw=1.0), 2.0)
+    assert renderer.render(look(yaw=1.0), 2.0, (3, 5)).shape == (2, CAMERA.shape[1])
+    assert len(n_painted) == 4
 
 
 def test_light_is_a_gain_of_a_face_and_of_the_world():

@@ -209,9 +209,9 @@ def test_layers_and_sweeps_see_what_run_sees(runs, doubled):
     result = runs(*layers, "--frames", f"{onset},{onset + 1}", "--npz")
     left_out = f"frame {onset + 1} is left out by --start, --end or --fps, or repeated"
     assert left_out in result.stderr
-    runs(*layers, "--end", 1, "--video", "film.mp4")
+    runs(*layers, "--end", 0.4, "--video", "film.mp4", "--overlay")
     rate, pictures = read_video("film.mp4")
-    assert (round(rate), len(pictures)) == (30, 30)
+    assert (round(rate), len(pictures)) == (30, 12)
 
 
 def test_too_few_new_pictures(dlgmd, tmp_path):

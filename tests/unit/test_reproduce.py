@@ -4,7 +4,9 @@ import math
 import re
 import shlex
 import sys
+from collections import Counter
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -12,7 +14,9 @@ import pytest
 from conftest import csv_rows
 
 from dlgmd_cli.commands.app import cli
+from dlgmd_cli.models.engines import opencv, shared
 from dlgmd_cli.models.kernels import connect
+from dlgmd_cli.models.step import Stepper
 from dlgmd_cli.parameters.presets import load_set
 from dlgmd_cli.reproduce import ablation, clips, flights, objects, stimuli
 from dlgmd_cli.reproduce.claims import (
@@ -44,11 +48,13 @@ from dlgmd_cli.reproduce.clips import (
     other_models,
 )
 from dlgmd_cli.reproduce.exhibits import EXHIBITS
+from dlgmd_cli.reproduce.family import responses
 from dlgmd_cli.reproduce.finished import Finished
 from dlgmd_cli.reproduce.plan import TIMING, Evidence, Plan, Started, compute, needed
-from dlgmd_cli.reproduce.report import Report, Section, number
+from dlgmd_cli.reproduce.report import Report, Section, number, shown
 from dlgmd_cli.results.result import Result
 from dlgmd_cli.results.rows import rows_of
+from dlgmd_cli.video.opening import open_video
 
 NAN = math.nan
 SPECS, REMARKS = load_claims()
@@ -189,6 +195,44 @@ def test_clips_are_rendered_for_all_exhibits_together(monkeypatch):
     assert found.truth["frame"][-1] == 74 and found.sha256 == again.sha256
 
 
+@pytest.mark.parametrize("layers", [False, True])
+def test_models_that_share_their_work_respond_as_each_by_itself(monkeypatch, layers):
+    speckles = np.random.default_rng(0).random((6, 40, 500)) < 0.01
+    speckles[:, :, :240] = False  # nothing moves in the left tile
+    video = open_video(np.where(speckles, np.uint8(255), np.uint8(0)), scale=1.0)
+    models = all_versions("set3", "set9") | other_models("lgmd")
+    models |= {"raw": model("set9", ffi_gd=False), "other": model("set9", sigma_e=1.0)}
+    sized = {label: (one, (500, 40)) for label, one in models.items()}
+    sized |= {"half": (model("set9"), (250, 20)), "twin": sized["lgmd"]}
+    n_applied = Counter()
+    for module in (opencv, shared):
+        counted = partial(_counted, module.apply, n_applied, module.__name__)
+        monkeypatch.setattr(module, "apply", counted)
+    together = {label: [] for label in sized}
+    for _, found in responses(video, sized, layers=layers):
+        for label, one in found.items():
+            together[label].append(one)
+    n_responding = 0
+    for label, (params, size_wh) in sized.items():
+        stepper = Stepper(params, engine="opencv", size_wh=size_wh)
+        alone = [stepper.step(f, layers=layers) for f in video.frames((500, 40), (250, 20))]
+        for one, other in zip(together[label], alone, strict=True):
+            for name in ("p_sum", "s_sum", "mp", "ffi", "t_de"):
+                assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
+            for name in "psg" if layers else "":
+                kept, own = (getattr(each.layers, name) for each in (one, other))
+                assert np.array_equal(kept, own) if own is not None else kept is None
+        n_responding += any(one.mp > 0.0 for one in alone)
+    assert n_responding > 20
+    # Of 31 models and two sizes, less than a third of the filters.
+    assert 0 < 3 * n_applied[shared.__name__] < n_applied[opencv.__name__]
+
+
+def _counted(act, counts, name, *args, **options):
+    counts[name] += 1
+    return act(*args, **options)
+
+
 def test_finished_clips_are_not_computed_again(tmp_path, monkeypatch):
     clip = Clip.of("group1", size=(18, 32), seed=0)
     models = {"lgmd": model("lgmd"), "half": (model("set3"), 0.5)}
@@ -237,11 +281,11 @@ def test_layers_of_moving_cells():
     p, s, g = (np.zeros((8, 8), np.float32) for _ in range(3))
     p[2:6, 2:6], s[2:6, 2:6], g[3:5, 3:5] = 0.5, 0.5, 2.0
     s[0, 0] = 0.5  # a cell on its own, which G removes
-    spread_p, spread_s, sparse, others, gain = objects.layer_shares(p, s, g)
+    spread_p, spread_s, sparse, others, gain = objects.Cells.of(p, s).shares(g)
     assert spread_p == spread_s == 0.0 and sparse == 1.0 and 0.0 < others < 1.0
     assert gain > 1.0
     s[2:6, 2:4] = 0.0
-    assert objects.layer_shares(p, s, g)[1] == pytest.approx(1.0)
+    assert objects.Cells.of(p, s).shares(g)[1] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("reading", "own"), [("default", "gated"), ("equations", "whole")])
@@ -292,6 +336,36 @@ def section_of(plan, values, **more):
     return Section(spec, Evidence({"c": dict.fromkeys(EVERY, values)}, **more), plan)
 
 
+@pytest.mark.parametrize("is_idle", [True, False])
+def test_times_are_judged_with_loading_and_without_on_an_idle_machine(is_idle):
+    cells = {(6, 1.0): (2.0, 5.0), (2, 1.0): (1.0, 6.0), (2, 0.02): (0.5, 7.0)}
+    rows = [
+        {"radius": r, "scale": x, "core_ms": core, "whole_s": whole}
+        for (r, x), (core, whole) in cells.items()
+    ]
+    exhibit = Started.of(EXHIBITS["table4-time"](Plan(is_idle=is_idle)))
+    values = exhibit.evidence({TIMING: {"default": rows, "equations": rows}}).values
+    found = {key: each["default"] for key, each in values.items()}
+    expected = {"-r": 0.0, "-size": 0.0, "-model-r": 1.0, "-model-size": 1.0, "": 0.57 / 7.0}
+    for key, value in expected.items():
+        told = found[f"table4-time{key}"]
+        assert told == pytest.approx([value]) if is_idle else math.isnan(told[0])
+
+
+def test_a_report_says_why_a_claim_is_undecided_or_does_not_hold(tmp_path):
+    spec = SPECS["table4-time"]
+    claim = spec.claims["table4-time-size"]
+    for value, words, others in (
+        (math.nan, claim.why_undecided, claim.why_not),
+        (0.1, claim.why_not, claim.why_undecided),
+        (1.0, None, claim.why_undecided),
+    ):
+        evidence = Evidence({claim.id: {"default": [value]}})
+        section = Section(replace(spec, claims={claim.id: claim}), evidence, Plan(True))
+        page = Report([section], REMARKS, Plan(True), "x").html(tmp_path)
+        assert others not in page and (words is None or words in page)
+
+
 def test_texts_are_escaped():
     plan = Plan(quick=True)
     tables = {"<em>": [("<y>", 1.0)]}
@@ -331,6 +405,27 @@ def test_a_claim_that_small_frames_do_not_show_is_judged_at_full_size():
     nothing = replace(section, evidence=Evidence({}), others=[full])
     assert {one.frames for one in nothing.found} == {"1920x1080"}
     assert not any(nothing.beside.values())
+
+
+def test_what_does_not_depend_on_the_version_counts_in_each():
+    spec = SPECS["fig5"]
+    values = {"fig5-excitation": {"default": [0.6], "equations": [0.4]}, "fig5-rises": {"any": [1]}}
+    values |= {"fig5-kernel-r4": {"any": [0.4]}, "fig5-kernel-r6": {"any": [0.65]}}
+    section = Section(spec, Evidence(values), Plan())
+    assert section.held["default"] == (2, 3) and section.held["equations"] == (1, 3)
+    assert section.held["released"] == (1, 2)
+
+
+def test_a_value_does_not_look_like_the_threshold_beside_it():
+    claim = SPECS["fig12"].claims["fig12b-order"]
+    texts = [shown(Finding(claim, "", "", (value,))) for value in (0.998586, 0.999, 0.99)]
+    assert texts == ["0.998586", "0.999", "0.99"]
+
+
+def test_intervals_of_the_ablation_are_short():
+    same, apart = np.full(6, math.inf), np.array([120.0, 190, 194, 200, 380, 2100])
+    assert ablation._shown(same) == "∞" and ablation._shown(np.zeros(6)) == "0"
+    assert ablation._shown(apart) == "200 (120–2.1e3)"
 
 
 def test_numbers_for_readers():

@@ -121,6 +121,9 @@ def test_sharpness_and_distinguishability():
     assert result.distinguishability(20) == math.inf
     assert math.isnan(result.distinguishability(500))
     assert math.isnan(make_result(np.zeros(9)).sharpness)
+    repeating = make_result(np.repeat(mp, 1 + (np.arange(40) == 12)))
+    repeating.rows["is_repeat"][13] = True  # a copy counts for nothing
+    assert repeating.distinguishability(10) == pytest.approx((8 / 11) / (4 / 10))
 
 
 def test_measures_end_at_the_collision():
@@ -152,7 +155,7 @@ def test_normalised_by_its_own_sequence():
 
 def test_save_and_read_back(tmp_path):
     result = make_result([NAN, 1.5, 1e-7, 123456.789], attenuation_db=[NAN, -math.inf, -3.5, 2])
-    result.save(tmp_path / "r", formats=["svg"])
+    result.save(tmp_path / "r", formats="svg")
     assert set(os.listdir(tmp_path / "r")) == {
         *("run.yaml", "mp.csv", "attenuation.csv", "spikes.csv", "alarms.csv"),
         *("mp.svg", "attenuation.svg", "spikes.svg"),

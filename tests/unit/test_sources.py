@@ -123,6 +123,12 @@ def test_a_frame_unlike_the_first_ends_the_input():
     assert len(result) == 9 and "frame 9 is uint8 of shape (22, 32)" in result.warnings[0]
 
 
+@pytest.mark.parametrize(("rate", "is_told"), [(25, False), (30, True)])
+def test_a_rate_that_is_not_used_is_told(dlgmd, clips, rate, is_told):
+    made = dlgmd("run", clips / "loom.avi", "--input-fps", rate, "--no-plots")
+    assert ("it states 25 frames/s, so that --input-fps is not used" in made.stderr) == is_told
+
+
 def test_files_of_other_arrays_are_refused(tmp_path):
     np.save(tmp_path / "x.npy", np.zeros((9, 9, 9), np.uint8))
     whole = (tmp_path / "x.npy").read_bytes()

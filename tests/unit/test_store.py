@@ -40,20 +40,21 @@ def undrawable(monkeypatch):
     monkeypatch.setattr("dlgmd_cli.plots.pictures._Drawing.pictures", fail)
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left"), RuntimeError("a bug")])
-@pytest.mark.parametrize("name", ["a.csv", "z.csv", "run.yaml"])
-def test_an_error_leaves_the_earlier_result_whole(tmp_path, error, name):
+def test_an_error_leaves_the_earlier_result_whole(tmp_path):
     make_result([1.0, 2.0]).save(tmp_path, ["svg"])
     before = contents(tmp_path)
+    assert {"mp.svg", "mp.csv", "run.yaml"} < {*before}
+    for error in (OSError(28, "No space left"), RuntimeError("a bug")):
 
-    def fail(path):
-        path.write_text("half")
-        raise error
+        def fail(path, error=error):
+            path.write_text("half")
+            raise error
 
-    files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
-    with pytest.raises((OutputError, RuntimeError)):
-        store.ClaimedFolder(tmp_path, store.RUN).commit(files)
-    assert contents(tmp_path) == before and hidden(tmp_path) == []
+        for name in ("a.csv", "z.csv", "run.yaml"):
+            files = {**make_result([3.0, 4.0]).files(), "a.csv": store.file_of("a"), name: fail}
+            with pytest.raises((OutputError, RuntimeError)):
+                store.ClaimedFolder(tmp_path, store.RUN).commit(files)
+            assert contents(tmp_path) == before and hidden(tmp_path) == []
 
 
 def test_a_killed_process_leaves_the_earlier_result_whole(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import N_FRAMES, csv_rows, looming_frames, write_video, yaml_of
 
+import dlgmd_cli
 from dlgmd_cli.parameters.presets import DlgmdParameters
 from dlgmd_cli.tasks import sweep as sweeps
 
@@ -88,6 +89,14 @@ def test_a_video_is_what_run_says(runs, clips, options):
     mp = [float(line["mp"]) for line in csv_rows("dlgmd-out/loom/mp.csv")[3:] if line["mp"]]
     assert float(row["sharpness"]) == pytest.approx(np.mean(mp) / max(mp), rel=1e-6)
     assert row["distinguishability"] == ""
+
+
+def test_the_released_code_sees_every_frame_as_in_a_run(tmp_path):
+    twice = [frame for frame in looming_frames(24, 96, 72) for _ in range(2)]
+    video = write_video(tmp_path / "twice.avi", twice, fourcc="FFV1")
+    found = dlgmd_cli.sweep(video, x="formulation=default,released", y="a=1", set=9, jobs=1)
+    alone = dlgmd_cli.run(video, set=9, formulation="released", param={"a": 1})
+    assert found.columns["mp_max"][0, 0, 1] == alone.summary["mp_max"] > 0.0
 
 
 def test_distinguishability_may_be_infinite_and_that_is_said(runs, tmp_path):

@@ -11,7 +11,8 @@ enum {
     CONTRAST = 4 * 16,
     LEVELS = 255 * 16,
     BLIND_MS = 700,
-    SOUND_MS = 500
+    SOUND_MS = 500,
+    NEAR_MS = 350
 };
 
 void dlgmd_health_reset(dlgmd_sight *sight)
@@ -71,8 +72,8 @@ static bool is_unlike(const uint16_t *a, const uint16_t *b)
     return aa > 0 && bb > 0 && (ab < 0 || 100 * ab * ab < 9 * aa * bb);
 }
 
-/* What is wrong with the newest picture, and since when. */
-static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t *since_ms)
+/* What is wrong with the newest picture, so long after the one before, and since when. */
+static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t step_ms, uint32_t *since_ms)
 {
     const uint16_t *now = sight->now, *before = sight->before;
     int32_t high = quantile(now, NULL, 90), range = high - quantile(now, NULL, 10);
@@ -86,7 +87,7 @@ static dlgmd_blind suspected(dlgmd_sight *sight, uint32_t *since_ms)
         sight->change = usual;
         int32_t since = quantile(now, sight->first, 95) * 256;
         is_frozen = 25 * usual < 2 * 256 * range && 2 * since <= 3 * usual + 2 * 4 * 256;
-        is_noise = is_unlike(now, before);
+        is_noise = step_ms <= NEAR_MS && is_unlike(now, before);
     }
     if (!is_frozen) {
         memcpy(sight->first, now, sizeof sight->first);
@@ -113,9 +114,10 @@ dlgmd_blind dlgmd_health(dlgmd_sight *sight, const uint8_t *frame, uint32_t step
 {
     uint32_t since_ms;
     bool is_first = sight->n_seen == 0;
-    sight->now_ms += is_first ? 0 : step_ms ? step_ms : (1000 + DLGMD_FPS / 2) / DLGMD_FPS;
+    step_ms = step_ms ? step_ms : (1000 + DLGMD_FPS / 2) / DLGMD_FPS;
+    sight->now_ms += is_first ? 0 : step_ms;
     see(sight->now, frame);
-    dlgmd_blind now = suspected(sight, &since_ms);
+    dlgmd_blind now = suspected(sight, step_ms, &since_ms);
     if (is_first || (now == DLGMD_SOUND) != (sight->suspected == DLGMD_SOUND)) {
         sight->turned_ms = since_ms;
     }

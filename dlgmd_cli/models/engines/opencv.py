@@ -47,11 +47,11 @@ class OpencvEngine:
 
     def __init__(self, connections: Connections, receptors: Photoreceptors) -> None:
         kernels = {delay: kernel * receptors.unit for delay, kernel in connections.signed().items()}
-        self._filters = plan(kernels, connections.gaussians)
+        self.filters = plan(kernels, connections.gaussians)
         _, height, width = receptors.stack.shape
-        self._tiles = tiles((height, width), connections.radius_px)
-        largest = max(height * width for height, width in (tile.shape for tile in self._tiles))
-        self._memory = [aligned((largest,)) for _ in range(3)]
+        self.tiles = tiles((height, width), connections.radius_px)
+        largest = max(height * width for height, width in (tile.shape for tile in self.tiles))
+        self.memory = [aligned((largest,)) for _ in range(3)]
         self._sides: tuple[FloatImage, FloatImage] | None = None
 
     def respond(
@@ -63,9 +63,9 @@ class OpencvEngine:
         """The sums of the newest frame, tile by tile."""
         s_sum = g_sum = m_x = m_y = 0.0
         quarters = np.zeros(4)
-        for tile in self._tiles:
+        for tile in self.tiles:
             height, width = tile.shape
-            s, part, g = (m[: height * width].reshape(height, width) for m in self._memory)
+            s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
             self._summate(receptors, tile, s, part, g)
             if receptors.hidden is not None:
                 s[receptors.hidden[tile.window]] = 0.0
@@ -118,8 +118,8 @@ class OpencvEngine:
     ) -> None:
         """S in the window of a tile; valid where the kernels do not extend beyond the window."""
         is_first = True
-        for source, filters in self._filters.items():
-            image = _floats(receptors, source, tile.window, (spare, part))
+        for source, filters in self.filters.items():
+            image = floats(receptors, source, tile.window, (spare, part))
             for one in filters:
                 apply(one, image, out=s if is_first else part)
                 if not is_first:
@@ -176,7 +176,7 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def _floats(
+def floats(
     receptors: Photoreceptors,
     source: Source,
     window: Window,

@@ -120,6 +120,7 @@ class Renderer:
         self.world, self.camera = world, camera
         self._surfaces = Surfaces([*world.bodies, world.room, *world.shadows])
         self._order = PaintOrder(world.bodies)
+        self._latest: tuple[bytes, FloatImage] | None = None
 
     def render(
         self, pose: Pose, time_s: float = 0.0, rows: tuple[int, int] | None = None
@@ -129,7 +130,15 @@ class Renderer:
         A white surface in normal light is 1. With `rows`, (first, end), only these rows are painted
         and returned.
         """
-        offsets = self._surfaces.offsets(time_s)
+        offsets, asked = self._surfaces.offsets(time_s), rows or (0, self.camera.shape[0])
+        facts = [pose.position_m, pose.rotation, offsets, np.array(asked)]
+        view = b"".join(one.tobytes() for one in facts)
+        if self._latest is None or self._latest[0] != view:  # else nothing has moved
+            self._latest = view, self._picture(pose, offsets, asked)
+        return self._latest[1] * np.float32(self.world.light(time_s))
+
+    def _picture(self, pose: Pose, offsets: FloatArray, rows: tuple[int, int]) -> FloatImage:
+        """The picture in normal light with bodies at their places."""
         for index, body in enumerate(self.world.bodies):
             if body.motion is not None:
                 self._order.move(index, body.moved(offsets[index]))
@@ -139,11 +148,7 @@ class Renderer:
         extents = {index: _extent(each) for index, each in seen.items()}
         order = self._order.back_to_front(pose.position_m, extents)
         painted = [*behind, *(seen[index] for index in order)]
-        picture = _paint(painted, self.camera, rows or (0, self.camera.shape[0]))
-        light = self.world.light(time_s)
-        if light != 1.0:
-            picture *= np.float32(light)
-        return picture
+        return _paint(painted, self.camera, rows)
 
 
 def _paint(

@@ -1,0 +1,144 @@
+"""The OpenCV engine for many D-LGMDs on the same frames, which share filtered images.
+
+Models whose kernels are alike, such as the versions of a set and its ablations, apply many equal
+filters to the same P. Here each is applied once a frame.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
+from dlgmd_cli.models.engines import Grouping
+from dlgmd_cli.models.engines.opencv import (
+    OpencvEngine,
+    Window,
+    apply,
+    floats,
+    group,
+    sum_4x4,
+)
+from dlgmd_cli.models.engines.plan import Filter, Source
+from dlgmd_cli.models.kernels import Connections
+
+
+class _Wanted(NamedTuple):
+    """What to filter: the source, the window by its bounds, and the weights of the filter."""
+
+    source: Source
+    bounds: tuple[int, int, int, int]
+    weights: tuple[bytes, ...]
+
+
+class SharedFilters:
+    """What the filters of some engines make of the newest P; kept until the last has used it.
+
+    `receptors` are those of all engines.
+    """
+
+    def __init__(self, receptors: Photoreceptors) -> None:
+        self.receptors = receptors
+        self._n_engines: Counter[_Wanted] = Counter()
+        self._n_left: Counter[_Wanted] = Counter()
+        self._images: dict[_Wanted, FloatImage] = {}
+        self._free: defaultdict[tuple[int, ...], list[FloatImage]] = defaultdict(list)
+        self._frame = -1
+
+    def expect(self, wanted: _Wanted) -> None:
+        """Say that one more engine will use this in every frame."""
+        self._n_engines[wanted] += 1
+
+    def image(
+        self, wanted: _Wanted, one: Filter, window: Window, spares: tuple[FloatImage, FloatImage]
+    ) -> FloatImage:
+        """The filtered window, valid until it is released by all; `spares` have its shape."""
+        if self._frame != self.receptors.frame:
+            self._frame, self._n_left = self.receptors.frame, self._n_engines.copy()
+            for key in list(self._images):
+                self._drop(key)
+        if wanted not in self._images:
+            shape = spares[0].shape
+            kept = self._free[shape].pop() if self._free[shape] else aligned(shape)
+            apply(one, floats(self.receptors, wanted.source, window, spares), out=kept)
+            self._images[wanted] = kept
+        return self._images[wanted]
+
+    def release(self, wanted: _Wanted) -> None:
+        """An engine has used this."""
+        self._n_left[wanted] -= 1
+        if not self._n_left[wanted]:
+            self._drop(wanted)
+
+    def _drop(self, wanted: _Wanted) -> None:
+        image = self._images.pop(wanted)
+        self._free[image.shape].append(image)
+
+
+class SharingEngine(OpencvEngine):
+    """Computes S and ΣG as `OpencvEngine` does, to the last bit, with `SharedFilters`."""
+
+    def __init__(self, connections: Connections, shared: SharedFilters) -> None:
+        super().__init__(connections, shared.receptors)
+        self._shared = shared
+        self._wanted = [self._wanted_in(tile.window) for tile in self.tiles]
+        for each in self._wanted:
+            for wanted, _ in each:
+                shared.expect(wanted)
+
+    def _wanted_in(self, window: Window) -> list[tuple[_Wanted, Filter]]:
+        rows, columns = window
+        bounds = rows.start, rows.stop, columns.start, columns.stop
+        return [
+            (_Wanted(source, bounds, tuple(side.tobytes() for side in one)), one)
+            for source, filters in self.filters.items()
+            for one in filters
+        ]
+
+    def respond_each(
+        self, groupings: Sequence[Grouping], layers: Sequence[FloatImage] = ()
+    ) -> tuple[float, list[float]]:
+        """ΣS of the newest frame, and ΣG with each grouping, as from `respond`.
+
+        S, and then G with each grouping, are written to `layers`, each (H, W), if there are any.
+        """
+        s_sum, g_sums = 0.0, [0.0] * len(groupings)
+        for tile, wanted in zip(self.tiles, self._wanted, strict=True):
+            height, width = tile.shape
+            s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
+            self._sum_up(wanted, tile.window, s, (g, part))
+            s_of_tile = cv2.sumElems(s[tile.core])[0]
+            if s_of_tile == 0.0 and not layers:  # then G is 0 as well
+                continue
+            s_sum += s_of_tile
+            if layers:
+                layers[0][tile.target] = s[tile.core]
+            sum_4x4(s, out=part)
+            for place, grouping in enumerate(groupings):
+                group(s[tile.core], part[tile.core], grouping, g[tile.core])
+                g_sums[place] += cv2.sumElems(g[tile.core])[0]
+                if layers:
+                    layers[1 + place][tile.target] = g[tile.core]
+        return s_sum, g_sums
+
+    def _sum_up(
+        self,
+        wanted: Sequence[tuple[_Wanted, Filter]],
+        window: Window,
+        s: FloatImage,
+        spares: tuple[FloatImage, FloatImage],
+    ) -> None:
+        """S in a window from filtered images, in the order of `OpencvEngine`."""
+        images = (self._shared.image(each, one, window, spares) for each, one in wanted)
+        first = next(images, None)
+        if first is None:
+            s[:] = 0.0
+            return
+        total = first
+        for image in images:
+            total = np.add(total, image, out=s)
+        cv2.threshold(total, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
+        for each, _ in wanted:
+            self._shared.release(each)
