@@ -8,9 +8,9 @@ Not part of the test run. From the repository:
 Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
 labels.csv. What `Alarm` makes of them is judged by the functions of `dlgmd evaluate`, with its
 usual horizon, and each drone braking as it can. Flights in which the drone flies itself are counted
-by themselves; beside them stands what comes at a drone that hovers, or passes it. The case
-`osd-masked` hides what `osd` paints. `-v` names the flights that are missed, and those with false
-alarms.
+by themselves; beside them stands what comes at a drone that hovers, or passes it. `osd-masked`
+hides what `osd` paints, and `osd-info` what `dlgmd info --write-mask` proposes. `-v` names the
+flights that are missed, and those with false alarms.
 """
 
 import subprocess
@@ -30,6 +30,7 @@ from dlgmd_cli.results.stopping import score_stops, tally_stops
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.random_flights import VISITS
 from dlgmd_cli.tasks.stopping import stops_in
+from dlgmd_cli.video.survey import static_pixels
 
 FPS, WIDTH_PX, FOV_DEG = 30.0, 240, 80.0
 # A rolling shutter that takes 20 ms for its rows sees two bands of a light at 100 Hz.
@@ -133,6 +134,7 @@ PICTURES = {
     "flicker-12": partial(flicker, 0.12),
     "osd": osd,
     "osd-masked": osd,
+    "osd-info": osd,
     "dark": partial(dark, 6.0, 4.0),
     "darker": partial(dark, 10.0, 8.0),
     "exposure": exposure,
@@ -178,21 +180,24 @@ def disturbed(frames, case):
 
 
 def is_on(path, case, config):
-    """Times of the frames of a flight as captured, and whether the alarm is on."""
+    """Times of the frames of a flight as captured and as they come; whether the alarm is on."""
     alarm = Alarm(load_config(config))
     with open_video(path, width_px=10_000) as video:
         frames = [(one.grey.copy(), one.time_s) for one in video]
     greys, times_s = zip(*frames, strict=True)
     came = arrivals(np.array(times_s), STALLS.get(case, 0.0))
+    pictures, hidden = disturbed(greys, case), None
     if case == "osd-masked":
-        hidden = resized(np.float32(osd_mask(greys[0].shape)), _reduced(greys[0]))
-        alarm.ignore(hidden > 0.0)
-    pictures = disturbed(greys, case)
+        hidden = osd_mask(greys[0].shape)
+    elif case == "osd-info":
+        hidden = static_pixels(np.min(pictures, axis=0), np.max(pictures, axis=0))
+    if hidden is not None:
+        alarm.ignore(resized(np.float32(hidden), _reduced(greys[0])) > 0.0)
     on = [
         alarm.step(np.ascontiguousarray(picture), came_s).alarm
         for picture, came_s in zip(pictures, came.tolist(), strict=True)
     ]
-    return np.array(times_s), np.array(on)
+    return np.array(times_s), came, np.array(on)
 
 
 def _reduced(grey):
@@ -209,9 +214,9 @@ def worth(video):
 def judged(task):
     """What the alarms of a flight announce, and what the stops are worth that they ask for."""
     video, stops, case, config = task
-    times_s, on = is_on(video.path, case, config)
+    times_s, came_s, on = is_on(video.path, case, config)
     contacts_s = tuple(np.interp(video.collisions, np.arange(len(times_s)), times_s))
-    signal = stops.on(Signal(times_s, on.astype(float), contacts_s, 1.0 / FPS))
+    signal = stops.on(Signal(came_s, on.astype(float), contacts_s, 1.0 / FPS))
     return tally(signal, N_SP, ON), tally_stops(signal, stops, N_SP, ON, HORIZON_S)
 
 
