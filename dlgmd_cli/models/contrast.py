@@ -83,7 +83,8 @@ class ContrastDLGMD(Distributed):
       over `tau_d`: see `dlgmd_cli.models.expansion`. What is approached expands along both sides,
       and faster the less time is left. `ttc_s` follows from D.
     - `deflicker`: each row is divided by its mean relative to that over a period of the light,
-      while rows are almost the same after 2 to 5 frames, but not after one: see `Flicker`.
+      while rows are almost the same after 2 to 5 frames, but not after one: see `Flicker`. Steps of
+      the exposure are no expansion, see `expansion.evened`.
     - `w_fps`: with n = w_fps Δt, w_sigma and w_m become 1 - (1 - w)^n, and M and G are divided by
       n. Δt is one frame at `w_fps`, or at 30 frames/s, if times are unknown.
 

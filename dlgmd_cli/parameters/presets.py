@@ -154,7 +154,7 @@ class ContrastParameters(
     )
     shift: int = key(0, "d_max", "px", "largest shift of the picture that is undone", 0, 64)
     balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
-    deflicker: bool = key(False, "–", "–", "remove the bands that mains light leaves in the rows")
+    deflicker: bool = key(False, "–", "–", "remove bands of mains light, and steps of the exposure")
     c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
     tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
     d_0: float = key(0.0, "D_0", "1/s", "rate of expansion from which K grows; 0: none", 0, 1000)

@@ -1,6 +1,7 @@
 """The report: one self-contained HTML page, its figures, and `claims.csv`."""
 
 import base64
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -116,9 +117,9 @@ class Section:
         return found
 
     @property
-    def held(self) -> dict[str, tuple[int, int]]:
-        """Version -> numbers of the paper's claims about its model that hold, and of all."""
-        return {v: (each[YES], each.total()) for v, each in counts(self.found).items()}
+    def held(self) -> dict[str, Counter[str]]:
+        """Version -> numbers by verdict of the paper's claims about its model."""
+        return counts(self.found)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ Not part of the test run. From the repository:
 Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
 labels.csv. What `Alarm` makes of them is judged by the functions of `dlgmd evaluate`, with its
 usual horizon, and each drone braking as it can. Flights in which the drone flies itself are counted
-by themselves; beside them stands what comes at a drone that hovers, or passes it. The case
-`osd-masked` hides what `osd` paints. `-v` names the flights that are missed, and those with false
-alarms.
+by themselves; beside them stands what comes at a drone that hovers, or passes it. `osd-masked`
+hides what `osd` paints, and `osd-info` what `dlgmd info --write-mask` proposes. `-v` names the
+flights that are missed, and those with false alarms.
 """
 
 import subprocess
@@ -30,6 +30,7 @@ from dlgmd_cli.results.stopping import score_stops, tally_stops
 from dlgmd_cli.scenes.flights.braking import Brakes
 from dlgmd_cli.scenes.flights.random_flights import VISITS
 from dlgmd_cli.tasks.stopping import stops_in
+from dlgmd_cli.video.survey import static_pixels
 
 FPS, WIDTH_PX, FOV_DEG = 30.0, 240, 80.0
 # A rolling shutter that takes 20 ms for its rows sees two bands of a light at 100 Hz.
@@ -133,6 +134,7 @@ PICTURES = {
     "flicker-12": partial(flicker, 0.12),
     "osd": osd,
     "osd-masked": osd,
+    "osd-info": osd,
     "dark": partial(dark, 6.0, 4.0),
     "darker": partial(dark, 10.0, 8.0),
     "exposure": exposure,
@@ -184,10 +186,13 @@ def is_on(path, case, config):
         frames = [(one.grey.copy(), one.time_s) for one in video]
     greys, times_s = zip(*frames, strict=True)
     came = arrivals(np.array(times_s), STALLS.get(case, 0.0))
+    pictures, hidden = disturbed(greys, case), None
     if case == "osd-masked":
-        hidden = resized(np.float32(osd_mask(greys[0].shape)), _reduced(greys[0]))
-        alarm.ignore(hidden > 0.0)
-    pictures = disturbed(greys, case)
+        hidden = osd_mask(greys[0].shape)
+    elif case == "osd-info":
+        hidden = static_pixels(np.min(pictures, axis=0), np.max(pictures, axis=0))
+    if hidden is not None:
+        alarm.ignore(resized(np.float32(hidden), _reduced(greys[0])) > 0.0)
     on = [
         alarm.step(np.ascontiguousarray(picture), came_s).alarm
         for picture, came_s in zip(pictures, came.tolist(), strict=True)

@@ -40,7 +40,7 @@ pytestmark = [
 THOROUGH = bool(os.environ.get("DLGMD_THOROUGH"))
 N_SIGNALS = 30 if THOROUGH else 3
 N_MUTANTS = 500 if THOROUGH else 60
-N_MANY = 3000 if THOROUGH else 1000
+N_MANY = 3000 if THOROUGH else 500
 
 
 class Bench:

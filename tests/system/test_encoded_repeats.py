@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,15 +21,34 @@ def alarms(path, **options):
     return result.time_s[result.alarm_onsets].tolist(), result
 
 
-@pytest.mark.parametrize("fps", [60, 120])
-@pytest.mark.parametrize("options", [{}, {"set": 9}], ids=["flight", "set9"])
-@pytest.mark.parametrize("decoder", ["opencv", "pyav"])
-def test_frames_repeated_by_ffmpeg(tmp_path, fps, options, decoder):
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory):
+    """The flight at a rate: `repeated(60)`."""
+
+    @cache
+    def encoded(fps):
+        path = tmp_path_factory.mktemp("repeated") / f"{fps}.mp4"
+        command = ["ffmpeg", "-v", "error", "-i", str(FLIGHT), "-vf", f"fps={fps}", str(path)]
+        subprocess.run(command, check=True)
+        return path
+
+    return encoded
+
+
+@pytest.mark.parametrize(
+    ("fps", "options", "decoder"),
+    [
+        (60, {}, "opencv"),
+        (60, {"set": 9}, "pyav"),
+        (120, {}, "pyav"),
+        (120, {"set": 9}, "opencv"),
+    ],
+    ids=str,
+)
+def test_frames_repeated_by_ffmpeg(repeated, fps, options, decoder):
     if decoder == "pyav":
         pytest.importorskip("av", reason="PyAV is not installed")
-    path = tmp_path / "dup.mp4"
-    command = ["ffmpeg", "-v", "error", "-i", str(FLIGHT), "-vf", f"fps={fps}", str(path)]
-    subprocess.run(command, check=True)
+    path = repeated(fps)
     expected, once = alarms(FLIGHT, decoder=decoder, **options)
     found, result = alarms(path, decoder=decoder, **options)
     assert len(found) == len(expected) >= 1

@@ -44,8 +44,7 @@ WIDTHS_IN = {"one": 3.5, "two": 7.16}
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("width", WIDTHS_IN)
-@pytest.mark.parametrize("n_results", [4, 6])
+@pytest.mark.parametrize(("width", "n_results"), [("one", 4), ("one", 6), ("two", 6)])
 def test_nothing_is_covered_or_cut_off(kind, width, n_results):
     results = {f"{number} {'long name ' * 9}"[:60]: make_result() for number in range(n_results)}
     figure = plot(kind, results, Annotations(((3, "a mark"),)), width=width)
@@ -228,8 +227,7 @@ def test_more_than_four_results_have_a_panel_each_on_one_scale():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("width", WIDTHS_IN)
-@pytest.mark.parametrize("n_results", [9, 12])
+@pytest.mark.parametrize(("width", "n_results"), [("one", 12), ("two", 9)])
 def test_figures_of_many_results_fit_on_a_page_with_legible_ticks(kind, width, n_results):
     figure = plot(kind, {f"set {i}": make_result() for i in range(n_results)}, width=width)
     figure.draw_without_rendering()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,17 @@ sys.path.append(str(Path(__file__).parents[1] / "unit"))
 from test_visits import test_what_approaches_comes_into_view_hits_and_rebounds as check_approach
 
 from dlgmd_cli.results.labels import read_labels
+from dlgmd_cli.scenes.flights import random_flights
 from dlgmd_cli.scenes.flights.camera import Camera
 from dlgmd_cli.scenes.flights.path import REACH_M
-from dlgmd_cli.scenes.flights.random_flights import manners, random_flight
+from dlgmd_cli.scenes.flights.random_flights import manners
 from dlgmd_cli.scenes.flights.scenes import SCENES, FlightScene
 from dlgmd_cli.scenes.flights.solids import Solid, World
 from dlgmd_cli.scenes.flights.truth import Nearest, Target, first_contact, surroundings
 from dlgmd_cli.scenes.flights.visibility import PaintOrder
 
 pytestmark = pytest.mark.slow
+random_flight = cache(random_flights.random_flight)
 
 # The paper's Table III: what is hit, and at which frame.
 GROUPS = {
@@ -258,7 +261,7 @@ def test_a_random_drone_is_agile_if_told_to_and_in_a_quarter_of_the_seeds():
 
 def test_a_seed_is_a_flight():
     scene = SCENES["random"]
-    again = FlightScene("random", "", scene.defaults, random_flight)
+    again = FlightScene("random", "", scene.defaults, random_flights.random_flight)
     given = {**SMALL, "--seed": 5, "--frames": 40}
     one, two = (each.configure(given) for each in (scene, again))
     assert list(map(str, scene.truth(one))) == list(map(str, again.truth(two)))

@@ -19,7 +19,7 @@ from dlgmd_cli.parameters.presets import LATENCIES, DlgmdParameters
 
 pytestmark = pytest.mark.slow
 
-thoroughly = settings(deadline=None, max_examples=100)
+thoroughly = settings(deadline=None, max_examples=60)
 
 
 @st.composite
