@@ -180,7 +180,7 @@ def disturbed(frames, case):
 
 
 def is_on(path, case, config):
-    """Times of the frames of a flight as captured, and whether the alarm is on."""
+    """Times of the frames of a flight as captured and as they come; whether the alarm is on."""
     alarm = Alarm(load_config(config))
     with open_video(path, width_px=10_000) as video:
         frames = [(one.grey.copy(), one.time_s) for one in video]
@@ -197,7 +197,7 @@ def is_on(path, case, config):
         alarm.step(np.ascontiguousarray(picture), came_s).alarm
         for picture, came_s in zip(pictures, came.tolist(), strict=True)
     ]
-    return np.array(times_s), np.array(on)
+    return np.array(times_s), came, np.array(on)
 
 
 def _reduced(grey):
@@ -214,9 +214,9 @@ def worth(video):
 def judged(task):
     """What the alarms of a flight announce, and what the stops are worth that they ask for."""
     video, stops, case, config = task
-    times_s, on = is_on(video.path, case, config)
+    times_s, came_s, on = is_on(video.path, case, config)
     contacts_s = tuple(np.interp(video.collisions, np.arange(len(times_s)), times_s))
-    signal = stops.on(Signal(times_s, on.astype(float), contacts_s, 1.0 / FPS))
+    signal = stops.on(Signal(came_s, on.astype(float), contacts_s, 1.0 / FPS))
     return tally(signal, N_SP, ON), tally_stops(signal, stops, N_SP, ON, HORIZON_S)
 
 

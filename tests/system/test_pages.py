@@ -6,6 +6,9 @@ import shutil
 
 import pytest
 from browsing import Reader
+from click.testing import CliRunner
+
+from dlgmd_cli.commands.app import cli
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("plotly", reason="pages need Plotly")
@@ -14,12 +17,23 @@ pytest.importorskip("av", reason="films need PyAV")
 SAMPLE = os.path.join(os.path.dirname(__file__), "../../sample_videos/looming-cube.mp4")
 
 
-@pytest.fixture
-def page_file(runs, tmp_path):
-    """A page of two models of a looming cube."""
-    runs("compare", SAMPLE, "--set", 3, "--set", 9, "--collision-frame", 74)
-    runs("view", "dlgmd-out/looming-cube", "--out", "page.html")
-    return tmp_path / "page.html"
+def made_in(folder, *lines):
+    """Run commands in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for line in lines:
+            result = CliRunner().invoke(cli, line.split(), prog_name="dlgmd")
+            assert result.exit_code == 0, result.output
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory):
+    """A page of two models of a looming cube; not to be written to."""
+    folder = tmp_path_factory.mktemp("page")
+    shutil.copy(SAMPLE, folder / "looming-cube.mp4")
+    compare = "compare looming-cube.mp4 --set 3 --set 9 --collision-frame 74 --no-plots"
+    made_in(folder, compare, "view dlgmd-out/looming-cube --out page.html")
+    return folder / "page.html"
 
 
 class Viewer(Reader):
@@ -112,14 +126,22 @@ def test_labels_are_kept_and_leaving_with_new_ones_asks(browser, page_file):
     assert asked == ["beforeunload"] and page.evaluate("labels.length") == 0
 
 
-@pytest.fixture
-def index_file(runs, tmp_path):
-    """An index of a cube that looms, in a folder called =x, and of one that moves across."""
+@pytest.fixture(scope="module")
+def indexed(tmp_path_factory):
+    """A folder with an index of a cube that looms, below =x, and of one that moves across."""
+    folder = tmp_path_factory.mktemp("index")
     for name, place in (("looming-cube", "in/=x/a, b.mp4"), ("translating-cubes", "in/c.mp4")):
-        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(os.path.join(os.path.dirname(SAMPLE), f"{name}.mp4"), tmp_path / place)
-    runs("batch", "in", "--set", 9, "--jobs", 1, "--out", "res")
-    runs("view", "res", "--no-film", "--out", "web/all.html")
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(os.path.join(os.path.dirname(SAMPLE), f"{name}.mp4"), folder / place)
+    batch = "batch in --set 9 --jobs 1 --out res --no-plots"
+    made_in(folder, batch, "view res --no-film --out web/all.html")
+    return folder
+
+
+@pytest.fixture
+def index_file(indexed, tmp_path):
+    """The index in a copy of that folder."""
+    shutil.copytree(indexed, tmp_path, dirs_exist_ok=True)
     return tmp_path / "web/all.html"
 
 
