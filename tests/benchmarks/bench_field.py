@@ -3,7 +3,7 @@
 Not part of the test run. From the repository:
 
     dlgmd synth random --speed 1:3 --count 60 --seed 150000 --name u --out FLIGHTS
-    python tests/benchmarks/bench_field.py FLIGHTS [CASE ...] [-v]
+    python tests/benchmarks/bench_field.py FLIGHTS [CASE ...] [--config FILE] [-v]
 
 Each case changes the pictures, or the times at which they arrive, of every flight in the folder's
 labels.csv. What `Alarm` makes of them is judged by the functions of `dlgmd evaluate`, with its
@@ -13,8 +13,8 @@ hides what `osd` paints, and `osd-info` what `dlgmd info --write-mask` proposes.
 flights that are missed, and those with false alarms.
 """
 
+import argparse
 import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -239,7 +239,7 @@ def named(video, stops):
     return f"{Path(video.name).stem} ({video.manner} {stops.speed_m_s:.1f} m/s)"
 
 
-def main(folder, *cases, config="flight", verbose=False):
+def main(folder, cases, config, verbose):
     videos = read_cases(Path(folder) / "labels.csv")
     with ProcessPoolExecutor() as pool:
         stops = list(pool.map(worth, videos))
@@ -262,5 +262,9 @@ def main(folder, *cases, config="flight", verbose=False):
 
 
 if __name__ == "__main__":
-    words = sys.argv[1:]
-    main(*(word for word in words if word != "-v"), verbose="-v" in words)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder")
+    parser.add_argument("cases", nargs="*")
+    parser.add_argument("--config", default="flight")
+    parser.add_argument("-v", action="store_true", dest="verbose")
+    main(**vars(parser.parse_args()))
