@@ -22,8 +22,8 @@ pytestmark = [
 ]
 
 CUBES = "dlgmd-out/sweep-translating-cubes"
-LONG = ["sweep", "--x", "sigma_e=0.2:2:0.1", "--y", "sigma_i=0.5:6:0.25", "--no-plots"]
-N_POINTS = 19 * 23
+LONG = ["sweep", "--x", "sigma_e=0.2:2:0.15", "--y", "sigma_i=0.5:6:0.5", "--no-plots"]
+N_POINTS = 13 * 12
 
 
 def n_lines(folder=CUBES):
