@@ -125,21 +125,23 @@ class Expansion:
         self._before = now
         if min(now.shape) < LEAST_SIDE:
             return
+        is_step = False
         if self._evens:
-            evens = evened(before, now)
-            has_stepped, self._has_stepped = self._has_stepped, evens is not before
-            # What is white in one of them spoils the fit; but two in a row may be one slow step.
-            if self._has_stepped and not has_stepped:
-                return
-            before = evens
+            like = evened(before, now)
+            is_step = like is not before and not self._has_stepped
+            self._has_stepped = like is not before
+            # What is white in one of them spoils the fit; several in a row may be one slow step.
+            before = before if is_step else like
         if self._hidden is not None and self._visible is None:
             self._visible = visible(self._hidden)
         factor = factor_of(frames[0].shape[1])
         start = moved[1][0] / factor, moved[1][1] / factor
         found = fitted(now, before, middle(now.shape), start, self._visible)
         ahead = (min(found.a, found.b) - UNLIKE * abs(found.a - found.b)) / interval_s
-        self._ahead += _share(interval_s, self._tau_s) * (_limited(ahead) - self._ahead)
         local = 0.0 if moved[0] != (0, 0) else approaching(now, before, self._visible) / interval_s
+        if is_step:  # which may hide an expansion, but not show one
+            ahead, local = min(ahead, self._ahead), min(local, self._local)
+        self._ahead += _share(interval_s, self._tau_s) * (_limited(ahead) - self._ahead)
         # What comes at a still camera is near once it is seen.
         self._local += _share(interval_s, self._tau_s / 2.0) * (_limited(local) - self._local)
 
