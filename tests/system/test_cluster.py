@@ -249,7 +249,7 @@ def test_an_end_while_it_waits(folder, tmp_path, scheduler_file, what):
 def test_an_interrupt_and_the_same_command_again(scheduler, folder, tmp_path):
     source = folder("a")
     for name in ("y", "z"):
-        write_video(source / f"{name}.avi", looming_frames(1, 320, 240) * 2000)
+        write_video(source / f"{name}.avi", looming_frames(1, 320, 240) * 1200)
     command = ("batch", "in", "--no-plots", "--scheduler", scheduler)
     summary = tmp_path / "dlgmd-out/summary.csv"
     with started(*command, cwd=tmp_path) as process:
