@@ -290,7 +290,7 @@ def test_errors_of_the_server_are_logged_once(serve, caplog):
         server.get_loop().call_soon_threadsafe(server.get_loop().call_exception_handler, context)
     until(lambda: caplog.messages)
     time.sleep(0.1)
-    assert caplog.messages == ["--serve: accepting failed ([Errno 24] Too many open files)"]
+    assert caplog.messages == ["serve: accepting failed ([Errno 24] Too many open files)"]
 
 
 def test_refusals_on_the_command_line(dlgmd, clips, monkeypatch):
