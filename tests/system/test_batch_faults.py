@@ -94,14 +94,15 @@ class Bench:
         before = {path: path.stat().st_mtime_ns for path in records}
         assert self.run().exit_code == 0
         assert self.judge() == dict.fromkeys(self.names, "done")
-        # One that was killed between its last file and its end leaves its lock, which is open, and
-        # an empty temporary folder, which the next command that writes there removes.
+        # One that was killed as it wrote a result anew (--force), or between its last file and its
+        # end, leaves its lock, which is open, and a temporary folder. The next command that writes
+        # there removes them.
         for left in hidden_in(self.out):
             assert (left.parent / store.RUN).exists()
             if left.name == f"{store.PREFIX}lock":
                 left.unlink()
             else:
-                left.rmdir()
+                shutil.rmtree(left)
         assert files_of(self.out) == self.truth
         assert all(path.stat().st_mtime_ns == written for path, written in before.items())
         self.clear()
