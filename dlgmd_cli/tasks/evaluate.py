@@ -121,7 +121,7 @@ def evaluate(
     if results is not None and given:
         why = f"{given[0]} does not work with results, which are there already"
         raise ParameterError("", why, "Leave it out.")
-    labels, formats = Path(labels), tuple(dict.fromkeys(formats))
+    labels, formats = Path(labels), store.known_formats(formats)
     cases = read_cases(labels)
     of_kind(cases, rules["max_false_kind"])  # raises if there are none
     with ExitStack() as opened:

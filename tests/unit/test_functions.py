@@ -66,6 +66,8 @@ ROOT = Path(dlgmd_cli.__file__).parent
                 dlgmd_cli.layers: {},
                 dlgmd_cli.batch: {},
                 dlgmd_cli.sweep: {"x": "r=2", "y": "a=1"},
+                dlgmd_cli.evaluate: {},
+                dlgmd_cli.calibrate: {},
             }.items()
         ),
         (lambda v: dlgmd_cli.layers("gone.mp4"), errors.SourceError, "no such file"),
