@@ -1,12 +1,12 @@
 """Locust-inspired collision detection on video: the D-LGMD model as a command and a library.
 
 >>> import dlgmd_cli
->>> result = dlgmd_cli.run("flight.mp4", set=9)  # doctest: +SKIP
+>>> result = dlgmd_cli.run("flight.mp4", 9)  # doctest: +SKIP
 """
 
 from importlib import import_module
 
-__version__ = "1.0.0"
+__version__ = "2.0.0.dev0"
 
 # Little is imported here, and not even `typing`: Ctrl-C is answered only after this module.
 TYPE_CHECKING = False
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.base import Model as Model
     from dlgmd_cli.models.base import Photoreceptors as Photoreceptors
     from dlgmd_cli.models.base import Response as Response
-    from dlgmd_cli.models.contrast import ContrastDLGMD as ContrastDLGMD
     from dlgmd_cli.models.detection import Alarm as Alarm
     from dlgmd_cli.models.dlgmd import DLGMD as DLGMD
     from dlgmd_cli.models.emd_lgmd import EmdLGMD as EmdLGMD
@@ -24,11 +23,11 @@ if TYPE_CHECKING:
     from dlgmd_cli.models.on_off import OnOffDLGMD as OnOffDLGMD
     from dlgmd_cli.parameters.keys import Parameters as Parameters
     from dlgmd_cli.parameters.keys import key as key
-    from dlgmd_cli.parameters.presets import ContrastParameters as ContrastParameters
     from dlgmd_cli.parameters.presets import DlgmdParameters as DlgmdParameters
     from dlgmd_cli.parameters.presets import OnOffParameters as OnOffParameters
     from dlgmd_cli.parameters.presets import load_config as load_config
     from dlgmd_cli.parameters.presets import load_set as load_set
+    from dlgmd_cli.results.comparison import plot as plot
     from dlgmd_cli.results.reading import read_comparison as read_comparison
     from dlgmd_cli.results.reading import read_result as read_result
     from dlgmd_cli.results.result import Result as Result
@@ -57,13 +56,13 @@ _NAMES = {
     "errors": "DlgmdError",
     "parameters.keys": "Parameters key",
     "models.base": "Layers Model Photoreceptors Response",
-    "models.contrast": "ContrastDLGMD",
     "models.detection": "Alarm",
     "models.dlgmd": "DLGMD",
     "models.emd_lgmd": "EmdLGMD",
     "models.lgmd": "LGMD",
     "models.on_off": "OnOffDLGMD",
-    "parameters.presets": "ContrastParameters DlgmdParameters OnOffParameters load_config load_set",
+    "parameters.presets": "DlgmdParameters OnOffParameters load_config load_set",
+    "results.comparison": "plot",
     "results.reading": "read_comparison read_result",
     "results.result": "Result",
     "tasks.run": "compare run",

@@ -101,8 +101,10 @@ _EXTRAS = {
     "jinja2": "'dlgmd[view]'",
     "numba": "'dlgmd[fast]'",
     "optuna": "'dlgmd[calibrate]'",
+    "pandas": "'dlgmd[pandas]'",
     "plotly": "'dlgmd[view]'",
     "pymavlink": "'dlgmd[live]'",
+    "rosbags": "'dlgmd[ros]'",
     "starlette": "'dlgmd[live]'",
     "uvicorn": "'dlgmd[live]'",
 }

@@ -48,6 +48,8 @@ _N_ROWS = 90
 # A repeat changes by less than `_SHARE` of the usual change. The picture that ends a run of repeats
 # changes more than `_RISE` times as much as any of them.
 _SHARE, _RISE = 0.25, 2.0
+# The expansion is measured on images of at most this width, whatever the frames of the model are.
+SMALL_PX = 240
 # A longer run of repeats is a still scene.
 MAX_RUN = 11
 # A reduction by this factor or more begins with a halving.
@@ -119,6 +121,12 @@ def resized(image: npt.NDArray[Any], size_wh: tuple[int, int]) -> npt.NDArray[An
         return image
     shrinks = width <= image.shape[1] and height <= image.shape[0]
     return cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def small_wh(width: int, height: int) -> tuple[int, int]:
+    """Width and height at which the expansion of an image is measured, in px."""
+    scale = min(1.0, SMALL_PX / width)
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def sampling_step(fps: float, max_fps: float) -> tuple[int, float]:

@@ -3,9 +3,9 @@
 import math
 import traceback
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -22,6 +22,8 @@ from dlgmd_cli.parameters.presets import DlgmdParameters, Parameters, Parameters
 Grey = npt.NDArray[Any]  # uint8 levels of 0..255, or float32 in 0..1
 
 CACHE_LINE = 64
+# Of single precision.
+_ROUNDING = 2.0**-23
 AUTO = "auto"
 _TYPES = (np.dtype(np.float32), np.dtype(np.uint8))
 
@@ -58,9 +60,8 @@ class Response:
         The layers, if `step` was called with ``layers=True``.
     g_x, g_y : float
         Centroid of the grouping layer, see `centroid`; NaN where no cell is active.
-    ttc_s : float
-        Estimated time to contact, in seconds; NaN where the picture does not expand, and for models
-        that do not estimate it.
+    more : mapping of str to float
+        Further numbers of the model, by the names in `Model.columns`.
     """
 
     p_sum: float = math.nan
@@ -71,7 +72,7 @@ class Response:
     layers: Layers | None = None
     g_x: float = math.nan
     g_y: float = math.nan
-    ttc_s: float = math.nan
+    more: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_valid(self) -> bool:
@@ -80,10 +81,15 @@ class Response:
 
     @property
     def attenuation_db(self) -> float:
-        """Attenuation 10 lg(ΣS/ΣP) in dB: -inf where ΣS = 0, NaN where it is undefined."""
+        """Attenuation 10 lg(ΣS/ΣP) in dB, NaN where it is undefined.
+
+        It is -inf where ΣS is at most ΣP times 2**-23, the rounding of single precision (-69 dB):
+        what is left there of E - aI = 0 depends on the order of the additions.
+        """
         if not self.p_sum > 0.0 or math.isnan(self.s_sum):
             return math.nan
-        return 10.0 * math.log10(self.s_sum / self.p_sum) if self.s_sum > 0.0 else -math.inf
+        share = self.s_sum / self.p_sum
+        return 10.0 * math.log10(share) if share > _ROUNDING else -math.inf
 
 
 class Model:
@@ -105,6 +111,8 @@ class Model:
         The class of the parameters.
     layer_units : (str, str, str)
         Units of the layers P, S and G, in words.
+    columns : tuple of str
+        Names of further numbers that each `Response` has in `more`; mp.csv has a column of each.
     params : Parameters
         Parameters of the model.
     engine_name : str
@@ -117,6 +125,7 @@ class Model:
 
     params_class: ClassVar[type[Parameters]] = Parameters
     layer_units: tuple[str, str, str] = ("–", "–", "–")
+    columns: tuple[str, ...] = ()
     params: Any
     engine_name: str
     first_valid_frame: int = 1
@@ -361,8 +370,6 @@ class Photoreceptors:
         The newest frame and, from frame 1 on, the previous one.
     stack : ndarray, shape (depth, H, W), of the frames' type
         Ring buffer of P, in levels of 0..255 or 0..1.
-    floors : ndarray, shape (depth,), float32
-        What the engines subtract from each P of the stack, in levels; what falls below is 0.
     hidden : ndarray, shape (H, W), bool, or None
         True for ignored cells, see `Model.ignore`.
     """
@@ -382,7 +389,6 @@ class Photoreceptors:
         self.frame = -1
         self._newest = 0
         self._p_sums: deque[float] = deque(maxlen=self._depth)
-        self.floors = np.zeros(self._depth, np.float32)
 
     def hide(self, hidden: Flags | None) -> None:
         """Ignore the cells where `hidden` is True, see `Model.ignore`."""
@@ -399,10 +405,6 @@ class Photoreceptors:
         if self.hidden is not None:
             image[self.hidden] = 0
 
-    def cover(self, frame: Grey) -> None:
-        """Remove what is hidden from a frame, (H, W): it is black."""
-        self.clear(frame)
-
     def take(self, luminance: Grey) -> None:
         """Store the next frame and compute its P; raises FrameError as `Model.step` does."""
         self._check(luminance)
@@ -412,7 +414,7 @@ class Photoreceptors:
             self.stack = aligned((self._depth, *shape), dtype)
         self.current, self.previous = self.previous, self.current
         np.copyto(self.current, luminance)
-        self.cover(self.current)
+        self.clear(self.current)
         self.frame += 1
         if self.frame > 0 and self._depth > 0:
             self._newest = (self._newest + 1) % self._depth
@@ -433,7 +435,7 @@ class Photoreceptors:
         return (self._newest - delay) % self._depth
 
     def p(self, delay: int) -> Grey:
-        """P(t - delay), shape (H, W), in levels; a view; see also `floors`."""
+        """P(t - delay), shape (H, W), in levels; a view."""
         return self.stack[self.position(delay)]
 
     def p_sum(self, delay: int) -> float:

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.errors import ParameterError
 from dlgmd_cli.frame import (
     RATE_TOLERANCE,
     UNEVEN_S,
@@ -21,20 +20,16 @@ from dlgmd_cli.frame import (
     RepeatDetector,
     Series,
     resized,
+    small_wh,
     steady_step,
 )
-from dlgmd_cli.models.base import Grey, Response
+from dlgmd_cli.models.base import Grey, Response, create_model
+from dlgmd_cli.models.expansion import Expansion, Measured
 from dlgmd_cli.models.health import Health
 from dlgmd_cli.models.step import Stepper
-from dlgmd_cli.parameters.checks import shown
-from dlgmd_cli.parameters.presets import (
-    PRESETS,
-    Config,
-    Parameters,
-    design_of,
-    load_config,
-    parameters_of,
-)
+from dlgmd_cli.parameters.checks import Spec
+from dlgmd_cli.parameters.keys import SPIKES, TTC, Parameters
+from dlgmd_cli.parameters.presets import config_of, parameters_of
 
 _log = logging.getLogger(__name__)
 
@@ -47,6 +42,8 @@ LEAST_PEAK = 1.0 / 255.0**2
 MERGE_S = 0.3
 # Tolerance for rounding in differences of times, such as 0.5 - 0.2.
 ROUNDING_S = 1e-6
+# The name of the size at which the expansion is measured, among those of a frame.
+_SMALL = (0, 0)
 # Where the middle third of the picture ends, in halves of its sides from its centre.
 _THIRD = 1.0 / 3.0
 # Frames come at another rate if it differs by more than this factor, over so many intervals: 24 to
@@ -99,51 +96,50 @@ def sequence(mp: Series) -> Series:
     return (mp - low) / (high - low)
 
 
-class SpikeDetector:
-    """Spikes and alarms of a normalised membrane potential, frame by frame.
+class Rule:
+    """The rule of an alarm, beside a model and the expansion: it turns either into alarms.
+
+    With the rule `spikes`, the alarm is on after `n_sp` spikes in a row, [Zhao2023] Eq. (15). With
+    `ttc`, it is on while the time to contact is `ttc_alarm` or less.
 
     Parameters
     ----------
-    threshold : float
-        T_MP, the level at which a spike is raised, [Zhao2023] Eq. (14).
-    n_sp : int
-        Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
+    params : Parameters
+        `alarm` is the rule; `t_mp` is T_MP, the level of a spike, Eq. (14).
     """
 
-    def __init__(self, threshold: float, n_sp: int) -> None:
-        self._threshold, self._n_sp = threshold, n_sp
+    def __init__(self, params: Parameters) -> None:
+        self.name, self.t_mp, self.ttc_alarm = params.alarm, params.t_mp, params.ttc_alarm
+        self.n_in_a_row = params.n_sp if self.name == SPIKES else 1
         self.reset()
 
+    @property
+    def text(self) -> str:
+        """The rule in words."""
+        if self.name == TTC:
+            return f"ttc: time to contact of {self.ttc_alarm:g} s or less"
+        return f"spikes: {self.n_in_a_row} in a row, at an MP of {self.t_mp:g} or more"
+
     def reset(self) -> None:
-        """Forget all earlier spikes."""
+        """Forget all earlier frames."""
         self._in_a_row = 0
 
-    def step(self, level: float) -> tuple[bool, bool]:
-        """Whether this frame is a spike, and whether the alarm is on; NaN is not a spike."""
-        spike = bool(level >= self._threshold)
-        self._in_a_row = self._in_a_row + 1 if spike else 0
-        return spike, self._in_a_row >= self._n_sp
+    def step(self, level: float, ttc_s: float) -> tuple[bool, bool]:
+        """Whether a frame is a spike, and whether the alarm is on; NaN is neither.
 
+        `level` is the normalised membrane potential, `ttc_s` the time to contact in seconds.
+        """
+        spike = bool(level >= self.t_mp)
+        is_on = spike if self.name == SPIKES else ttc_s <= self.ttc_alarm
+        self._in_a_row = self._in_a_row + 1 if is_on else 0
+        return spike, self._in_a_row >= self.n_in_a_row
 
-def detect(levels: Series, threshold: float, n_sp: int) -> tuple[Flags, Flags]:
-    """Spikes and alarms of a whole sequence; see `SpikeDetector` for single frames.
-
-    Parameters
-    ----------
-    levels : ndarray, shape (n,)
-        Normalised membrane potential; NaN where undefined.
-    threshold, n_sp : float, int
-        See `SpikeDetector`.
-
-    Returns
-    -------
-    spikes, alarms : ndarray, shape (n,), bool
-        The alarm is on from the n_sp-th to the last spike in a row.
-    """
-    detector = SpikeDetector(threshold, n_sp)
-    flags = np.array([detector.step(level) for level in levels.tolist()], np.bool_)
-    spikes, alarms = flags.reshape(-1, 2).T.copy()
-    return spikes, alarms
+    def detect(self, levels: Series, ttc_s: Series) -> tuple[Flags, Flags]:
+        """Spikes and alarms of a whole sequence, shape (n,) each; see `step`."""
+        self.reset()
+        flags = np.array([*map(self.step, levels.tolist(), ttc_s.tolist())], np.bool_)
+        spikes, alarms = flags.reshape(-1, 2).T.copy()
+        return spikes, alarms
 
 
 def spans(alarms: Flags, time_s: Series) -> npt.NDArray[np.intp]:
@@ -191,6 +187,23 @@ def side_of(g_x: float, g_y: float) -> str:
     return across + (" high" if g_y < -_THIRD else " low" if g_y > _THIRD else "")
 
 
+def side_by(rule: str, found: Any) -> str:
+    """The `side_of` what a rule goes by: the active cells, or the part of the image that expands.
+
+    `found` has their `g_x` and `g_y`, or its `expansion_x` and `expansion_y`.
+    """
+    if rule == SPIKES:
+        return side_of(found.g_x, found.g_y)
+    return side_of(found.expansion_x, found.expansion_y)
+
+
+# The columns of alarms.csv.
+ALARM_COLUMNS = (
+    *("start_frame", "start_s", "end_frame", "end_s", "peak_mp_abs", "g_x", "g_y", "side", "ttc_s"),
+    "rule",
+)
+
+
 class AlarmSpan(NamedTuple):
     """An alarm: when, how strong, and from where; a row of alarms.csv.
 
@@ -205,7 +218,11 @@ class AlarmSpan(NamedTuple):
     g_x, g_y : float
         Centroid of the active cells in the frame that raises the alarm, NaN if there are none.
     ttc_s : float
-        Time to contact that the model estimates in that frame, see `Response`.
+        Time to contact in that frame, in seconds; NaN where nothing expands.
+    rule : str
+        The rule that raises the alarm, see `Rule`.
+    expansion_x, expansion_y : float
+        Centre of the part of the image that expands in that frame, see `Measured`.
     """
 
     start_frame: int
@@ -216,55 +233,66 @@ class AlarmSpan(NamedTuple):
     g_x: float = math.nan
     g_y: float = math.nan
     ttc_s: float = math.nan
+    rule: str = SPIKES
+    expansion_x: float = math.nan
+    expansion_y: float = math.nan
 
     @property
     def side(self) -> str:
-        """Where in the picture it was raised, see `side_of`."""
-        return side_of(self.g_x, self.g_y)
+        """Where in the image it was raised, by what raised it, see `side_of`."""
+        return side_by(self.rule, self)
 
     def to_dict(self) -> dict[str, Any]:
         """The columns of alarms.csv; None where a number is not defined."""
-        known = {k: None if math.isnan(v) else v for k, v in self._asdict().items()}
-        ttc_s = known.pop("ttc_s")
-        return {**known, "side": self.side, "ttc_s": ttc_s}
+        values = {name: getattr(self, name) for name in ALARM_COLUMNS}
+        return {k: None if v != v else v for k, v in values.items()}
 
 
 @dataclass(frozen=True)
 class Detection(Response):
-    """A model's response to one frame, with its spike and alarm.
+    """A model's response to one frame, the expansion beside it, and what the rule makes of both.
 
     Attributes
     ----------
+    expansion, ttc_s, expansion_x, expansion_y : float
+        Expansion rate in 1/s, time to contact in seconds, and where, see `Measured`.
     mp_abs : float
         Membrane potential normalised by `absolute`; NaN until defined.
     spike : bool
         Whether `mp_abs` reaches the threshold.
     alarm : bool
-        Whether the last n_sp frames, this one included, were spikes.
+        Whether the alarm is on, see `Rule`.
+    rule : str
+        The rule of the alarm: `spikes` or `ttc`.
     blind : str or None
         Why the pictures show nothing, see `Health`: `black`, `flat`, `noise` or `frozen`. None if
         they are sound, or not bad for long enough. While it is set, no alarm is no all-clear.
     """
 
+    expansion: float = math.nan
+    ttc_s: float = math.nan
+    expansion_x: float = math.nan
+    expansion_y: float = math.nan
     mp_abs: float = math.nan
     spike: bool = False
     alarm: bool = False
+    rule: str = SPIKES
     blind: str | None = None
 
     @property
     def side(self) -> str:
-        """Where in the picture the active cells are, see `side_of`."""
-        return side_of(self.g_x, self.g_y)
+        """Where in the image what the rule goes by is, see `side_by`."""
+        return side_by(self.rule, self)
 
 
 class Alarm:
-    """A model with its alarm: causal, one frame at a time, in constant memory.
+    """A model and the expansion with an alarm: causal, frame by frame, in constant memory.
 
     Parameters
     ----------
-    params : Parameters or Config, optional
-        Parameters of any model, or a file of them, see `load_config`. The default is the preset
-        `flight`.
+    model : optional
+        What `run` takes: the number of a set, the name of a preset or a model, a class, parameters,
+        or a YAML file. The default is the preset `flight`.
     resize : bool
         Reduce frames that are wider than `width_px` to it, as `dlgmd run` does. With False, frames
         are taken as they come.
@@ -284,6 +312,8 @@ class Alarm:
     times : {"arrival", "capture"}
         What the times of frames are. Of `arrival`, a clock recovers those of the capture, see
         `CaptureClock`; a burst of late frames is a warning, once. With `capture`, they are exact.
+    expansion : Expansion, optional
+        How the expansion is measured; with all corrections unless given.
 
     Attributes
     ----------
@@ -303,7 +333,7 @@ class Alarm:
 
     def __init__(
         self,
-        params: Parameters | Config | None = None,
+        model: Any = None,
         *,
         resize: bool = True,
         width_px: int | None = None,
@@ -312,34 +342,32 @@ class Alarm:
         repeats: str = "skip",
         engine: str = "auto",
         times: str = "arrival",
+        expansion: Expansion | None = None,
     ) -> None:
-        if repeats not in ("skip", "keep"):
-            raise ParameterError("", f"repeats = {shown(repeats)} is not one of skip, keep")
-        if times not in ("arrival", "capture"):
-            raise ParameterError("", f"times = {shown(times)} is not one of arrival, capture")
-        given = load_config(PRESETS[0]) if params is None else params
-        if isinstance(given, Config):
-            self.params, design = parameters_of(given), (given.width_px, given.model_fps)
-        else:
-            self.params, design = given, design_of(given)
-        self._width_px = (width_px or design[0]) if resize else None
-        self._model_fps, self._all_frames = model_fps or design[1], all_frames
+        Spec(str, choices=("skip", "keep")).check(repeats, "repeats")
+        Spec(str, choices=("arrival", "capture")).check(times, "times")
+        config = config_of(model)
+        self.params = parameters_of(config)
+        self._width_px = (width_px or config.width_px) if resize else None
+        self._model_fps, self._all_frames = model_fps or config.model_fps, all_frames
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
         self._clock = CaptureClock() if times == "arrival" else None
         self._health, self.tells_rate = Health(), True
         self._n_untimed, self._told_uneven = 0, False
         self._times: deque[tuple[float, bool]] = deque(maxlen=_N_INTERVALS + 1)
         self._has_warned = False
-        self._stepper = Stepper(self.params, engine=engine)
-        self.model = self._stepper.model
-        self._spikes = SpikeDetector(self.params.t_mp, self.params.n_sp)
+        self.model = create_model(self.params, engine=engine)
+        self._stepper, self._rule = Stepper(self.model), Rule(self.params)
+        self._expansion = Stepper(expansion or Expansion(), _SMALL)
+        self._to_hide: Flags | None = None
         self._gaps, self._repeats = GapDetector(), RepeatDetector() if repeats == "skip" else None
         self._index, self._last = -1, Detection()
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         self._stepper.reset()
-        self._spikes.reset()
+        self._expansion.reset()
+        self._rule.reset()
         self._gaps.reset()
         self._times.clear()
         self._taken_s, self._least_s, self._every = math.nan, 0.0, 0
@@ -349,14 +377,27 @@ class Alarm:
         if self._repeats is not None:
             self._repeats.reset()
 
-    def ignore(self, hidden: Flags | None) -> None:
-        """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`."""
+    def ignore(self, hidden: Flags | None, small: Flags | None = None) -> None:
+        """Ignore some cells of all frames, as they are reduced, from now on; see `Model.ignore`.
+
+        `small` is the same for the image that the expansion is measured on, see `step`; it follows
+        from `hidden` unless given.
+        """
         self._stepper.ignore(hidden)
+        self._expansion.ignore(small)
+        self._to_hide = hidden if small is None else None
         self._health.ignore(hidden)
         if self._repeats is not None:
             self._repeats = RepeatDetector(hidden)
 
-    def step(self, frame: Grey, time_s: float | None = None, *, layers: bool = False) -> Detection:
+    def step(
+        self,
+        frame: Grey,
+        time_s: float | None = None,
+        *,
+        layers: bool = False,
+        small: Grey | None = None,
+    ) -> Detection:
         """Process the next frame and say whether the alarm is on.
 
         After a gap in time, in which frames were lost, the model restarts: it has no response until
@@ -371,6 +412,8 @@ class Alarm:
             its own rate for granted, and gaps go unnoticed; that is a warning, once.
         layers : bool
             Also return copies of P, S and G.
+        small : ndarray, (h, w), float32 or uint8, optional
+            The same frame in grey as `frame.small_wh` says, if it is reduced already.
 
         Raises
         ------
@@ -379,28 +422,37 @@ class Alarm:
         MissingExtraError
             If the requested engine needs a package that is not installed.
         """
-        frame, time_s = self._reduced(frame), self._captured_s(time_s)
+        frame, small = self._reduced(frame, small)
+        time_s = self._captured_s(time_s)
         is_gap = time_s is not None and self._gaps.step(time_s)
         is_repeat = self._repeats is not None and frame.ndim > 1 and self._repeats.step(frame)
         if time_s is not None:
             self._watch_rate(time_s, is_gap=is_gap, is_repeat=is_repeat)
         is_stale = self._clock is not None and self._clock.is_stale
-        if is_stale or (not is_gap and not is_repeat and self._is_early(time_s)):
+        is_early = time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
+        if is_stale or (not is_gap and not is_repeat and is_early):
             return self._last
         blind = self._health.step(frame, time_s) if frame.ndim == 2 and frame.size else None
         if is_gap:  # what comes after a gap is new, even if it looks the same
-            self._spikes.reset()
+            self._rule.reset()
         elif is_repeat:
             if blind != self._last.blind:
                 self._last = replace(self._last, blind=blind)
             return self._last
         self._index += 1
         self._taken_s = math.nan if time_s is None else time_s
-        one = Frame(self._index, math.nan if time_s is None else time_s, frame, after_gap=is_gap)
-        response = self._stepper.step(one, layers=layers)
+        if small is not None and self._to_hide is not None:
+            shown = resized(np.float32(self._to_hide), small.shape[::-1])
+            self._expansion.ignore(shown > 0.0)
+            self._to_hide = None
+        others = {} if small is None else {_SMALL: small}
+        one = Frame(self._index, self._taken_s, frame, after_gap=is_gap, others=others)
+        response: Response = self._stepper.step(one, layers=layers)
+        measured: Measured = Measured() if small is None else self._expansion.step(one)
         mp_abs = float(absolute(response.mp, self.model.n_cells, self.params.kappa))
-        spike, alarm = self._spikes.step(mp_abs)
-        found = Detection(**vars(response), mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
+        spike, alarm = self._rule.step(mp_abs, measured.ttc_s)
+        facts = {**vars(response), **measured._asdict(), "rule": self._rule.name}
+        found = Detection(**facts, mp_abs=mp_abs, spike=spike, alarm=alarm, blind=blind)
         self._last = found
         return self._last
 
@@ -421,20 +473,25 @@ class Alarm:
             _log.warning(what, self._clock.latest_s)
         return captured_s
 
-    def _reduced(self, frame: Grey) -> Grey:
-        """A frame in grey and of the model's width; the model refuses what is no picture."""
+    def _reduced(self, frame: Grey, small: Grey | None) -> tuple[Grey, Grey | None]:
+        """A frame in grey and of the model's width, and as the expansion needs it.
+
+        The model refuses what is no image.
+        """
         if frame.dtype not in (np.uint8, np.float32) or not frame.size:
-            return frame
+            return frame, None
         if frame.ndim == 3 and frame.shape[2] == 3:
             frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-        if frame.ndim != 2 or self._width_px is None or frame.shape[1] <= self._width_px:
-            return frame
-        height = max(1, round(frame.shape[0] * self._width_px / frame.shape[1]))
-        return resized(frame, (self._width_px, height))
-
-    def _is_early(self, time_s: float | None) -> bool:
-        """Whether a frame comes sooner after the last one taken than frames should."""
-        return time_s is not None and 0.0 <= time_s - self._taken_s < self._least_s
+        if frame.ndim != 2:
+            return frame, None
+        height, width = frame.shape
+        if small is None:
+            small = resized(frame, small_wh(width, height))
+        if self._width_px is None or width <= self._width_px:
+            return frame, small
+        return resized(
+            frame, (self._width_px, max(1, round(height * self._width_px / width)))
+        ), small
 
     def _watch_rate(self, time_s: float, *, is_gap: bool, is_repeat: bool) -> None:
         """Find what frames to leave out, or warn once of a rate the model is not made for."""

@@ -74,7 +74,8 @@ class Health:
         """
         if time_s is None:
             time_s = 0.0 if math.isnan(self._now_s) else self._now_s + 1.0 / _FPS
-        if not time_s >= self._now_s or self._is_other(grey):  # the clock was set back, for example
+        is_other = self._before is not None and self._shape != grey.shape
+        if is_other or not time_s >= self._now_s:  # the clock was set back, for example
             self.reset()
         is_near, self._now_s = time_s - self._now_s <= _NEAR_S, time_s
         suspected, since_s = self._suspected(self._means(grey), time_s, is_near=is_near)
@@ -93,9 +94,6 @@ class Health:
             if time_s - (self._kind_s if self.reason else self._bad_s) >= BLIND_S:
                 self.reason = suspected
         return self.reason
-
-    def _is_other(self, grey: Grey) -> bool:
-        return self._before is not None and self._shape != grey.shape
 
     def _means(self, grey: Grey) -> npt.NDArray[np.float32]:
         """Means over the visible blocks, in grey levels, (n,)."""

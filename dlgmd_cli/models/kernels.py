@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dlgmd_cli.parameters.presets import DistributedParameters
+from dlgmd_cli.parameters.presets import DlgmdParameters
 
 FloatKernel = npt.NDArray[np.float64]
 
-# Latencies below the first edge give a delay of 0 frames, up to the second 1, and beyond it 2.
-BAND_EDGES_FRAMES = (1.0, 1.8999)
+# Latencies below `NEAR_FRAMES` give a delay of 0 frames, up to the edge by name 1, and beyond it 2.
+NEAR_FRAMES = 1.0
+BANDS = {"bands": 1.8999, "bands-whole": 1.8999, "bands-2020": 1.9}
 
 
 def _radius_squared(radius_px: int) -> FloatKernel:
@@ -104,10 +105,10 @@ def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]
     latency : ndarray, shape (2r + 1, 2r + 1), float64
         Latency of each tap, in frames.
     rounding : str
-        `bands`, `nearest` or `interpolated`, see `connect`.
+        One of the `LATENCIES`, see `connect`.
     """
-    if rounding == "bands":
-        near, far = BAND_EDGES_FRAMES
+    if rounding in BANDS:
+        near, far = NEAR_FRAMES, BANDS[rounding]
         found = {0: latency < near, 1: (latency >= near) & (latency < far), 2: latency >= far}
     elif rounding == "nearest":
         found = {d: np.floor(latency + 0.5) == d for d in range(int(np.ceil(latency.max())) + 1)}
@@ -117,31 +118,26 @@ def delay_weights(latency: FloatKernel, rounding: str) -> dict[int, FloatKernel]
     return {delay: is_it.astype(np.float64) for delay, is_it in found.items()}
 
 
-def gated(excitation: FloatKernel, immediate: FloatKernel, latency: FloatKernel) -> FloatKernel:
-    """Excitation as in the released code: only where the latency is at most one frame.
-
-    `immediate`, the inhibition without delay, is subtracted from it, down to 0.
-    """
-    kept = np.maximum(excitation - immediate, 0.0)
-    kept[latency > BAND_EDGES_FRAMES[0]] = 0.0
-    return kept
-
-
-def connect(params: DistributedParameters) -> Connections:
+def connect(params: DlgmdParameters) -> Connections:
     """Compute the kernels of all delays, [Zhao2023] Eqs. (2) to (7).
 
     Parameters
     ----------
-    params : DistributedParameters
-        The latency `bands` follows the authors' released code: inhibition in three bands, and
-        excitation only where the latency is at most one frame. With the others, excitation is
+    params : DlgmdParameters
+        The latency `bands` follows the authors' code of 2021: inhibition in three bands, and
+        excitation only where the latency is at most one frame. `bands-2020` follows their code of
+        2020: the last band begins at 1.9 instead of 1.8999 frames, and excitation is everywhere.
+        `bands-whole` has the bands of 2021 and the excitation of 2020. In all three, inhibition
+        without delay is subtracted from excitation, down to 0. With the others, excitation is
         everywhere, as printed; inhibition is delayed to the `nearest` whole frame, or
         `interpolated` between the two frames next to its latency.
     """
     wide, excite = gaussian(params.r, params.sigma_i), gaussian(params.r, params.sigma_e)
     latency = latency_map(params.r, params.alpha, params.beta, params.lam)
     weights, narrow = delay_weights(latency, params.latency), excite
-    if params.latency == "bands":
-        excite = gated(excite, params.a * wide * weights.pop(0), latency)
+    if params.latency in BANDS:
+        excite = np.maximum(excite - params.a * wide * weights.pop(0), 0.0)
+        if params.latency == "bands":
+            excite[latency > NEAR_FRAMES] = 0.0
     inhibition = {d: params.a * wide * weight for d, weight in weights.items() if weight.any()}
     return Connections(latency, excite, inhibition, (wide, narrow))

@@ -1,27 +1,12 @@
 """The D-LGMD with ON and OFF pathways, as proposed in the last section of [Zhao2023]."""
 
-import math
-
 import cv2
 import numpy as np
 
-from dlgmd_cli.models.base import (
-    AUTO,
-    Flags,
-    Grey,
-    Photoreceptors,
-    Response,
-    aligned,
-    centroid_of,
-)
-from dlgmd_cli.models.distributed import Images
-from dlgmd_cli.models.dlgmd import DLGMD
-from dlgmd_cli.models.engines import Counting
+from dlgmd_cli.models.base import AUTO, Flags, Grey, Photoreceptors, Response, aligned, centroid_of
+from dlgmd_cli.models.dlgmd import DLGMD, Images
 from dlgmd_cli.models.engines.opencv import group, sum_4x4
 from dlgmd_cli.parameters.presets import OnOffParameters
-
-# The engine computes only S for a pathway.
-_ONLY_S = Counting(math.inf)
 
 
 class OnOffDLGMD(DLGMD):
@@ -77,7 +62,7 @@ class OnOffDLGMD(DLGMD):
         s, g = images or self._images[:2]
         s_off, around = self._images[2:]
         for pathway, s_of_it in zip(self._pathways, (s, s_off), strict=True):
-            self._engine.respond(pathway, _ONLY_S, (s_of_it, around))
+            self._engine.respond(pathway, None, (s_of_it, around))
         cv2.add(s, s_off, dst=s)
         grouping = self.grouping()
         sum_4x4(s, out=around)

@@ -1,58 +1,57 @@
-"""One step: a model that goes through the frames of a source."""
+"""One step: a model, or the expansion, that goes through the frames of a source."""
 
 import math
+from typing import Any, Generic, TypeVar
 
-from dlgmd_cli.frame import Frame
-from dlgmd_cli.models.base import Flags, Model, Response, create_model
-from dlgmd_cli.parameters.presets import Parameters
+from dlgmd_cli.frame import Flags, Frame
+from dlgmd_cli.models.base import Model, Response
+from dlgmd_cli.models.expansion import Expansion, Measured
+
+SteppedT = TypeVar("SteppedT", Model, Expansion)
 
 
-class Stepper:
-    """A model that goes through the frames of a source.
+class Stepper(Generic[SteppedT]):
+    """What goes through the frames of a source: a model, or the measurement beside it.
 
-    The model does not see repeats, and restarts after a gap in time: it has no response until its
-    history is full again. Nothing else resets a model.
+    It does not see repeats, and restarts after a gap in time. Nothing else resets it.
 
     Parameters
     ----------
-    params : Parameters
-        Parameters of any model.
-    engine : str
-        See `DLGMD`.
+    model : Model or Expansion
+        What steps.
     size_wh : (int, int), optional
-        Width and height of the model's frames, where a source gives several sizes.
-
-    Attributes
-    ----------
-    model : Model
-        The model.
+        Width and height of its frames, where a source gives several sizes.
     """
 
-    def __init__(
-        self, params: Parameters, *, engine: str = "auto", size_wh: tuple[int, int] | None = None
-    ) -> None:
-        self.model: Model = create_model(params, engine=engine)
-        self.params, self.size_wh = params, size_wh
-        self._last, self._restarts = Response(), False
+    def __init__(self, model: SteppedT, size_wh: tuple[int, int] | None = None) -> None:
+        self.model: SteppedT = model
+        self.size_wh = size_wh
+        self._nothing: Any = Response() if isinstance(model, Model) else Measured()
+        self._last, self._restarts = self._nothing, False
 
     def reset(self) -> None:
         """Forget all earlier frames; the next one may have another size."""
         self.model.reset()
-        self._last, self._restarts = Response(), False
+        self._last, self._restarts = self._nothing, False
 
     def ignore(self, hidden: Flags | None) -> None:
         """Ignore some cells of all frames from now on, see `Model.ignore`."""
         self.model.ignore(hidden)
 
-    def step(self, frame: Frame, *, layers: bool = False) -> Response:
-        """The model's response to the next frame; to a repeat, the response to the frame before.
+    def step(self, frame: Frame, **options: Any) -> Any:
+        """The answer to the next frame; to a repeat, the answer to the frame before.
 
         Parameters
         ----------
         frame : Frame
             The frame, with its time, and whether it is a repeat or follows a gap.
-        layers : bool
-            Also return copies of P, S and G, unless the frame is a repeat.
+        options
+            As of the model's own `step`: `layers`, unless the frame is a repeat.
+
+        Returns
+        -------
+        Response or Measured
+            Of a model, or of an `Expansion`.
 
         Raises
         ------
@@ -65,5 +64,5 @@ class Stepper:
         if self._restarts:
             self.reset()
         time_s = None if math.isnan(frame.time_s) else frame.time_s
-        self._last = self.model.step(frame.at(self.size_wh), time_s, layers=layers)
+        self._last = self.model.step(frame.at(self.size_wh), time_s, **options)
         return self._last

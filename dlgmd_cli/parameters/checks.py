@@ -121,6 +121,12 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return best if similarity(best) >= 0.6 else None
 
 
+def hint(word: str, known: Iterable[str]) -> str:
+    """A question that names the most similar of the `known` words; empty if none is similar."""
+    near = nearest(word[:100], known)
+    return f"Did you mean {near!r}? " if near else ""
+
+
 def shown(value: Any) -> str:
     """A short form of a value for error messages; nested values could be very long."""
     if isinstance(value, str):
@@ -136,7 +142,5 @@ def require_known(what: str, name: str, known: Iterable[str], origin: str = "") 
     """Raise ParameterError if `name` is not one of the `known` names."""
     known = tuple(known)
     if name not in known:
-        near = nearest(name[:100], known)
-        hint = f"Did you mean {near!r}? " if near else ""
-        why, mend = f"there is no {what} {shown(name)}", f"{hint}Choose from {', '.join(known)}."
-        raise ParameterError(origin, why, mend)
+        mend = f"{hint(name, known)}Choose from {', '.join(known)}."
+        raise ParameterError(origin, f"there is no {what} {shown(name)}", mend)

@@ -10,13 +10,13 @@ from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, nearest
+from dlgmd_cli.parameters.checks import Spec, hint
 
 # Keys of run.yaml that are not parameters; they are ignored when the file is read as a config.
 RECORD_KEYS = frozenset(
     [
         *("schema", "input", "processed", "frames", "sweep", "versions", "machine", "warnings"),
-        *("complete", "summary", "wall_s", "collision_frame", "settings"),
+        *("columns", "complete", "summary", "wall_s", "collision_frame", "settings"),
     ]
 )
 # What the keys of a model may not be called.
@@ -68,20 +68,26 @@ _COMMON: dict[str, tuple[Any, ...]] = {
     "t_mp": (0.4, "T_MP", "–", "spiking threshold of the normalised MP", 0, 1),
     "n_sp": (2, "n_sp", "frames", "spikes in a row that raise an alarm", 1, 1000),
     "kappa": (0.01, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-12, 1e9),
+    "alarm": ("spikes", "–", "–", "rule: n_sp spikes in a row, or time to contact below ttc_alarm"),
+    "ttc_alarm": (0.64, "–", "s", "time to contact below which the rule ttc alarms", 0.01, 100),
 }
+# The rules of an alarm.
+RULES = SPIKES, TTC = ("spikes", "ttc")
 
 
 def common_key(name: str, default: Any = None) -> Any:
-    """A key of every model: `t_mp`, `n_sp` or `kappa`."""
+    """A key of every model: `t_mp`, `n_sp`, `kappa`, `alarm` or `ttc_alarm`."""
     usual, *facts = _COMMON[name]
-    return key(usual if default is None else default, *facts)
+    choices = RULES if name == "alarm" else ()
+    return key(usual if default is None else default, *facts, choices=choices)
 
 
 class Parameters:
     """Base of the parameter classes: frozen dataclasses of `key` fields, checked when created.
 
-    A field without `key` is checked for its kind only. A class that leaves out `t_mp`, `n_sp` or
-    `kappa` gets the key with the default 0.4, 2 or 0.01.
+    A field without `key` is checked for its kind only. A class that leaves out `t_mp`, `n_sp`,
+    `kappa`, `alarm` or `ttc_alarm` gets the key with the default 0.4, 2, 0.01, ``"spikes"`` or
+    0.64.
 
     Attributes
     ----------
@@ -101,6 +107,10 @@ class Parameters:
         Spikes in a row that raise an alarm, [Zhao2023] Eq. (15).
     kappa : float or None
         Mean excitation at which `mp_abs` is 1/2; None for a model with its own sigmoid.
+    alarm : {"spikes", "ttc"}
+        The rule of the alarm, see `models.detection.Rule`.
+    ttc_alarm : float
+        Time to contact, in seconds, below which the rule `ttc` raises an alarm.
     """
 
     model: ClassVar[str] = ""
@@ -112,23 +122,20 @@ class Parameters:
     t_mp: float
     n_sp: int
     kappa: float | None
+    alarm: str
+    ttc_alarm: float
 
-    def __init_subclass__(
-        cls, *, partial: bool = False, defaults: Mapping[str, Any] | None = None
-    ) -> None:
-        """Add the missing keys of every model, unless the class is only a `partial` base.
-
-        `defaults` are other defaults of inherited keys.
-        """
+    def __init_subclass__(cls, *, defaults: Mapping[str, Any] | None = None) -> None:
+        """Add the missing keys of every model; `defaults` are other defaults of inherited keys."""
         super().__init_subclass__()
         inherited = getattr(cls, "__dataclass_fields__", {})
         for name, value in (defaults or {}).items():
             setattr(cls, name, field(default=value, metadata=inherited[name].metadata))
             cls.__annotations__[name] = inherited[name].type
-        for name in () if partial else _COMMON:
+        for name, (usual, *_) in _COMMON.items():
             if not hasattr(cls, name):
                 setattr(cls, name, common_key(name))
-                cls.__annotations__[name] = int if name == "n_sp" else float
+                cls.__annotations__[name] = type(usual)
 
     def __post_init__(self) -> None:
         specs = self.specs()
@@ -199,11 +206,8 @@ class Parameters:
     @classmethod
     def unknown(cls, key: str) -> ParameterError:
         """The error for an unknown key; it suggests the most similar one."""
-        near = nearest(key[:100], cls.specs())
-        hint = f"Did you mean '{near}'? " if near else ""
-        return ParameterError(
-            "", f"unknown parameter {key[:100]!r}", f"{hint}See 'dlgmd sets show {cls.preset}'."
-        )
+        mend = f"{hint(key, cls.specs())}See 'dlgmd sets show {cls.preset}'."
+        return ParameterError("", f"unknown parameter {key[:100]!r}", mend)
 
     def to_dict(self) -> dict[str, Any]:
         """Key -> value, in the order of definition; the inverse of `from_mapping`."""

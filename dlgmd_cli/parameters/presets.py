@@ -6,6 +6,7 @@ class, and a YAML file in `configs/`. Models of one's own need none of that, see
 """
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.parameters.checks import Spec, blame, nearest, require_known, shown
+from dlgmd_cli.parameters.checks import Spec, blame, hint, nearest, require_known, shown
 from dlgmd_cli.parameters.keys import (
     OWN_MODELS,
     RECORD_KEYS,
@@ -29,17 +30,27 @@ from dlgmd_cli.parameters.keys import ParametersT as ParametersT
 from dlgmd_cli.parameters.plain_yaml import SHOW_HINT, parse, read
 
 ENGINES = ("opencv", "numba")
-LATENCIES = ("bands", "nearest", "interpolated")
-# What a formulation stands for, unless the keys are given. `released` also has another lag and
-# divisor of FFI, see `DLGMD`.
+LATENCIES = ("bands", "bands-whole", "bands-2020", "nearest", "interpolated")
+GROUPINGS = ("sum", "mean")
+# What a formulation stands for, unless the keys are given. The released ones also have another lag
+# and divisor of FFI, see `DLGMD`.
 FORMULATIONS: dict[str, dict[str, Any]] = {
-    "default": {"latency": "bands", "saturate": True},
-    "released": {"latency": "bands", "saturate": True},
-    "equations": {"latency": "interpolated", "saturate": False},
+    "default": {"latency": "bands", "saturate": True, "grouping": "sum"},
+    "released-2021": {"latency": "bands", "saturate": True, "grouping": "sum"},
+    "released-2020": {"latency": "bands-2020", "saturate": True, "grouping": "mean"},
+    "equations": {"latency": "interpolated", "saturate": False, "grouping": "sum"},
 }
+# Earlier names of formulations.
+RENAMED = {"released": "released-2021"}
 MAX_LATENCY_FRAMES = 64.0
 # The configurations that `--config` takes by name; the first is the default.
-PRESETS = ("flight", "flight-early", "road", "flight-small")
+PRESETS = ("flight", "flight-small")
+# Models and presets of 1.x, and what to use instead.
+RETIRED = {
+    "dlgmd-contrast": "flight has its alarm",
+    "flight-early": "flight with ttc_alarm=0.78 is the same alarm",
+    "road": "set 6 ranks road clips better",
+}
 # Up to this width, frames are for the last one.
 SMALL_WIDTH_PX = 128
 # Frame width in px and frame rate that parameters are designed for, unless their file says.
@@ -54,10 +65,13 @@ _DESCRIBING = {
 
 
 @dataclass(frozen=True)
-class DistributedParameters(Parameters, partial=True):
-    """Parameters of the presynaptic connections, [Zhao2023] Eqs. (2) to (7); defaults of set 9."""
+class DlgmdParameters(Parameters):
+    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
 
-    formulation, latency = "default", "bands"
+    model: ClassVar[str] = "dlgmd"
+    module: ClassVar[str] = "dlgmd_cli.models.dlgmd"
+    preset: ClassVar[str] = "9"
+    source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
 
     alpha: float = key(-0.1, "α", "frames", "shift of the latency, Eq. (5)", -10, 64)
     beta: float = key(0.5, "β", "1/frames", "saturation of the latency, Eq. (5)", 0, 100)
@@ -66,6 +80,40 @@ class DistributedParameters(Parameters, partial=True):
     sigma_i: float = key(5.0, "σ_I", "px", "width of inhibition, Eq. (4)", 0.01, 100)
     r: int = key(6, "r", "px", "radius of the kernels", 1, 32)
     a: float = key(1.5, "a", "–", "strength of inhibition, Eq. (6)", 0, 100)
+    k: float = key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
+    ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
+    t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
+    m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
+    t_mp: float = common_key("t_mp")
+    n_sp: int = common_key("n_sp")
+    kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
+    formulation: str = key(
+        *("default", "–", "–", "whose latency, limits and FFI: ours, a code's, the paper's"),
+        choices=(*FORMULATIONS, *RENAMED),
+    )
+    latency: str = implied_key(
+        *("bands", "–", "–", "how delays that are not whole frames are rounded"), choices=LATENCIES
+    )
+    saturate: bool = implied_key(True, "–", "–", "limit G to 1 and T_de to 0.3")
+    grouping: str = implied_key(
+        *("sum", "–", "–", "k times the sum or the mean of 4x4 cells, Eq. (9)"), choices=GROUPINGS
+    )
+
+    def __post_init__(self) -> None:
+        for name, value in reformulated({"formulation": self.formulation}).items():
+            if name == "formulation" or getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        super().__post_init__()
+
+    @property
+    def is_released(self) -> bool:
+        """Whether FFI is that of the authors' codes."""
+        return self.formulation.startswith("released")
+
+    @property
+    def gain(self) -> float:
+        """What multiplies S and the sum of S over 4x4 cells in G, Eqs. (8) and (9)."""
+        return self.k / 16.0 if self.grouping == "mean" else self.k
 
     def _check_together(self) -> None:
         """The latency must not be negative anywhere, nor longer than `MAX_LATENCY_FRAMES`."""
@@ -89,86 +137,17 @@ class DistributedParameters(Parameters, partial=True):
 
 
 @dataclass(frozen=True)
-class DlgmdParameters(DistributedParameters):
-    """Parameters of the D-LGMD; the defaults are set 9 of [Zhao2023], Tables I and II."""
-
-    model: ClassVar[str] = "dlgmd"
-    module: ClassVar[str] = "dlgmd_cli.models.dlgmd"
-    preset: ClassVar[str] = "9"
-    source: ClassVar[str] = "Zhao et al., IEEE TNNLS 34(5), 2023"
-
-    k: float = key(1.0, "k", "–", "gain of the grouping, Eq. (9)", 1e-12, 100)
-    ffi_gd: bool = key(True, "FFI-GD", "–", "threshold G by feed-forward inhibition, Eq. (10)")
-    t0: float = key(0.5, "T_0", "–", "base of that threshold, Eq. (11)", 0, 100)
-    m: float = key(0.4, "m", "–", "luminance change at which T_de = T_0, Eq. (11)", 0.001, 100)
-    t_mp: float = common_key("t_mp")
-    n_sp: int = common_key("n_sp")
-    kappa: float = key(0.0028, "κ", "–", "mean excitation at which mp_abs is 1/2", 1e-9, 100)
-    formulation: str = key(
-        *("default", "–", "–", "whose latency, saturation and FFI: ours, the code's, the paper's"),
-        choices=tuple(FORMULATIONS),
-    )
-    latency: str = implied_key(
-        *("bands", "–", "–", "how delays that are not whole frames are rounded"), choices=LATENCIES
-    )
-    saturate: bool = implied_key(True, "–", "–", "limit G to 1 and T_de to 0.3")
-
-    def __post_init__(self) -> None:
-        for name, value in reformulated({"formulation": self.formulation}).items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
-        super().__post_init__()
-
-
-# As in sets 1 to 3: the latency is one frame everywhere.
-_ONE_FRAME_LATENCY = {"alpha": 0.0, "beta": 0.0, "lam": 0.0}
-
-
-@dataclass(frozen=True)
-class ContrastParameters(
-    DistributedParameters, defaults=_ONE_FRAME_LATENCY | {"sigma_e": 0.9, "sigma_i": 3.0, "a": 1.7}
-):
-    """Parameters of the contrast-relative D-LGMD.
-
-    The keys from `w_fps` to `k_0` do nothing by default: the preset `flight` sets them.
-    """
-
-    model: ClassVar[str] = "dlgmd-contrast"
-    module: ClassVar[str] = "dlgmd_cli.models.contrast"
-    preset: ClassVar[str] = "dlgmd-contrast"
-    source: ClassVar[str] = "Contrast-relative D-LGMD; this project, after Zhao et al., 2023"
-
-    c_p: float = key(0.2, "c_P", "–", "share of the contrast σ that P must exceed", 0, 100)
-    p_min: float = key(0.011, "P_min", "luminance", "lowest threshold of P", 0, 1)
-    c_n: float = key(2.5, "c_ν", "–", "multiple of the noise ν that P must exceed", 0, 100)
-    c_s: float = key(0.6, "c_S", "–", "share of the contrast σ that S must exceed", 0, 100)
-    s_min: float = key(0.008, "S_min", "luminance", "lowest threshold of S", 0, 100)
-    w_sigma: float = key(0.2, "w_σ", "–", "weight of the newest frame in σ and ν", 0.001, 1)
-    growth: float = key(1.5, "F_max", "–", "growth of change that begins to inhibit", 0.01, 1e6)
-    w_m: float = key(0.25, "w_M", "–", "weight of the newest frame in mean change", 0.001, 1)
-    sigma_c: float = key(
-        0.45, "σ_c", "half sides", "width of the weighting about the centre", 0.05, 100
-    )
-    w_fps: float = key(
-        0.0, "f_w", "1/s", "frame rate at which w_σ and w_M hold; 0 ignores times", 0, 1000
-    )
-    shift: int = key(0, "d_max", "px", "largest shift of the picture that is undone", 0, 64)
-    balance: bool = key(False, "–", "–", "take the two weakest quadrants instead of all")
-    deflicker: bool = key(False, "–", "–", "remove bands of mains light, and steps of the exposure")
-    c_m: float = key(0.0, "c_m", "–", "multiple of its past mean that K must exceed", 0, 100)
-    tau_m: float = key(2.0, "τ_m", "s", "time constant of that mean", 0.01, 1000)
-    d_0: float = key(0.0, "D_0", "1/s", "rate of expansion from which K grows; 0: none", 0, 1000)
-    tau_d: float = key(0.1, "τ_D", "s", "time constant of that rate", 0.001, 1000)
-    k_0: float = key(0.0003, "K_0", "–", "share of cells that expansion counts as active", 0, 1)
-    t_mp: float = common_key("t_mp")
-    n_sp: int = common_key("n_sp")
-    kappa: float = key(0.0138, "κ", "–", "K / n_cell at which mp_abs is 1/2", 1e-9, 100)
-
-
-@dataclass(frozen=True)
 class OnOffParameters(
     DlgmdParameters,
-    defaults=_ONE_FRAME_LATENCY | {"sigma_e": 0.35, "sigma_i": 2.5, "r": 4, "kappa": 0.0466},
+    defaults={
+        "alpha": 0.0,
+        "beta": 0.0,
+        "lam": 0.0,
+        "sigma_e": 0.35,
+        "sigma_i": 2.5,
+        "r": 4,
+        "kappa": 0.0466,
+    },
 ):
     """Parameters of the D-LGMD with ON and OFF pathways; the connections are those of set 3."""
 
@@ -235,27 +214,22 @@ class EmdLgmdParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class FlowDivergenceParameters(Parameters):
+class LkDivergenceParameters(Parameters):
     """Parameters of the optical-flow baseline; its threshold is not published but ours."""
 
-    model: ClassVar[str] = "flow-divergence"
-    module: ClassVar[str] = "dlgmd_cli.models.flow_divergence"
+    model: ClassVar[str] = "lk-divergence"
+    module: ClassVar[str] = "dlgmd_cli.models.lk_divergence"
     preset: ClassVar[str] = "9"
-    source: ClassVar[str] = "OpenCV's DIS; Kroeger et al., 2016"
+    source: ClassVar[str] = "Shi and Tomasi, 1994; Bouguet, 2001"
 
     t_mp: float = common_key("t_mp", 0.5)
-    n_sp: int = common_key("n_sp")
-    kappa: float = key(2.0, "κ", "1/s", "mean divergence at which mp_abs is 1/2", 1e-9, 1e9)
+    n_sp: int = common_key("n_sp", 1)
+    kappa: float = key(1.0, "κ", "1/s", "expansion rate at which mp_abs is 1/2", 1e-9, 1e9)
 
 
 # Our models by the name for `--model`, which does not offer the baseline above.
-MODELS: dict[str, type[Parameters]] = {
-    kind.model: kind
-    for kind in (
-        *(DlgmdParameters, ContrastParameters, OnOffParameters),
-        *(LgmdParameters, EmdLgmdParameters),
-    )
-}
+_OURS = (DlgmdParameters, OnOffParameters, LgmdParameters, EmdLgmdParameters)
+MODELS: dict[str, type[Parameters]] = {kind.model: kind for kind in _OURS}
 
 
 @cache
@@ -289,6 +263,8 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
     if isinstance(name, str):
         if name in MODELS:
             return MODELS[name]
+        if name in RETIRED:
+            raise retired(name, origin)
         if ":" not in name:
             require_known("model", name, (*MODELS, *installed_models()), origin)
         elif in_file and name in OWN_MODELS:
@@ -301,6 +277,12 @@ def find_model(name: Any, origin: str = "", *, in_file: bool = False) -> type[Pa
         why = f"{str(name)[:100]} is not a subclass of dlgmd_cli.Model"
         raise ParameterError(origin, why, "See 'Your own model' in the documentation.")
     return kind
+
+
+def retired(name: str, origin: str = "") -> ParameterError:
+    """The error for a model or a preset of 1.x that is no more."""
+    why = f"{name} is not in dlgmd 2; dlgmd 1.0.0 runs it"
+    return ParameterError(origin, why, f"Or: {RETIRED[name]}.")
 
 
 def untrusted(name: str, origin: str = "") -> ParameterError:
@@ -317,7 +299,7 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
     """
     name = str(record.get("model"))
     kind = MODELS.get(name) or OWN_MODELS.get(name)
-    if kind is None and ":" not in name:
+    if kind is None and ":" not in name and name not in RETIRED:
         require_known("model", name, MODELS)
     if kind is not None:
         try:
@@ -330,6 +312,8 @@ def stored_parameters(record: Mapping[str, Any]) -> Parameters:
 
 def runnable(params: Parameters) -> Parameters:
     """Parameters of which a model can be created, from those of a record; raises ParameterError."""
+    if params.model in RETIRED:
+        raise retired(params.model)
     if ":" not in params.model or type(params).model_class is not None:
         return params
     return find_model(params.model, in_file=True).from_mapping(params.to_dict())
@@ -342,7 +326,8 @@ class Config:
     `name` is the file's name in error messages. `values` holds the parameters, not yet checked.
     `named` is the set or preset that the file builds on, as in run.yaml. `width_px` and `model_fps`
     are the frame width and the frame rate that the parameters are designed for. `is_record` tells
-    that it is a `run.yaml`.
+    that it is a `run.yaml`. `kind` is the class of the parameters where it is known already;
+    `model` names it else.
     """
 
     name: str
@@ -354,6 +339,60 @@ class Config:
     options: dict[str, Any] = field(default_factory=dict)
     named: dict[str, Any] = field(default_factory=dict)
     is_record: bool = False
+    kind: type[Parameters] | None = None
+
+    @property
+    def label(self) -> str:
+        """The name in messages and figures: `set9`, `lgmd`, `flight`, or the stem of a file."""
+        return Path(self.name).stem or str(self.model).rpartition(":")[2]
+
+
+def config_of(model: Any = None, origin: str = "") -> Config:
+    """The configuration of whatever names a model.
+
+    Parameters
+    ----------
+    model : optional
+        A set's number (``9``, ``"set9"``), the name of a preset or a model (``"flight"``,
+        ``"lgmd"``, ``"package.module:Class"``; ``"dlgmd"`` is set 9), the class of a model, its
+        parameters, the path of a YAML file, or a configuration. The default is `flight`.
+    origin : str
+        What names the model, for the error.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such set, preset, model or file, or it cannot be read.
+    """
+    if isinstance(model, Config):
+        return model
+    if isinstance(model, Parameters):
+        width_px, model_fps = design_of(model)
+        values, kind = model.to_dict(), type(model)
+        return Config("", kind.model, None, width_px, model_fps, values, kind=kind)
+    if isinstance(model, type) or (isinstance(model, str) and ":" in model):
+        kind = find_model(model, origin)
+        return Config("", model=kind.model, kind=kind)
+    name = PRESETS[0] if model is None else str(model)
+    if name == DlgmdParameters.model:
+        return load_preset(DlgmdParameters.preset)
+    if name.removeprefix("set").isdecimal():
+        with blame(origin):
+            return load_preset(name)
+    if name in PRESETS or isinstance(model, os.PathLike) or Path(name).is_file():
+        return load_config(name)
+    if name in RETIRED:
+        raise retired(name, origin)
+    if name in MODELS:
+        return load_model_preset(name)
+    if name in installed_models():
+        return config_of(installed_models()[name], origin)
+    if Path(name).suffix in (".yaml", ".yml"):
+        return load_config(name)  # which says that there is no such file
+    known = (*PRESETS, *MODELS, *installed_models())
+    choices = f"Choose 1 to 9, {', '.join(known)}, your own as MODULE:CLASS, or a YAML file."
+    mend = f"{hint(name, known)}{choices}"
+    raise ParameterError(origin, f"there is no set, preset, model or file {name[:80]!r}", mend)
 
 
 def design_of(params: Any) -> tuple[int, float]:
@@ -387,16 +426,11 @@ def load_preset(name: str | int) -> Config:
         if near := nearest(str(name)[:100], PRESETS):
             mend = f"Did you mean --config {near}? {mend}"
         raise ParameterError("", why, mend)
-    return _shipped(f"set{number}")
+    return replace(load_model_preset(f"set{number}"), named={"set": int(number)})
 
 
-def load_model_preset(model: str) -> Config:
-    """The published values of a model other than the D-LGMD."""
-    return _shipped(model)
-
-
-def _shipped(stem: str) -> Config:
-    """A preset of this package; each file is parsed once."""
+def load_model_preset(stem: str) -> Config:
+    """The published values of a model, or another file of this package; each is parsed once."""
     return deepcopy(_parsed(stem))
 
 
@@ -436,7 +470,9 @@ def load_config(path: str | Path) -> Config:
     """
     name, path = str(path), Path(path)
     if name in PRESETS:
-        return replace(_shipped(name), named={"preset": name})
+        return replace(load_model_preset(name), named={"preset": name})
+    if name in RETIRED and not path.exists():
+        raise retired(name)
     if not path.exists() and (near := nearest(name[:100], PRESETS)):
         raise ParameterError(name, "there is no such file or preset", f"Did you mean {near!r}?")
     document = parse(name, read(path))
@@ -466,8 +502,13 @@ def load_config(path: str | Path) -> Config:
 
 def parameters_of(config: Config, **overrides: Any) -> Parameters:
     """The parameters of a configuration, with single keys overridden; raises ParameterError."""
-    kind = find_model(config.model or DlgmdParameters.model, config.name, in_file=True)
-    return merge(kind, config, overrides)
+    return merge(kind_of(config), config, overrides)
+
+
+def kind_of(config: Config) -> type[Parameters]:
+    """The class of the parameters of a configuration; raises ParameterError."""
+    name = config.model or DlgmdParameters.model
+    return config.kind or find_model(name, config.name, in_file=True)
 
 
 def _named(name: str, named: dict[str, Any]) -> Config:
@@ -477,6 +518,8 @@ def _named(name: str, named: dict[str, Any]) -> Config:
     ((key, value),) = named.items()
     text = shown(value).strip("'")
     if key == "preset":
+        if text in RETIRED:
+            raise retired(text, name)
         require_known("preset", text, PRESETS, name)
         return load_config(text)
     with blame(name):
@@ -498,13 +541,15 @@ def parse_overrides(pairs: Iterable[str]) -> dict[str, Any]:
 
 
 def reformulated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """`values`, and what their formulation stands for, if they name one.
+    """`values`, and what their formulation stands for, if they name one, by its present name.
 
     For changes of parameters that already have a latency and a saturation.
     """
     name = values.get("formulation")
-    stands_for = FORMULATIONS.get(name, {}) if isinstance(name, str) else {}
-    return {**values, **{key: value for key, value in stands_for.items() if key not in values}}
+    if not isinstance(name, str):
+        return dict(values)
+    name = RENAMED.get(name, name)
+    return {**FORMULATIONS.get(name, {}), **values, "formulation": name}
 
 
 def merge(

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FORMULATIONS = ("default", "released", "equations")
-# Latency and saturation that the names stand for, and all six ways to combine the two.
+FORMULATIONS = ("default", "released-2021", "released-2020", "equations")
+# Latency, saturation and grouping that the names stand for, and all ways to combine the first two.
 NAMED = {
-    "default": ("bands", True),
-    "released": ("bands", True),
-    "equations": ("interpolated", False),
+    "default": ("bands", True, "sum"),
+    "released-2021": ("bands", True, "sum"),
+    "released-2020": ("bands-2020", True, "mean"),
+    "equations": ("interpolated", False, "sum"),
 }
-COMBINATIONS = list(itertools.product(("bands", "nearest", "interpolated"), (True, False)))
-BAND_EDGES = (1.0, 1.8999)
+BAND_EDGES = {"bands": (1.0, 1.8999), "bands-whole": (1.0, 1.8999), "bands-2020": (1.0, 1.9)}
+COMBINATIONS = list(itertools.product((*BAND_EDGES, "nearest", "interpolated"), (True, False)))
 
 # The paper's Table II: alpha, beta, lam, sigma_e, sigma_i, r; a = 1.5 and T0 = 0.5 in all.
 TABLE_2 = {
@@ -87,12 +88,12 @@ def kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, rounding):
                 continue
             if tau < 1.0:
                 excite[x, y] = max(g_e - g_i, 0.0)
-            elif tau == 1.0:
+            elif tau == 1.0 or rounding != "bands":
                 excite[x, y] = g_e
             else:
                 excite[x, y] = 0.0
             band = 0
-            for edge in BAND_EDGES:
+            for edge in BAND_EDGES[rounding]:
                 if edge <= tau:
                     band += 1
             if band > 0:
@@ -149,7 +150,7 @@ def summation(history, excite, inhibit, t):
     return s
 
 
-def grouping(s, k):
+def group(s, k):
     """G before threshold and saturation, Eqs. (8) and (9)."""
     height, width = s.shape
     g = np.zeros((height, width))
@@ -188,19 +189,21 @@ def run(
     formulation,
     latency=None,
     saturate=None,
+    grouping=None,
     on_off=False,
 ):
     """One `Answer` for every frame, Eqs. (1) to (13); S is that of ON and OFF pathways if asked.
 
-    `latency` and `saturate` are those that the formulation stands for, unless given.
+    `latency`, `saturate` and `grouping` are those that the formulation stands for, unless given.
     """
     named = NAMED[formulation]
     rounding = named[0] if latency is None else latency
     is_limited = named[1] if saturate is None else saturate
+    is_mean = (grouping or named[2]) == "mean"
     excite, inhibit = kernels(alpha, beta, lam, sigma_e, sigma_i, r, a, rounding)
     history = photoreceptors(frames)
     histories = pathways(frames) if on_off else [history]
-    lag = 2 if formulation == "released" else 1
+    lag = 2 if formulation.startswith("released") else 1
     # P begins at frame 1, and both the oldest inhibition and FFI must find one.
     first = 1 + max([lag, *inhibit])
     answers = []
@@ -215,12 +218,12 @@ def run(
         answer.s = sum(summation(one, excite, inhibit, t) for one in histories)
         answer.s_sum = total(answer.s)
         answer.ffi = total(history[t - lag])
-        cells = 200_000.0 if formulation == "released" else p.size * m
+        cells = 200_000.0 if formulation.startswith("released") else p.size * m
         # T_de is the threshold in force: without one, every G passes, as it does at zero.
         answer.t_de = answer.ffi * t0 / cells if ffi_gd else 0.0
         if is_limited:
             answer.t_de = min(answer.t_de, 0.3)
-        answer.g_raw = grouping(answer.s, k)
+        answer.g_raw = group(answer.s, k / 16 if is_mean else k)
         answer.g = np.zeros_like(answer.g_raw)
         for i in range(p.shape[0]):
             for j in range(p.shape[1]):

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dlgmd_cli.errors import NOT_INSTALLED, MissingExtraError
-from dlgmd_cli.models.base import AUTO, FloatImage, Grey, Photoreceptors
+from dlgmd_cli.models.base import AUTO, FloatImage, Photoreceptors
 from dlgmd_cli.models.kernels import Connections
 from dlgmd_cli.parameters.checks import require_known
 from dlgmd_cli.parameters.presets import ENGINES
@@ -17,9 +17,6 @@ _log = logging.getLogger(__name__)
 
 # For smaller frames, loading Numba takes longer than it saves over a few hundred frames.
 WORTH_COMPILING_PX = 500_000
-# Side of the blocks whose means tell how the picture moves, in cells. As of MAX_TAPS in plan.py,
-# the cache of Numba does not notice a change.
-BLOCK = 4
 
 
 class Grouping(NamedTuple):
@@ -30,28 +27,12 @@ class Grouping(NamedTuple):
     cap: float
 
 
-class Counting(NamedTuple):
-    """A replacement for the grouping: G is the weight where S exceeds `above`, else 0.
-
-    `above` is in luminance. The weight of a cell is the product of the `weights` of its row, (H,),
-    and its column, (W,). Without them there is no G: the engine computes only S.
-    """
-
-    above: float
-    weights: tuple[FloatImage, FloatImage] | None = None
-
-
 class Sums(NamedTuple):
-    """ΣS and ΣG of a frame, and the `first_moments` of G.
-
-    `quarters` are parts of ΣG after `Counting`: upper left, upper right, lower left, lower right.
-    A middle row or column belongs to both sides.
-    """
+    """ΣS and ΣG of a frame, and the `first_moments` of G."""
 
     s: float
     g: float
     moments: tuple[float, float]
-    quarters: tuple[float, ...] = ()
 
 
 class Engine(Protocol):
@@ -60,18 +41,15 @@ class Engine(Protocol):
     def respond(
         self,
         receptors: Photoreceptors,
-        readout: Grouping | Counting,
+        grouping: Grouping | None,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> Sums:
         """The sums of the newest frame, in luminance; S and G are written to `layers`, (H, W).
 
         S(t) = max(Σ_d P(t-d) ∗ K_d, 0), Eqs. (2), (3), (6), (7)
-        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10), or see `Counting`
+        G(t) = S · Ce where it reaches T_de, saturated, Eqs. (8) to (10); not computed, and its
+               sums are 0, without a `grouping`
         """
-        ...
-
-    def blocks(self, frame: Grey) -> FloatImage:
-        """Means over whole blocks of `BLOCK` x `BLOCK` cells of a frame, in levels."""
         ...
 
 

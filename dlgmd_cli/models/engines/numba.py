@@ -20,8 +20,8 @@ from numba import njit
 from numba.core.event import Event, Listener, install_listener
 
 from dlgmd_cli.machine.threads import n_threads
-from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned
-from dlgmd_cli.models.engines import BLOCK, Counting, Grouping, Sums, just_below
+from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
+from dlgmd_cli.models.engines import Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import MAX_TAPS, Sum, fuse, sources_of
 from dlgmd_cli.models.kernels import Connections
 
@@ -32,8 +32,7 @@ MAX_ROWS = 32  # per block
 MAX_BANDS, MIN_BAND_PX = 4, 500_000
 _LANES = 16
 _Loops = Callable[..., tuple[float, ...]]
-COUNT = 0.0  # a gain that means counting; the grouping never uses it
-_NO_WEIGHTS = np.empty(0, np.float32), np.empty(0, np.float32)
+ONLY_S = 0.0  # a gain that the grouping never has: there is no G
 _NOWHERE, _NONE_HIDDEN = np.empty((0, 0), np.float32), np.empty((0, 0), np.bool_)
 
 # Allow reordering of sums for vector instructions, but no other fast-math approximations.
@@ -70,27 +69,23 @@ _total = _unrolled(MAX_TAPS)
 
 
 @njit(**_OPTIONS)
-def _read_row(out, start, p, floor):
-    """What of a row exceeds a floor, as float32."""
+def _read_row(out, start, p):
+    """A row as float32."""
     for i in range(p.size):
         x = np.uint64(i)
-        value = np.float32(p[x]) - floor
-        out[start + x] = np.float32(0.0) if value <= 0.0 else value  # NaN stays
+        out[start + x] = np.float32(p[x])
 
 
 @njit(**_OPTIONS)
-def _read_difference(out, start, newer, newer_floor, older, older_floor):
-    """What of a row exceeds its floor, minus the same of another."""
+def _read_difference(out, start, newer, older):
+    """A row minus another, as float32."""
     for i in range(newer.size):
         x = np.uint64(i)
-        a, b = np.float32(newer[x]) - newer_floor, np.float32(older[x]) - older_floor
-        a = np.float32(0.0) if a <= 0.0 else a
-        b = np.float32(0.0) if b <= 0.0 else b
-        out[start + x] = a - b
+        out[start + x] = np.float32(newer[x]) - np.float32(older[x])
 
 
 @njit(**_OPTIONS)
-def _read(memory, stack, floors, newer, older, shape, top, first_new):
+def _read(memory, stack, newer, older, shape, top, first_new):
     """Read the new rows of a block from every source: P, or the difference of two."""
     radius, n_rows, stride = shape
     depth = 2 * radius + n_rows
@@ -101,9 +96,9 @@ def _read(memory, stack, floors, newer, older, shape, top, first_new):
             if 0 <= y < stack.shape[1]:
                 start = np.uint64(at + 1 + radius)
                 if b < 0:
-                    _read_row(memory, start, stack[a, y], floors[a])
+                    _read_row(memory, start, stack[a, y])
                 else:
-                    _read_difference(memory, start, stack[a, y], floors[a], stack[b, y], floors[b])
+                    _read_difference(memory, start, stack[a, y], stack[b, y])
             else:
                 memory[at : at + stride] = 0.0
 
@@ -155,18 +150,6 @@ def _group(s, stride, four, g, gain, below, cap):
 
 
 @njit(**_OPTIONS)
-def _count(s, g, weight, weights, above):
-    """Set G of a part of a row to the weight where S exceeds `above`, else 0; returns its sum."""
-    total = np.float32(0.0)
-    for i in range(g.size):
-        x = np.uint64(i)
-        value = weight * weights[x] if s[x] > above else np.float32(0.0)
-        g[x] = value
-        total += value
-    return total
-
-
-@njit(**_OPTIONS)
 def _moment(g):
     """ΣG · column of a row."""
     total = np.float32(0.0)
@@ -175,60 +158,26 @@ def _moment(g):
     return total
 
 
-def _mean_blocks(frame, out):
-    """Means over blocks of cells."""
-    sums = np.empty(out.shape[1] * BLOCK, np.float32)
-    for y in range(out.shape[0]):
-        rows = frame[BLOCK * y : BLOCK * (y + 1)]
-        for i in range(sums.size):
-            x = np.uint64(i)
-            total = np.float32(rows[0, x])
-            for row in range(1, BLOCK):
-                total += np.float32(rows[row, x])
-            sums[x] = total
-        for i in range(out.shape[1]):
-            total = np.float32(0.0)
-            for x in range(BLOCK * i, BLOCK * (i + 1)):
-                total += sums[x]
-            out[y, i] = total / np.float32(BLOCK**2)
-
-
 def _sum_layers(
-    first,
-    end,
-    stack,
-    floors,
-    newer,
-    older,
-    hidden,
-    plan,
-    shape,
-    memory,
-    row_memory,
-    grouping,
-    s_out,
-    g_out,
+    first, end, stack, newer, older, hidden, plan, shape, memory, row_memory, grouping, s_out, g_out
 ):
-    """ΣS, ΣG, its moments and quarters for the rows from `first` up to `end`, block by block.
+    """ΣS, ΣG and its moments for the rows from `first` up to `end`, block by block.
 
     `NumbaEngine` prepares all arguments.
     """
     outs, last, places, weights = plan
     radius, n_rows, stride = shape
-    gain, below, cap, row_weights, column_weights = grouping
+    gain, below, cap = grouping
     four, g = row_memory
     _, height, width = stack.shape
-    # A middle row or column belongs to both sides: the columns are in three parts.
-    edges = (0, width // 2, (width + 1) // 2, width)
     block, size = n_rows * stride, (2 * radius + n_rows) * stride
     # S of a block and of the three rows above it.
     s = memory[outs[-1] - 3 * stride : outs[-1] + block]
     s[: 3 * stride] = 0.0
     s_sum = g_sum = m_x = m_y = 0.0
-    quarters = np.zeros(4)
     top, first_new = first - 1, 0
     while top - 2 < end:
-        _read(memory, stack, floors, newer, older, shape, top, first_new)
+        _read(memory, stack, newer, older, shape, top, first_new)
         begin = 0
         for k in range(outs.size):
             _total(memory, np.uint64(outs[k]), block, places, weights, begin, last[k] - begin)
@@ -248,22 +197,9 @@ def _sum_layers(
                     s_out[y] = s[at + 1 : at + 1 + width]
         for row in range(max(0, first + 2 - top), min(n_rows, end + 2 - top)):
             y = top - 2 + row
-            if gain == COUNT:
-                if not row_weights.size:
-                    break
-                total = 0.0
-                for k in range(3):
-                    a, b = edges[k], edges[k + 1]
-                    s_part = s[(row + 1) * stride + 1 + a : (row + 1) * stride + 1 + b]
-                    part = _count(s_part, g[a:b], row_weights[y], column_weights[a:b], below)
-                    total += part
-                    for side in range(2):
-                        if k != 2 - 2 * side and y < (height + 1) // 2:
-                            quarters[side] += part
-                        if k != 2 - 2 * side and y >= height // 2:
-                            quarters[2 + side] += part
-            else:
-                total = _group(s[row * stride :], stride, four, g, gain, below, cap)
+            if gain == ONLY_S:
+                break
+            total = _group(s[row * stride :], stride, four, g, gain, below, cap)
             if total > 0.0:
                 g_sum += total
                 m_x += _moment(g)
@@ -275,13 +211,13 @@ def _sum_layers(
             _move_up(memory[q * size :], np.uint64(block), 2 * radius * stride)
         top += n_rows
         first_new = 2 * radius
-    return s_sum, g_sum, m_x, m_y, quarters[0], quarters[1], quarters[2], quarters[3]
+    return s_sum, g_sum, m_x, m_y
 
 
 @cache
-def _compiled(function: _Loops, on_disk: bool) -> _Loops:
-    """`function`, compiled at the first call or loaded from Numba's cache."""
-    return njit(cache=on_disk, **_OPTIONS)(function)
+def _compiled(on_disk: bool) -> _Loops:
+    """The loops, compiled at the first call or loaded from Numba's cache."""
+    return njit(cache=on_disk, **_OPTIONS)(_sum_layers)
 
 
 class NumbaEngine:
@@ -304,34 +240,28 @@ class NumbaEngine:
         size = int(self._plan[0][-1]) + n_rows * stride + stride
         self._memory = [(_zeros(size), (_zeros(width + 3), _zeros(width))) for _ in range(n_bands)]
         self._map = ThreadPoolExecutor(n_bands, "dlgmd-band").map if n_bands > 1 else map
-        self._loaded: dict[_Loops, _Loops] = {}
+        self._compute: _Loops | None = None
         self._announcement = Announcement()
 
     def respond(
         self,
         receptors: Photoreceptors,
-        readout: Grouping | Counting,
+        grouping: Grouping | None,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> Sums:
         """The sums of the newest frame; bands of rows are computed in parallel."""
         newer = [receptors.position(s.delay) for s in self._sources]
         older = [receptors.position(s.delay + 1) if s.difference else -1 for s in self._sources]
         places = (np.array(newer, np.int64), np.array(older, np.int64))
-        cell_weights = _NO_WEIGHTS
-        if isinstance(readout, Counting):
-            gain, below, cap = COUNT, readout.above, 1.0
-            cell_weights = readout.weights or _NO_WEIGHTS
-        else:
-            gain, cap = readout.gain, readout.cap
-            below = just_below(readout.t_de) if readout.t_de > 0.0 else -1.0
+        gain, t_de, cap = (ONLY_S, 0.0, 1.0) if grouping is None else grouping
+        below = just_below(t_de) if t_de > 0.0 else -1.0
         hidden = _NONE_HIDDEN if receptors.hidden is None else receptors.hidden
-        constants = np.float32(gain), np.float32(below), np.float32(cap), *cell_weights
+        constants = np.float32(gain), np.float32(below), np.float32(cap)
 
         def work(band: int, compute: _Loops) -> tuple[float, ...]:
             return compute(
                 *self._bands[band : band + 2],
                 receptors.stack,
-                receptors.floors,
                 *places,
                 hidden,
                 self._plan,
@@ -341,41 +271,23 @@ class NumbaEngine:
                 *(layers or (_NOWHERE, _NOWHERE)),
             )
 
-        s_sum, g_sum, m_x, m_y, *quarters = self._in_bands(_sum_layers, work)
-        return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters))
-
-    def blocks(self, frame: Grey) -> FloatImage:
-        """Means over blocks, see `Engine`."""
-        height, width = frame.shape
-        out = np.empty((height // BLOCK, width // BLOCK), np.float32)
-        self._ready(_mean_blocks, lambda compute: compute(frame, out))(frame, out)
-        return out
-
-    def _in_bands(
-        self, function: _Loops, work: Callable[[int, _Loops], tuple[float, ...]]
-    ) -> list[float]:
-        """The sums of what `work` returns for all bands; it is given `function`, compiled."""
-        compute = self._ready(function, partial(work, 0))
+        if self._compute is None:
+            self._compute = self._load(partial(work, 0))
+        compute = self._compute
         answers = self._map(lambda band: work(band, compute), range(len(self._memory)))
-        sums: list[float] = np.array(list(answers)).sum(axis=0).tolist()
-        return sums
+        s_sum, g_sum, m_x, m_y = np.array(list(answers)).sum(axis=0).tolist()
+        return Sums(s_sum, g_sum, (m_x, m_y))
 
-    def _ready(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
-        """The compiled `function`; `work` calls it, which compiles or loads it the first time."""
-        if function not in self._loaded:
-            self._loaded[function] = self._load(function, work)
-        return self._loaded[function]
-
-    def _load(self, function: _Loops, work: Callable[[_Loops], Any]) -> _Loops:
-        """Compile or load loops, in this thread: others cannot be interrupted meanwhile."""
+    def _load(self, work: Callable[[_Loops], Any]) -> _Loops:
+        """Compile or load the loops, in this thread: others cannot be interrupted meanwhile."""
         with install_listener("numba:compile", self._announcement):
             try:
-                work(_compiled(function, True))
-                return _compiled(function, True)
+                work(_compiled(True))
+                return _compiled(True)
             # A full disk, a truncated cache file, or a home folder that is not writable
             except (OSError, EOFError, UnpicklingError, RuntimeError):
-                work(_compiled(function, False))
-                return _compiled(function, False)
+                work(_compiled(False))
+                return _compiled(False)
 
 
 class Announcement(Listener):

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Grey, Photoreceptors, aligned, first_moments
-from dlgmd_cli.models.engines import BLOCK, Counting, Grouping, Sums, just_below
+from dlgmd_cli.models.engines import Grouping, Sums, just_below
 from dlgmd_cli.models.engines.plan import Filter, Source, plan
 from dlgmd_cli.models.kernels import Connections
 
@@ -52,17 +52,15 @@ class OpencvEngine:
         self.tiles = tiles((height, width), connections.radius_px)
         largest = max(height * width for height, width in (tile.shape for tile in self.tiles))
         self.memory = [aligned((largest,)) for _ in range(3)]
-        self._sides: tuple[FloatImage, FloatImage] | None = None
 
     def respond(
         self,
         receptors: Photoreceptors,
-        readout: Grouping | Counting,
+        grouping: Grouping | None,
         layers: tuple[FloatImage, FloatImage] | None = None,
     ) -> Sums:
         """The sums of the newest frame, tile by tile."""
         s_sum = g_sum = m_x = m_y = 0.0
-        quarters = np.zeros(4)
         for tile in self.tiles:
             height, width = tile.shape
             s, part, g = (m[: height * width].reshape(height, width) for m in self.memory)
@@ -72,17 +70,10 @@ class OpencvEngine:
             s_sum += cv2.sumElems(s[tile.core])[0]
             if layers is not None:
                 layers[0][tile.target] = s[tile.core]
-            if isinstance(readout, Counting):
-                if readout.weights is None:
-                    continue
-                above = float(np.float32(readout.above))
-                cv2.threshold(s[tile.core], above, 1.0, cv2.THRESH_BINARY, dst=g[tile.core])
-                weights = self._weights_of_cells(readout.weights)[tile.target]
-                cv2.multiply(g[tile.core], weights, dst=g[tile.core])
-                quarters += quarters_of(g[tile.core], tile.target, receptors.current.shape)
-            else:
-                sum_4x4(s, out=part)
-                group(s[tile.core], part[tile.core], readout, g[tile.core])
+            if grouping is None:
+                continue
+            sum_4x4(s, out=part)
+            group(s[tile.core], part[tile.core], grouping, g[tile.core])
             g_of_tile = cv2.sumElems(g[tile.core])[0]
             if g_of_tile > 0.0:
                 (dx, dy), (down, right) = first_moments(g[tile.core]), tile.target
@@ -91,22 +82,7 @@ class OpencvEngine:
             g_sum += g_of_tile
             if layers is not None:
                 layers[1][tile.target] = g[tile.core]
-        return Sums(s_sum, g_sum, (m_x, m_y), tuple(quarters.tolist()))
-
-    def _weights_of_cells(self, sides: tuple[FloatImage, FloatImage]) -> FloatImage:
-        """The weights of the cells, (H, W), from those of rows and columns; kept while the same."""
-        if sides is not self._sides:
-            self._sides, self._cells = sides, sides[0][:, None] * sides[1]
-        return self._cells
-
-    def blocks(self, frame: Grey) -> FloatImage:
-        """Means over blocks, see `Engine`."""
-        height, width = (n // BLOCK for n in frame.shape)
-        if height == 0 or width == 0:
-            return np.zeros((height, width), np.float32)
-        whole = frame[: height * BLOCK, : width * BLOCK].astype(np.float32)
-        size_wh = width, height
-        return np.asarray(cv2.resize(whole, size_wh, interpolation=cv2.INTER_AREA), np.float32)
+        return Sums(s_sum, g_sum, (m_x, m_y))
 
     def _summate(
         self,
@@ -119,7 +95,7 @@ class OpencvEngine:
         """S in the window of a tile; valid where the kernels do not extend beyond the window."""
         is_first = True
         for source, filters in self.filters.items():
-            image = floats(receptors, source, tile.window, (spare, part))
+            image = floats(receptors, source, tile.window, spare)
             for one in filters:
                 apply(one, image, out=s if is_first else part)
                 if not is_first:
@@ -137,16 +113,6 @@ def apply(one: Filter, image: FloatImage, out: FloatImage) -> None:
         cv2.sepFilter2D(image, -1, row, column, dst=out, borderType=_BORDER)
     else:
         cv2.filter2D(image, -1, one[0], dst=out, borderType=_BORDER)
-
-
-def quarters_of(g: FloatImage, target: Window, shape: tuple[int, ...]) -> list[float]:
-    """The sums of a tile's G over the four quarters of an image of `shape`, see `Sums`."""
-    sides = [
-        (slice(0, max(0, (n + 1) // 2 - part.start)), slice(max(0, n // 2 - part.start), None))
-        for n, part in zip(shape, target, strict=True)
-    ]
-    parts = (g[rows, columns] for rows in sides[0] for columns in sides[1])
-    return [cv2.sumElems(part)[0] if part.size else 0.0 for part in parts]
 
 
 def sum_4x4(image: FloatImage, out: FloatImage) -> None:
@@ -176,31 +142,16 @@ def _surround(start: int, stop: int, side: int, radius: int) -> tuple[slice, sli
     return slice(begin, end), slice(start, stop), slice(start - begin, stop - begin)
 
 
-def floats(
-    receptors: Photoreceptors,
-    source: Source,
-    window: Window,
-    spares: tuple[FloatImage, FloatImage],
-) -> Grey:
-    """The window of a source as float32: a view of P, or the first of two spares, filled."""
-    newer = _above_floor(receptors, source.delay, window, spares[0])
+def floats(receptors: Photoreceptors, source: Source, window: Window, spare: FloatImage) -> Grey:
+    """The window of a source as float32: a view of P, or `spare`, filled."""
+    newer = receptors.p(source.delay)[window]
     if source.difference:
-        older = _above_floor(receptors, source.delay + 1, window, spares[1])
-        cv2.subtract(newer, older, dst=spares[0], dtype=cv2.CV_32F)
+        older = receptors.p(source.delay + 1)[window]
+        cv2.subtract(newer, older, dst=spare, dtype=cv2.CV_32F)
     elif newer.dtype == np.float32:
         return newer
     else:
-        np.copyto(spares[0], newer)
-    return spares[0]
-
-
-def _above_floor(receptors: Photoreceptors, delay: int, window: Window, spare: FloatImage) -> Grey:
-    """The window of P(t - delay): a view, or `spare` filled with what exceeds the floor."""
-    p, floor = receptors.p(delay)[window], receptors.floors[receptors.position(delay)]
-    if floor == 0.0:
-        return p
-    np.subtract(p, floor, out=spare)
-    cv2.threshold(spare, 0.0, 0.0, cv2.THRESH_TOZERO, dst=spare)
+        np.copyto(spare, newer)
     return spare
 
 

@@ -4,77 +4,40 @@ Models whose kernels are alike, such as the versions of a set and its ablations,
 filters to the same P. Here each is applied once a frame.
 """
 
-from collections import Counter, defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from dlgmd_cli.models.base import FloatImage, Photoreceptors, aligned
 from dlgmd_cli.models.engines import Grouping
-from dlgmd_cli.models.engines.opencv import (
-    OpencvEngine,
-    Window,
-    apply,
-    floats,
-    group,
-    sum_4x4,
-)
+from dlgmd_cli.models.engines.opencv import OpencvEngine, Window, apply, floats, group, sum_4x4
 from dlgmd_cli.models.engines.plan import Filter, Source
 from dlgmd_cli.models.kernels import Connections
 
-
-class _Wanted(NamedTuple):
-    """What to filter: the source, the window by its bounds, and the weights of the filter."""
-
-    source: Source
-    bounds: tuple[int, int, int, int]
-    weights: tuple[bytes, ...]
+# What to filter: the source, the window by its bounds, and the weights of the filter.
+_Wanted = tuple[Source, tuple[int, ...], tuple[bytes, ...]]
 
 
 class SharedFilters:
-    """What the filters of some engines make of the newest P; kept until the last has used it.
+    """What the filters of some engines make of the newest P; each is applied once a frame.
 
     `receptors` are those of all engines.
     """
 
     def __init__(self, receptors: Photoreceptors) -> None:
         self.receptors = receptors
-        self._n_engines: Counter[_Wanted] = Counter()
-        self._n_left: Counter[_Wanted] = Counter()
-        self._images: dict[_Wanted, FloatImage] = {}
-        self._free: defaultdict[tuple[int, ...], list[FloatImage]] = defaultdict(list)
-        self._frame = -1
-
-    def expect(self, wanted: _Wanted) -> None:
-        """Say that one more engine will use this in every frame."""
-        self._n_engines[wanted] += 1
+        self._images: dict[_Wanted, tuple[int, FloatImage]] = {}
 
     def image(
         self, wanted: _Wanted, one: Filter, window: Window, spares: tuple[FloatImage, FloatImage]
     ) -> FloatImage:
-        """The filtered window, valid until it is released by all; `spares` have its shape."""
-        if self._frame != self.receptors.frame:
-            self._frame, self._n_left = self.receptors.frame, self._n_engines.copy()
-            for key in list(self._images):
-                self._drop(key)
-        if wanted not in self._images:
-            shape = spares[0].shape
-            kept = self._free[shape].pop() if self._free[shape] else aligned(shape)
-            apply(one, floats(self.receptors, wanted.source, window, spares), out=kept)
-            self._images[wanted] = kept
-        return self._images[wanted]
-
-    def release(self, wanted: _Wanted) -> None:
-        """An engine has used this."""
-        self._n_left[wanted] -= 1
-        if not self._n_left[wanted]:
-            self._drop(wanted)
-
-    def _drop(self, wanted: _Wanted) -> None:
-        image = self._images.pop(wanted)
-        self._free[image.shape].append(image)
+        """The filtered window, valid until the next frame; `spares` have its shape."""
+        frame, image = self._images.get(wanted) or (-1, aligned(spares[0].shape))
+        if frame != self.receptors.frame:
+            apply(one, floats(self.receptors, wanted[0], window, spares[0]), out=image)
+            self._images[wanted] = self.receptors.frame, image
+        return image
 
 
 class SharingEngine(OpencvEngine):
@@ -84,15 +47,12 @@ class SharingEngine(OpencvEngine):
         super().__init__(connections, shared.receptors)
         self._shared = shared
         self._wanted = [self._wanted_in(tile.window) for tile in self.tiles]
-        for each in self._wanted:
-            for wanted, _ in each:
-                shared.expect(wanted)
 
     def _wanted_in(self, window: Window) -> list[tuple[_Wanted, Filter]]:
         rows, columns = window
         bounds = rows.start, rows.stop, columns.start, columns.stop
         return [
-            (_Wanted(source, bounds, tuple(side.tobytes() for side in one)), one)
+            ((source, bounds, tuple(side.tobytes() for side in one)), one)
             for source, filters in self.filters.items()
             for one in filters
         ]
@@ -140,5 +100,3 @@ class SharingEngine(OpencvEngine):
         for image in images:
             total = np.add(total, image, out=s)
         cv2.threshold(total, 0.0, 0.0, cv2.THRESH_TOZERO, dst=s)
-        for each, _ in wanted:
-            self._shared.release(each)
