@@ -24,16 +24,25 @@ STATIC = (
     "Makefile",
 )
 
+# By whether the expansion raises the alarm.
+WITHOUT = {
+    False: "- the expansion, unless `DLGMD_EXPANSION` is defined as 1\n",
+    True: """
+Bands of mains light and steps of the exposure are removed as in Python. With `DLGMD_DEFLICKER`
+defined as 0, they are not, and the code is smaller.
+
+`dlgmd_state` has a union of what different parts of a step use (MISRA C:2012, rule 19.2, advisory):
+each member is written before it is read, within the same part.
+""",
+}
 ACCURACY = {
-    False: "The normalised membrane potential differs from Python's by at most 1e-5.",
-    True: "Integers are rounded: in rendered flights mp_abs differs from Python's by at most 0.03, "
-    "and\nthe alarms are the same. In other videos an alarm may start one frame earlier or later.",
+    False: "`mp_abs` differs from Python's by at most 1e-5, `expansion` by at most 3e-5.",
+    True: "Integers are rounded: in rendered flights `mp_abs` differs from Python's by at most "
+    "0.03, and an\nalarm may start one frame earlier or later.",
 }
 
-TIMED = {
-    False: "This model counts frames, and ignores times.",
-    True: "The model measures how fast the picture changes.",
-}
+# Of an answer, as in C.
+NUMBERS = ("mp", "mp_abs", "g_x", "g_y", "expansion", "ttc_s", "expansion_x", "expansion_y")
 
 Frames = list[npt.NDArray[np.uint8]]
 
@@ -83,10 +92,10 @@ def sources(export: Export) -> dict[str, str]:
         "height": str(export.height),
         "command": export.command,
         "fps": f"{export.fps:g}",
-        "timed": TIMED[export.is_timed],
         "costs": "\n   ".join(lines),
         "list_of_costs": "\n".join(f"- {line}" for line in lines),
         "accuracy": ACCURACY[export.is_fixed],
+        "without": WITHOUT[export.expands],
         "parameters": "\n".join(f"    {k}: {v}" for k, v in export.params.to_dict().items()),
     }
 
@@ -104,7 +113,7 @@ def vectors(export: Export, answers: list[Detection]) -> str:
     rows = []
     for answer in answers:
         flags = [str(int(flag)) for flag in (answer.is_valid, answer.spike, answer.alarm)]
-        values = [answer.mp, answer.mp_abs, answer.g_x, answer.g_y, answer.ttc_s]
+        values = [getattr(answer, name) for name in NUMBERS]
         numbers = [f"{0.0 if np.isnan(value) else value:.9g}" for value in values]
         rows.append(f"    {{{', '.join(flags + numbers)}}},\n")
     return (
@@ -114,6 +123,6 @@ def vectors(export: Export, answers: list[Detection]) -> str:
         f"#define HALF {export.params.kappa * export.n_cells:.9g}\n\n"
         "static const struct expected {\n"
         "    bool valid, spike, alarm;\n"
-        "    double mp, mp_abs, g_x, g_y, ttc_s;\n"
+        f"    double {', '.join(NUMBERS)};\n"
         "} expected[N_FRAMES] = {\n" + "".join(rows) + "};\n"
     )

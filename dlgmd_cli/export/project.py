@@ -6,45 +6,27 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from dlgmd_cli.errors import ParameterError
-from dlgmd_cli.export.sums import CHANGE_BITS, LEVELS, Code, fixed_code, float_code, functions
+from dlgmd_cli.export.sums import LEVELS, Code, fixed_code, float_code, functions
 from dlgmd_cli.export.sums import float_literal as f
-from dlgmd_cli.models.contrast import (
-    MAX_QUARTILE_CELLS,
-    NOMINAL_FPS,
-    centre_weights,
-    quadrants,
-)
+from dlgmd_cli.frame import SMALL_PX
+from dlgmd_cli.models import expansion
 from dlgmd_cli.models.dlgmd import MAX_T_DE, RELEASED_CELLS
-from dlgmd_cli.models.engines import BLOCK
-from dlgmd_cli.models.expansion import LEAST_RATE, LOCAL_SHARE, MAX_RATE, factor_of
 from dlgmd_cli.models.kernels import Connections, connect
-from dlgmd_cli.parameters.presets import ContrastParameters, DlgmdParameters
+from dlgmd_cli.parameters.keys import TTC
+from dlgmd_cli.parameters.presets import DEFAULT_MODEL_FPS, DlgmdParameters
 
-# With at most this many cells, the sum of their squares (up to 128**2) fits 32 bits. The stimulus
-# of the test needs 16 px.
+# The stimulus of the test needs 16 px.
 MIN_SIDE_PX, MAX_SIDE_PX, MAX_CELLS = 16, 1024, 2**18 - 1
-MAX_GROWTH = 4096.0
 # Longer intervals between frames count as this.
 MAX_STEP_MS = 1000
-# exp(-x) is 0 for an x of this.
-MAX_FALL = 50.0
-# Bytes of stack, an upper bound. Bytes of code, approximately, by whether the model is the
-# contrast-relative one and whether it is fixed: a constant, and per operation of a cell. The tests
-# measure both.
-STACK_BYTES = 1400
-CODE_BYTES = {
-    (False, False): (1200, 10),
-    (False, True): (1370, 7),
-    (True, False): (1720, 14),
-    (True, True): (2620, 8),
-}
-# Bytes of code that follow the picture, compare quadrants and adapt.
-FOLLOWING_BYTES = 2250
-# Bytes of code that measure the expansion, by whether it is fixed.
-EXPANDING_BYTES = {False: 3200, True: 4800}
+# Bytes of stack, an upper bound. Bytes of code, approximately, by whether it is fixed: a constant,
+# per operation of a cell, and of the expansion. The tests measure both.
+STACK_BYTES = 1600
+CODE_BYTES = {False: (1200, 10, 7500), True: (1400, 7, 9400)}
+
+
+_SIZE = "Invalid value for '--size'"
 
 
 @dataclass(frozen=True)
@@ -61,21 +43,26 @@ class Export:
     height: int
     is_fixed: bool = False
     label: str = "D-LGMD"
-    fps: float = NOMINAL_FPS
+    fps: float = DEFAULT_MODEL_FPS
     command: str = ""
 
     def __post_init__(self) -> None:
-        if type(self.params) not in (DlgmdParameters, ContrastParameters):
+        if type(self.params) is not DlgmdParameters:
             why = f"there is no C version of the model {self.params.model}"
-            raise ParameterError("", why, "Only dlgmd and dlgmd-contrast can be exported.")
+            raise ParameterError("", why, "Only dlgmd can be exported.")
         low, high = sorted((self.width, self.height))
         if low < MIN_SIDE_PX or high > MAX_SIDE_PX or self.n_cells > MAX_CELLS:
             raise ParameterError(
-                "Invalid value for '--size'",
+                _SIZE,
                 f"{self.width}x{self.height} is out of range",
                 f"Choose sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px and at most {MAX_CELLS} cells.",
             )
-        if self.is_fixed and not self.is_contrast and not self.params.saturate:
+        if self.expands and self.width > SMALL_PX:
+            why = f"C measures the expansion of images up to {SMALL_PX} px wide"
+            raise ParameterError(_SIZE, why, "Choose a smaller size, or add --alarm spikes.")
+        if self.expands and (why := expansion.too_small((self.width, self.height))):
+            raise ParameterError(_SIZE, why, "Choose a larger size, or add --alarm spikes.")
+        if self.is_fixed and not self.params.saturate:
             why = "G has no upper bound without saturation, and integers need one"
             raise ParameterError("--fixed", why, "Add --param saturate=true.")
 
@@ -85,29 +72,9 @@ class Export:
         return self.width * self.height
 
     @property
-    def is_contrast(self) -> bool:
-        """Whether it is the contrast-relative model."""
-        return isinstance(self.params, ContrastParameters)
-
-    @property
-    def shift(self) -> int:
-        """The largest shift of the picture that is undone; 0 if it is less than a block."""
-        return self.params.shift if self.is_contrast and self.params.shift >= BLOCK else 0
-
-    @property
-    def is_timed(self) -> bool:
-        """Whether its answers depend on the times of frames."""
-        return self.is_contrast and (self.params.w_fps > 0.0 or self.adapts or self.expands)
-
-    @property
-    def adapts(self) -> bool:
-        """Whether K is compared with its own past."""
-        return self.is_contrast and self.params.c_m > 0.0
-
-    @property
     def expands(self) -> bool:
-        """Whether K grows with the expansion of the picture."""
-        return self.shift > 0 and self.params.d_0 > 0.0
+        """Whether the expansion raises the alarm, so that it is measured."""
+        return bool(self.params.alarm == TTC)
 
     @cached_property
     def connections(self) -> Connections:
@@ -117,7 +84,7 @@ class Export:
     @property
     def ffi_delay(self) -> int:
         """How many frames back FFI(t) looks, Eq. (12)."""
-        return 2 if self.params.formulation == "released" else 1
+        return 2 if self.params.is_released else 1
 
     @property
     def first_valid_frame(self) -> int:
@@ -126,71 +93,64 @@ class Export:
 
     @cached_property
     def code(self) -> Code:
-        """The sums. Where the model takes luminance, their weights convert grey levels to it."""
+        """The sums."""
         if not self.is_fixed:
-            return float_code(self.connections, 1.0 if self.is_contrast else 1.0 / LEVELS)
-        if self.is_contrast:
-            return fixed_code(self.connections, 1.0, CHANGE_BITS, math.inf)
+            return float_code(self.connections)
         # G = k S Ce is the product of S √k and Ce √k.
-        gain = math.sqrt(self.params.k)
-        kernels = self.connections.signed().values()
-        s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
-        return fixed_code(self.connections, gain / LEVELS, 0, s_max)
+        return fixed_code(self.connections, math.sqrt(self.params.gain))
 
     @property
-    def sizes(self) -> dict[str, int]:
+    def sizes(self) -> dict[str, int | str]:
         """The definitions in `dlgmd.h`; its `#if`s and those of the other sources test them."""
+        plain, expanding, even = (
+            self.state_bytes(expands=expands, evens=evens)
+            for expands, evens in ((False, False), (True, False), (True, True))
+        )
         return {
             "DLGMD_WIDTH": self.width,
             "DLGMD_HEIGHT": self.height,
             "DLGMD_FPS": round(self.fps),
-            "DLGMD_CONTRAST": int(self.is_contrast),
             "DLGMD_FIXED": int(self.is_fixed),
-            "DLGMD_SHIFT": self.shift,
-            "DLGMD_BALANCE": int(self.is_contrast and self.params.balance),
-            "DLGMD_ADAPTS": int(self.adapts),
-            "DLGMD_EXPANDS": int(self.expands),
+            "DLGMD_RULE": int(self.expands),
             "DLGMD_RADIUS": self.connections.radius_px,
             "DLGMD_MAX_DELAY": self.connections.max_delay_frames,
             "DLGMD_FFI_DELAY": self.ffi_delay,
             "DLGMD_COLUMNS": max(1, self.code.n_columns),
             "DLGMD_MARGIN": self.code.margin,
-            "DLGMD_STATE_BYTES": self.state_bytes,
+            "DLGMD_STATE_BYTES": "(!DLGMD_EXPANSION ? "
+            f"{plain} : DLGMD_DEFLICKER ? {even} : {expanding})",
         }
 
-    @property
-    def state_bytes(self) -> int:
-        """RAM: the size of `dlgmd_state` in bytes."""
-        radius, delays = self.connections.radius_px, self.connections.max_delay_frames + 1
-        number = 2 if self.is_fixed else 4
-        columns = number * max(1, self.code.n_columns) * (self.width + 2 * radius)
-        if self.is_contrast:
-            blocks = 2 * 2 * (self.width // 4) * (self.height // 4) if self.shift else 0
+    def state_bytes(self, *, expands: bool, evens: bool) -> int:
+        """RAM: the size of `dlgmd_state` in bytes, with the expansion and its even light or not."""
+        radius, number = self.connections.radius_px, 2 if self.is_fixed else 4
+        columns = max(1, self.code.n_columns) * (self.width + 2 * radius)
+        work = number * (columns + 4 * (self.width + 3))
+        scalars = 4 * (self.ffi_delay + 1) + 12
+        if expands:
+            scalars = _whole(scalars, 8) + 28 if self.is_fixed else scalars + 24
             work = max(
-                _whole(columns, 4) + 4 * self.width, 2 * 4 * 256, blocks, self._reduced_bytes
+                work, 4 * (self.width // 4) * (self.height // 4), self._reduced_bytes(evens=evens)
             )
-            work += number * 256 * delays
-            scalars = (16 if self.is_fixed else 12) + 8 + 12
-            scalars += (8 if self.is_fixed else 4) * (self.adapts + 2 * self.expands)
-            scalars += 8 * (self.shift > 0)
-        else:
-            work = _whole(columns + number * 4 * (self.width + 3), number)
-            scalars = 4 * (self.ffi_delay + 1) + 12
-        rows = (delays - 1) * (self.height + radius) + 4 * radius + 1
+            scalars += self._light_bytes * evens
+        rows = self.connections.max_delay_frames * (self.height + radius) + 4 * radius + 1
         frames = self.n_cells + self.code.margin + rows * (self.width + self.code.margin)
-        alignment = 8 if self.is_fixed and self.is_contrast else 4
-        return _whole(scalars + work + frames, alignment)
+        alignment = 8 if expands and self.is_fixed else 4
+        return _whole(scalars + _whole(work, 4) + frames, alignment)
 
     @property
-    def _reduced_bytes(self) -> int:
-        """Of what the expansion is measured with: a window, or the change of the whole picture."""
-        if not self.expands:
-            return 0
-        factor, number = factor_of(self.width), 2 if self.is_fixed else 4
+    def _light_bytes(self) -> int:
+        """Of what is known about the light of the frames."""
+        lit = _whole(3 + 3 * expansion.factor_of(self.width) * self.width, 2)
+        return 4 * 7 + 2 * 4 * self.height + _whole(lit + 2 * 6 * self.height, 4)
+
+    def _reduced_bytes(self, *, evens: bool) -> int:
+        """Of what the expansion is measured with: a window, the whole change, or blocks."""
+        factor, number = expansion.factor_of(self.width), 2 if self.is_fixed else 4
         width, height = self.width // factor, self.height // factor
         window = (min(width, height) // 2 + 1) // 2 * 2 + 1
         fit = 6 * window + 2 + number * (window**2 + width) + (window + 2) ** 2 + 2 * width
-        return _whole(max(fit, width * (height + 1)), 4)
+        return max(fit, width * (height + 1), evens * (4 * (2 * 9 * 15 + 120) + width))
 
     @property
     def costs(self) -> dict[str, int]:
@@ -200,90 +160,60 @@ class Export:
         Cortex-M4: a constant and a number of bytes per operation.
         """
         multiplications, additions = self.code.operations
-        base, each = CODE_BYTES[self.is_contrast, self.is_fixed]
-        base += FOLLOWING_BYTES * (self.shift > 0) + EXPANDING_BYTES[self.is_fixed] * self.expands
-        tables = (2 if self.is_fixed else 4) * (self.width + self.height) * self.is_contrast
+        base, each, expanding = CODE_BYTES[self.is_fixed]
+        base += expanding * self.expands
         return {
-            "ram_bytes": self.state_bytes,
+            "ram_bytes": self.state_bytes(expands=self.expands, evens=self.expands),
             "stack_bytes": STACK_BYTES,
-            "flash_bytes": round(tables + base + each * (multiplications + additions), -2),
+            "flash_bytes": round(base + each * (multiplications + additions), -2),
             "multiplications": multiplications * self.n_cells,
             "additions": additions * self.n_cells,
         }
 
     def constants(self) -> dict[str, str]:
         """The constants in `dlgmd_model.h`, as C."""
-        params = self.params
-        common = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
-        half = params.kappa * self.n_cells
+        params, half = self.params, self.params.kappa * self.n_cells
+        constants = {"FIRST_VALID": str(self.first_valid_frame), "N_SP": f"{params.n_sp}u"}
         if self.is_fixed:
-            common["T_MP"] = str(math.ceil(params.t_mp * 2**15))
-            scale = 2**32 / self.n_cells if self.is_contrast else 2**12
-            common["KAPPA"] = f"UINT64_C({max(1, round(half * scale))})"
+            constants["T_MP"] = str(math.ceil(params.t_mp * 2**15))
+            constants["KAPPA"] = f"UINT64_C({max(1, round(half * 2**12))})"
         else:
-            common |= {"T_MP": f(params.t_mp), "KAPPA": f(half)}
-        return common | (self._of_contrast() if self.is_contrast else self._of_product())
+            constants |= {"T_MP": f(params.t_mp), "KAPPA": f(half)}
+        return constants | self._of_product() | self._of_expansion()
 
-    def _of_contrast(self) -> dict[str, str]:
-        """The thresholds in grey levels, and the cells that the lower quartile is taken of."""
-        params = self.params
-        step = max(1, math.isqrt(self.n_cells // MAX_QUARTILE_CELLS))
-        n_looked_at = -(-self.width // step) * -(-self.height // step)
+    def _of_expansion(self) -> dict[str, str]:
+        """Limits and times of the expansion, and the rate above which it raises the alarm."""
+        most = math.floor(expansion.MAX_SHIFT * self.width / SMALL_PX + 0.5)
+        alarm_rate = max(expansion.LEAST_RATE, expansion.rate_at(self.params.ttc_alarm))
+        # Value, and binary places of an integer.
         values = {
-            "C_P": params.c_p,
-            "C_N": params.c_n,
-            "P_MIN": params.p_min * LEVELS,
-            "C_S": params.c_s,
-            "S_MIN": params.s_min * LEVELS,
-            "C_M": params.c_m,
+            "USUAL_INTERVAL": (expansion.USUAL_S, 20),
+            "USUAL_FPS": (1.0 / expansion.USUAL_S, 16),
+            # How fast the weight of what is old falls, per second.
+            "AHEAD_RATE": (1.0 / expansion.TAU_S, 16),
+            "BESIDE_RATE": (2.0 / expansion.TAU_S, 16),
+            "MAX_RATE": (expansion.MAX_RATE, 24),
+            "LEAST_RATE": (expansion.LEAST_RATE, 24),
+            "LOCAL_SHARE": (expansion.LOCAL_SHARE, 16),
+            "TIME_LEFT": (expansion.LOCAL_SHARE, 28),
+            "ALARM_RATE": (alarm_rate, 13),
         }
-        interval_s = 1.0 / (params.w_fps or NOMINAL_FPS)
-        of_quadrant = quadrants(centre_weights((self.height, self.width), params.sigma_c))[0]
-        both = self.n_cells / 2.0 / of_quadrant
-        # Of means: how fast the weight of what is old falls, per frame at the usual rate.
-        weights = {"SIGMA_RATE": params.w_sigma, "USUAL_RATE": params.w_m}
-        per_frame = {
-            key: -math.log1p(-weight) if weight < 1.0 else MAX_FALL
-            for key, weight in weights.items()
-        }
-        # The same per second.
-        times_s = {"MEAN_RATE": params.tau_m, "AHEAD_RATE": params.tau_d}
-        times_s["BESIDE_RATE"] = params.tau_d / 2.0
-        per_second = {key: min(1.0 / time_s, 1e3 * MAX_FALL) for key, time_s in times_s.items()}
-        rates = {"MAX_RATE": MAX_RATE, "LEAST_RATE": LEAST_RATE, "TIME_LEFT": LOCAL_SHARE}
-        expansion = 1.0 / params.d_0 if self.expands else 0.0
-        if self.is_fixed:
-            constants = {key: f"{round(value * 2**16)}u" for key, value in values.items()}
-            constants |= {key: f"{round(value * 2**24)}u" for key, value in per_frame.items()}
-            constants |= {key: f"{round(value * 2**16)}u" for key, value in per_second.items()}
-            constants["USUAL_INTERVAL"] = f"{round(interval_s * 2**20)}u"
-            constants["USUAL_FPS"] = f"{round(params.w_fps * 2**16)}u"
-            constants["BOTH"] = str(round(both * 2**15))
-            constants["GROWTH"] = f"{round(min(params.growth, MAX_GROWTH) * 2**14)}u"
-            constants["S_BITS"] = str(self.code.s_bits)
-            constants["EXPANSION"] = f"INT64_C({round(expansion * 2**10)})"
-            constants |= {key: f"INT64_C({round(rate * 2**24)})" for key, rate in rates.items()}
-            constants["TIME_LEFT"] = f"INT64_C({round(rates['TIME_LEFT'] * 2**36)})"
-            constants["K_0"] = f"UINT64_C({round(params.k_0 * 2**32)})"
-        else:
-            values |= {**per_frame, **per_second, **rates, "GROWTH": params.growth, "BOTH": both}
-            values |= {"EXPANSION": expansion, "K_0": params.k_0 * self.n_cells}
-            values |= {"USUAL_INTERVAL": interval_s, "USUAL_FPS": params.w_fps}
-            constants = {key: f(value) for key, value in values.items()}
-        constants["MAX_STEP_MS"] = f"{MAX_STEP_MS}u"
-        return constants | {"QUARTILE_STEP": str(step), "QUARTILE_CELLS": str(n_looked_at)}
+        constants = {"MOST_BLOCKS": str(max(1, most)), "MAX_STEP_MS": f"{MAX_STEP_MS}u"}
+        for name, (value, places) in values.items():
+            constants[name] = str(round(value * 2**places)) if self.is_fixed else f(value)
+        return constants
 
     def _of_product(self) -> dict[str, str]:
         """Gain, threshold and upper bound of G; T_DE is the threshold per grey level of FFI."""
         params = self.params
-        cells = RELEASED_CELLS if params.formulation == "released" else self.n_cells * params.m
+        cells = RELEASED_CELLS if params.is_released else self.n_cells * params.m
         t_de = params.t0 / cells / LEVELS if params.ffi_gd else 0.0
         if not self.is_fixed:
             return {
                 "T_DE": f(t_de),
                 "T_DE_MAX": f(MAX_T_DE) if params.saturate else "FLT_MAX",
                 "G_MAX": "1.0f" if params.saturate else "FLT_MAX",
-                "GAIN": f(params.k),
+                "GAIN": f(params.gain),
             }
         one = 2 ** (2 * (self.code.s_bits - self.code.s_shift))
         shift = max(0, 31 - math.floor(math.log2(t_de * one))) if t_de else 0
@@ -295,33 +225,13 @@ class Export:
             "G_ONE": f"UINT32_C({one})",
         }
 
-    def tables(self) -> str:
-        """Weights of the columns and of the rows; the weight of a cell is their product."""
-        profiles = centre_weights((self.height, self.width), self.params.sigma_c)
-        weights = np.outer(*profiles).astype(float)
-        text = ""
-        for name, profile in (("x", weights.mean(axis=0)), ("y", weights.mean(axis=1))):
-            if self.is_fixed:
-                # They add up to the greatest number of 16 bits, so that ΣG fits 32 bits.
-                ends = np.round(np.cumsum(profile) / profile.sum() * (2**16 - 1))
-                values = [str(int(value)) for value in np.diff(ends, prepend=0.0)]
-            else:
-                values = [f(value) for value in profile]
-            kind = "uint16_t" if self.is_fixed else "float"
-            rows = [", ".join(values[i : i + 8]) for i in range(0, len(values), 8)]
-            inside = ",\n    ".join(rows)
-            text += f"static const {kind} weights_{name}[{len(values)}] = {{\n    {inside}}};\n"
-        return text
-
     def model_header(self) -> str:
         """The text of `dlgmd_model.h`."""
         parts = ["/* Constants and sums of dlgmd.c. No other file includes this one. */"]
         if not self.is_fixed:
             parts.append("#include <float.h>\n")
         parts.append(defines(self.constants()) + "\n")
-        if self.is_contrast:
-            parts.append(self.tables())
-        parts.append(functions(self.code, is_fixed=self.is_fixed, is_contrast=self.is_contrast))
+        parts.append(functions(self.code, is_fixed=self.is_fixed))
         return "\n".join(parts)
 
 

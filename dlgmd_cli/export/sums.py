@@ -13,8 +13,6 @@ from dlgmd_cli.models.kernels import Connections
 LEVELS = 255
 # Float: taps below this share of the largest tap of their sum would be lost in rounding.
 NEGLIGIBLE = 2.0**-22
-# Fixed: P' of the contrast-relative model is in 1/128 level, so that it fits 16 bits.
-CHANGE_BITS = 7
 
 
 class Step(NamedTuple):
@@ -67,13 +65,13 @@ class Code(NamedTuple):
         return max((abs(int(t.dx)) for t in self.along if isinstance(t.read, Source)), default=0)
 
 
-def float_code(connections: Connections, unit: float) -> Code:
-    """Sums in single precision; a grey level of a source has the value `unit`."""
+def float_code(connections: Connections) -> Code:
+    """Sums in single precision; weights of sources convert grey levels to luminance."""
     chains, along = _planned(connections)
 
     def rounded(taps: Sum) -> Sum:
         least = NEGLIGIBLE * max((abs(tap.weight) for tap in taps), default=0.0)
-        units = [unit if isinstance(tap.read, Source) else 1.0 for tap in taps]
+        units = [1.0 / LEVELS if isinstance(tap.read, Source) else 1.0 for tap in taps]
         return [
             tap._replace(weight=float(np.float32(tap.weight * one)))
             for tap, one in zip(taps, units, strict=True)
@@ -84,7 +82,7 @@ def float_code(connections: Connections, unit: float) -> Code:
     return Code(chains, rounded(along), [0] * len(chains))
 
 
-def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: float) -> Code:
+def fixed_code(connections: Connections, gain: float) -> Code:
     """Sums in integers of 32 bits; columns have 16 bits.
 
     Parameters
@@ -92,35 +90,32 @@ def fixed_code(connections: Connections, gain: float, source_bits: int, s_max: f
     connections : Connections
         The kernels.
     gain : float
-        Factor of S, in grey levels.
-    source_bits : int
-        Binary places of a source, in grey levels.
-    s_max : float
-        Greatest value of S after that, which must fit 16 bits; infinite if S keeps 32 bits.
+        Factor of S in luminance. The product must fit 16 bits.
     """
+    kernels = connections.signed().values()
+    s_max = gain * sum(float(np.maximum(kernel, 0.0).sum()) for kernel in kernels)
     chains, along = _planned(connections)
     shifts: list[int] = []
     column_bits: dict[int, int] = {}
     for i, chain in enumerate(chains):
         taps = [tap for step in chain for tap in step.taps]
         largest, reach = max(abs(tap.weight) for tap in taps), LEVELS * _reach(taps)
-        weight_bits = min(_places(15, largest), _places(31, reach) - source_bits)
+        weight_bits = min(_places(15, largest), _places(31, reach))
         column_bits |= {step.column: _places(15, reach) for step in chain}
-        shifts.append(weight_bits + source_bits - _places(15, reach))
+        shifts.append(weight_bits - _places(15, reach))
         chains[i] = [step._replace(taps=_whole(step.taps, weight_bits)) for step in chain]
     # Binary places and greatest value of what each tap reads.
     reads = [
         (column_bits[tap.read], 2.0 ** (15 - column_bits[tap.read]))
         if isinstance(tap.read, int)
-        else (source_bits, float(LEVELS))
+        else (0, float(LEVELS))
         for tap in along
     ]
-    along = [tap._replace(weight=tap.weight * gain) for tap in along]
+    along = [tap._replace(weight=tap.weight * gain / LEVELS) for tap in along]
     pairs = list(zip(along, reads, strict=True))
     s_bits = _places(31, sum(abs(tap.weight) * high for tap, (_, high) in pairs))
     along = [tap for one, (bits, _) in pairs for tap in _whole([one], s_bits - bits)]
-    s_shift = 0 if math.isinf(s_max) else s_bits - min(15, s_bits, _places(16, s_max))
-    return Code(chains, along, shifts, s_bits, s_shift)
+    return Code(chains, along, shifts, s_bits, s_bits - min(15, s_bits, _places(16, s_max)))
 
 
 def _reach(taps: Sum) -> float:
@@ -207,32 +202,30 @@ def _grouped(taps: Sum) -> list[tuple[float, list[str]]]:
 # Writing C
 
 
-def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
+def functions(code: Code, *, is_fixed: bool) -> str:
     """The C functions `sum_columns` and `sum_along`, and the macros that they use.
 
-    `P1(dy, dx)` is P(t-1) at an offset from the present cell, in grey levels; in the
-    contrast-relative model it is P', from a table. `C0(dx)` is a column.
+    `P1(dy, dx)` is P(t-1) at an offset from the present cell, in grey levels. `C0(dx)` is a column.
     """
     sources = [tap.read for taps in code.sums for tap in taps if isinstance(tap.read, Source)]
     delays = {s.delay for s in sources} | {s.delay + 1 for s in sources if s.difference}
     lines = []
     for delay in sorted(delays):
-        read = f"sources[{delay}].change[((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)]"
-        read = f"sources[{delay}].passed[{read}]" if is_contrast else read
+        read = f"sources[{delay}][((dy) + RADIUS) * DLGMD_STRIDE + x + (dx)]"
         lines.append(f"#define P{delay}(dy, dx) {read}")
     for number in range(code.n_columns):
         lines.append(f"#define C{number}(dx) columns[{number}][x + RADIUS + (dx)]")
     begin = (
         f"    for (int x = 0; x < WIDTH; x++) {{\n        {'int32_t' if is_fixed else 'float'} sum"
     )
-    arguments = "const source *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
+    arguments = "const uint8_t *const *sources, dlgmd_column columns[][WIDTH + 2 * RADIUS]"
     unused = ["{", "    (void)sources;", "    (void)columns;"]
 
     def added(taps: Sum) -> Iterator[str]:
         for weight, terms in _grouped(taps):
             factor = str(weight) if is_fixed else float_literal(weight)
             inside = " ".join(terms).removeprefix("+ ")
-            is_whole = not is_fixed and not is_contrast and "P" in inside
+            is_whole = not is_fixed and "P" in inside
             yield f"        sum += {factor} * {'(float)' * is_whole}({inside});"
 
     lines += ["", f"static void sum_columns({arguments})", *unused]
@@ -242,11 +235,15 @@ def functions(code: Code, *, is_fixed: bool, is_contrast: bool) -> str:
             value = f"(dlgmd_column)(sum >> {shift})" if is_fixed else "sum"
             lines += [*added(step.taps), f"        C{step.column}(0) = {value};"]
         lines.append("    }")
-    s = "sum" if is_contrast else "sum > 0 ? sum : 0"
-    if is_fixed and not is_contrast:
-        s = f"(dlgmd_sum)(sum > 0 ? sum >> {code.s_shift} : 0)"
+    s = f"(dlgmd_sum)(sum >> {code.s_shift})" if is_fixed else "sum"
     lines += ["}", "", f"static void sum_along({arguments}, dlgmd_sum *s)", *unused]
-    lines += [f"{begin} = 0;", *added(code.along), f"        s[x] = {s};", "    }", "}"]
+    lines += [
+        f"{begin} = 0;",
+        *added(code.along),
+        f"        s[x] = sum > 0 ? {s} : 0;",
+        "    }",
+        "}",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-/* @label@: the @model@ model of dlgmd @version@ and its alarm, in @arithmetic@.
+/* @label@: the @model@ model of dlgmd @version@, the expansion and the alarm, in @arithmetic@.
 
    @costs@
 
@@ -16,92 +16,93 @@
 #define DLGMD_PERIOD (DLGMD_HEIGHT + DLGMD_RADIUS)
 #define DLGMD_ROWS (DLGMD_MAX_DELAY * DLGMD_PERIOD + 2 * DLGMD_RADIUS + 1)
 #define DLGMD_STRIDE (DLGMD_WIDTH + DLGMD_MARGIN)
-#if DLGMD_EXPANDS
-/* The pictures whose expansion is measured are smaller by this factor. */
+/* What raises the alarm: spikes in a row, or a short time to contact. */
+#define DLGMD_SPIKES 0
+#define DLGMD_TTC 1
+
+/* Whether the expansion is measured. Define it as 1 to have it beside the alarm of spikes, too. */
+#ifndef DLGMD_EXPANSION
+#define DLGMD_EXPANSION (DLGMD_RULE == DLGMD_TTC)
+#endif
+
+/* Whether bands of mains light and steps of the exposure are removed from what is measured. */
+#ifndef DLGMD_DEFLICKER
+#define DLGMD_DEFLICKER 1
+#endif
+#define DLGMD_EVENS (DLGMD_EXPANSION && DLGMD_DEFLICKER)
+/* By frames kept for the former, and blocks down and across that the latter are seen in. */
+#define DLGMD_KEPT 6
+#define DLGMD_GRID_Y 8
+#define DLGMD_GRID_X 15
+
+#define DLGMD_SHORTER (DLGMD_WIDTH < DLGMD_HEIGHT ? DLGMD_WIDTH : DLGMD_HEIGHT)
+/* The images whose expansion is measured are smaller by this factor. */
 #define DLGMD_FACTOR (DLGMD_WIDTH < 240 ? 1 : DLGMD_WIDTH / 120)
 /* It is measured in windows of so many cells along each side, at most: half of the shorter side. */
-#define DLGMD_SHORTER (DLGMD_WIDTH < DLGMD_HEIGHT ? DLGMD_WIDTH : DLGMD_HEIGHT)
 #define DLGMD_WINDOW ((DLGMD_SHORTER / DLGMD_FACTOR / 2 + 1) / 2 * 2 + 1)
-#endif
 
 #if DLGMD_FIXED
 typedef int16_t dlgmd_column;
-#if DLGMD_CONTRAST
-typedef int32_t dlgmd_sum;
-#else
 typedef uint16_t dlgmd_sum;
-#endif
-typedef uint16_t dlgmd_change;
 typedef int32_t dlgmd_place;  /* in 1/256 cell */
 typedef uint16_t dlgmd_blend; /* a level in 1/256 */
 typedef int16_t dlgmd_rest;   /* in 1/32 level */
 typedef int64_t dlgmd_motion; /* in 1/2^24: a shift in cells, or a rate per frame or second */
+typedef uint32_t dlgmd_potential;
+typedef uint16_t dlgmd_positive;
+typedef int16_t dlgmd_signed;
+/* What 1 is in an answer: of mp; of mp_abs and of places; of expansion; of ttc_s. */
+#define DLGMD_MP_ONE 4096
+#define DLGMD_ONE 32768
+#define DLGMD_RATE_ONE 8192
+#define DLGMD_S_ONE 4096
 #else
 typedef float dlgmd_column;
 typedef float dlgmd_sum;
-typedef float dlgmd_change;
 typedef float dlgmd_place;
 typedef float dlgmd_blend;
 typedef float dlgmd_rest;
 typedef float dlgmd_motion;
+typedef float dlgmd_potential;
+typedef float dlgmd_positive;
+typedef float dlgmd_signed;
+#define DLGMD_MP_ONE 1
+#define DLGMD_ONE 1
+#define DLGMD_RATE_ONE 1
+#define DLGMD_S_ONE 1
 #endif
 
 /* The state of the model. It is large: use a static variable, for example. */
 typedef struct {
-#if DLGMD_EXPANDS
-    dlgmd_motion ahead, beside; /* expansion in the middle, and of what moves, per second */
-#endif
-#if DLGMD_CONTRAST
-#if DLGMD_FIXED
-#if DLGMD_ADAPTS
-    uint64_t mean; /* mean K so far, in the unit of the weights */
-#endif
-    uint64_t usual; /* mean change so far, summed over the cells, in levels / 128 */
-    uint32_t sigma; /* contrast, in levels / 65536 */
-    uint32_t noise; /* in levels / 65536 */
-    uint32_t interval; /* since the frame before, in 1/2^20 s */
-    uint32_t n_usual;  /* the same in frames at the usual rate, in 1/65536 */
-#else
-#if DLGMD_ADAPTS
-    float mean; /* mean K so far */
-#endif
-    float usual; /* mean change so far, summed over the cells, in levels */
-    float sigma; /* contrast, in levels */
-    float noise; /* in levels */
-    float interval; /* since the frame before, in seconds */
-    float n_usual;  /* the same in frames at the usual rate */
-#endif
-#else
     uint32_t change_sums[DLGMD_FFI_DELAY + 1]; /* of the last frames, newest first, in levels */
-#endif
     uint32_t frame;  /* number of frames; it wraps after years, which has the effect of a reset */
     uint32_t start;  /* row of `change` where the zeros above the next frame begin */
     uint32_t spikes; /* consecutive spikes */
-#if DLGMD_SHIFT > 0
-    int32_t blocks_y, blocks_x; /* how far the picture moved last, in blocks of 4 x 4 cells */
+#if DLGMD_EXPANSION
+    dlgmd_motion ahead, beside;    /* expansion in the middle, and of what moves, per second */
+    dlgmd_signed place_x, place_y; /* of what moves */
+    int32_t blocks_y, blocks_x;    /* how far the image moved last, in blocks of 4 x 4 cells */
+#if DLGMD_EVENS
+    uint32_t row_changes[DLGMD_KEPT]; /* mean change of the rows after so many frames, in 1/16 */
+    uint32_t n_changes;
+    uint32_t gains[2][DLGMD_HEIGHT]; /* of the rows of the last two frames, in 1/2^22, if `is_lit` */
+    bool is_lit[2], has_stepped;
+    uint8_t lit[3][DLGMD_FACTOR * DLGMD_WIDTH];   /* rows of a frame in steady light */
+    uint16_t row_sums[DLGMD_KEPT][DLGMD_HEIGHT]; /* of the last frames: a ring */
 #endif
-    union { /* used only during a step */
+    union { /* used only during a step; each member is written before it is read */
+#else
+    struct { /* used only during a step */
+#endif
         struct {
             dlgmd_column columns[DLGMD_COLUMNS][DLGMD_WIDTH + 2 * DLGMD_RADIUS];
-#if DLGMD_CONTRAST
-            dlgmd_sum s[DLGMD_WIDTH];
-#else
             dlgmd_sum s[4][DLGMD_WIDTH + 3]; /* the last rows of S, shifted right by one cell */
-#endif
         } rows;
-#if DLGMD_CONTRAST
-        struct {
-            uint32_t all[256];  /* histogram of the change of all cells */
-            uint32_t some[256]; /* of the cells that the lower quartile is taken of */
-        } counts;
-#endif
-#if DLGMD_SHIFT > 0
+#if DLGMD_EXPANSION
         uint16_t blocks[2][DLGMD_HEIGHT / 4][DLGMD_WIDTH / 4]; /* sums of this frame and the last */
-#endif
-#if DLGMD_EXPANDS
         struct {
             dlgmd_place parts[DLGMD_WINDOW];              /* where columns have moved to: beyond */
-            int16_t cells[DLGMD_WINDOW + 1];              /* these cells; -1 outside the picture */
+            int16_t cells[DLGMD_WINDOW + 1];              /* these cells; -1 outside the image */
             dlgmd_rest rests[DLGMD_WINDOW][DLGMD_WINDOW]; /* differences from there */
             dlgmd_blend line[DLGMD_WIDTH / DLGMD_FACTOR];
             uint8_t before[DLGMD_WINDOW + 2][DLGMD_WINDOW + 2];
@@ -111,53 +112,56 @@ typedef struct {
             uint8_t now[DLGMD_WIDTH / DLGMD_FACTOR];
             uint8_t change[DLGMD_HEIGHT / DLGMD_FACTOR][DLGMD_WIDTH / DLGMD_FACTOR];
         } moving;
+#if DLGMD_EVENS
+        struct {
+            uint32_t before[DLGMD_GRID_Y + 1][DLGMD_GRID_X], now[DLGMD_GRID_Y + 1][DLGMD_GRID_X];
+            uint32_t ratios[DLGMD_GRID_Y * DLGMD_GRID_X];
+            uint8_t row[DLGMD_WIDTH / DLGMD_FACTOR];
+        } grid;
+#endif
 #endif
     } work;
-#if DLGMD_CONTRAST
-    dlgmd_change passed[DLGMD_MAX_DELAY + 1][256]; /* P' by change, for each frame kept */
-#endif
     uint8_t previous[DLGMD_HEIGHT * DLGMD_WIDTH]; /* the frame before */
     /* |L(t) - L(t-1)| of the last frames: a ring of rows, with zeros between frames and rows. The
        first rows are repeated after the last ones, so that neighbouring rows are contiguous. */
     uint8_t change[DLGMD_MARGIN + (DLGMD_ROWS + 2 * DLGMD_RADIUS) * DLGMD_STRIDE];
 } dlgmd_state;
 
-/* The answer to one frame. All fields are 0 while `valid` is false, before the history is full. */
+/* The answer to one frame. Integers are in units of 1 / DLGMD_MP_ONE and so on. */
 typedef struct {
-    bool valid;
+    bool valid; /* the history of the neuron is full; before that, its answer is 0 */
     bool spike; /* mp_abs reaches the threshold */
-    bool alarm; /* enough consecutive spikes: a collision is imminent */
-#if DLGMD_FIXED
-    uint32_t mp;     /* membrane potential K, in 1/4096 */
-    uint16_t mp_abs; /* normalised to 0..1, in 1/32768 */
-    int16_t g_x;     /* centroid of G: -1 at the left edge, 1 at the right, in 1/32768 */
-    int16_t g_y;     /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
-    uint16_t ttc_s;  /* estimated time to contact, in 1/4096 s; 0 where nothing expands */
-#else
-    float mp;     /* membrane potential K */
-    float mp_abs; /* normalised to 0..1 */
-    float g_x;    /* centroid of G: -1 at the left edge, 1 at the right */
-    float g_y;    /* -1 at the top edge, 1 at the bottom; both are 0 where G is 0 */
-    float ttc_s;  /* estimated time to contact in seconds; 0 where nothing expands */
-#endif
+    bool alarm; /* a collision is imminent */
+    uint8_t rule; /* what raises the alarm: DLGMD_SPIKES or DLGMD_TTC */
+    dlgmd_potential mp;    /* membrane potential K */
+    dlgmd_positive mp_abs; /* normalised to 0..1 */
+    /* Centroid of the active cells, 0 without any: -1 at the left or top edge, 1 at the other. */
+    dlgmd_signed g_x, g_y;
+    /* Beside the neuron, 0 where it is not measured. */
+    dlgmd_signed expansion; /* rate of expansion per second; negative where the image shrinks */
+    dlgmd_positive ttc_s;   /* estimated time to contact in seconds; 0 where nothing expands */
+    dlgmd_signed expansion_x, expansion_y; /* centre of the part that expands */
 } dlgmd_answer;
 
-/* Where in the picture the active cells are: thirds across and down, -1, 0 (middle) or 1. */
+/* Where in the image that is what raises the alarm: thirds across and down, -1, 0 (middle) or 1. */
 typedef struct {
+    bool known;    /* some cell is active, or something expands, by the rule */
     int8_t across; /* -1 left, 1 right */
     int8_t down;   /* -1 high, 1 low */
 } dlgmd_side;
 
+static inline int8_t dlgmd_third(dlgmd_signed place)
+{
+    return (int8_t)((3 * place > DLGMD_ONE) - (3 * place < -DLGMD_ONE));
+}
+
 static inline dlgmd_side dlgmd_side_of(const dlgmd_answer *answer)
 {
-#if DLGMD_FIXED
-    const int32_t third = 32768 / 3;
-    int32_t x = answer->g_x, y = answer->g_y;
-#else
-    const float third = 1.0f / 3.0f;
-    float x = answer->g_x, y = answer->g_y;
-#endif
-    return (dlgmd_side){(int8_t)((x > third) - (x < -third)), (int8_t)((y > third) - (y < -third))};
+    if (answer->rule == DLGMD_TTC) {
+        return (dlgmd_side){answer->ttc_s > 0, dlgmd_third(answer->expansion_x),
+                            dlgmd_third(answer->expansion_y)};
+    }
+    return (dlgmd_side){answer->mp > 0, dlgmd_third(answer->g_x), dlgmd_third(answer->g_y)};
 }
 
 /* Why pictures show nothing: too little light, too little contrast, nothing but noise, or always the
@@ -189,8 +193,8 @@ static inline uint32_t dlgmd_every(uint32_t fps)
 void dlgmd_reset(dlgmd_state *state);
 
 /* Process the next frame: grey levels, row by row, from the top left corner. `step_ms` is the time
-   since the frame before in milliseconds, at most 1000; 0 is 1 / DLGMD_FPS.
-   @timed@ */
+   since the frame before in milliseconds, at most 1000; 0 is 1/30 s. The expansion takes it; the
+   neuron counts frames. */
 dlgmd_answer dlgmd_step(dlgmd_state *state, const uint8_t *frame, uint32_t step_ms);
 
 /* In dlgmd_health.c, which a project needs for these only. Start anew. */
